@@ -1,0 +1,37 @@
+# Needs Python >= 3.11 and make, nothing else.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.PHONY: demo test lint accuracy bench gallery clean
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "crankorder needs Python 3.11 or newer; set PYTHON=…")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+demo: $(STAMP)
+	$(BIN)/crankorder demo --out crankorder-demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n 2
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+accuracy: $(STAMP)
+	$(BIN)/python -m pytest -m 'slow or accuracy'
+
+bench: $(STAMP)
+	$(BIN)/python benchmarks/campaign.py
+
+gallery: $(STAMP)
+	$(BIN)/python reports/make_gallery.py
+
+clean:
+	rm -rf $(VENV) build dist crankorder-demo

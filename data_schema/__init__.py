@@ -1,0 +1,1 @@
+"""JSON Schemas of every dataset and file (no code)."""

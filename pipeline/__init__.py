@@ -1,0 +1,1 @@
+"""Settings of every stage, recipes, engines and scenes (TOML only, no code)."""

@@ -1,0 +1,1 @@
+"""Recipes: the results wanted and the settings that differ."""

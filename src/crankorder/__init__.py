@@ -1,0 +1,1 @@
+"""Order tracking and vibration analysis for reciprocating engines and other rotating machines."""

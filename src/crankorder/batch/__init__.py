@@ -1,0 +1,1 @@
+"""A folder of test runs: plan, execute, resume, publish."""

@@ -1,0 +1,1 @@
+"""Frequency frames and the speed-frequency map."""

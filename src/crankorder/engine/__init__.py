@@ -1,0 +1,1 @@
+"""The engine as a model: what forces a crank mechanism makes, order by order."""

@@ -1,0 +1,90 @@
+"""What can go wrong, one line each. Every error says file, place, value found, what is allowed and what to do."""
+
+from __future__ import annotations
+
+
+class CrankorderError(Exception):
+    """Base of every error that crankorder raises on purpose; ``exit_status`` is what the command line returns."""
+
+    exit_status = 1
+
+    def __init__(
+        self, problem: str, *, file: object = "", place: str = "", found: object = "", allowed: str = "", remedy: str = ""
+    ) -> None:
+        self.problem = problem
+        self.file = str(file)
+        self.place = place
+        self.found = "" if found == "" else printable(found)
+        self.allowed = allowed
+        self.remedy = remedy
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        where = ": ".join(printable(part) for part in (self.file, self.place) if part)
+        text = f"{where}: {self.problem}" if where else self.problem
+        if self.found:
+            text += f"; found {self.found}"
+        if self.allowed:
+            text += f"; allowed: {self.allowed}"
+        return f"{text}. {self.remedy}".rstrip() if self.remedy else f"{text}."
+
+    def __reduce__(self) -> tuple[object, ...]:
+        keywords = {key: getattr(self, key) for key in ("file", "place", "found", "allowed", "remedy")}
+        return (_rebuild, (type(self), self.problem, keywords))
+
+
+def _rebuild(kind: type[CrankorderError], problem: str, keywords: dict[str, str]) -> CrankorderError:
+    return kind(problem, **keywords)
+
+
+def printable(value: object, limit: int = 200) -> str:
+    """Text of ``value`` with control characters shown as ``\\xNN`` and cut at ``limit`` characters."""
+    text = str(value).encode("utf-8", "backslashreplace").decode("utf-8")
+    text = "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
+    return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+class RequestError(CrankorderError, ValueError):
+    """The request or the manifest is wrong: nothing is written (exit status 2)."""
+
+    exit_status = 2
+
+
+class InputError(CrankorderError, ValueError):
+    """A recording cannot be read or used: it is left out, the others go on (exit status 3, or 4 if none is left)."""
+
+    exit_status = 3
+
+
+class UnsafeInputError(InputError):
+    """A recording is refused because reading it could reach outside its folder or exhaust the machine."""
+
+
+class NoUsableRecordingError(InputError):
+    """No recording of the test could be used (exit status 4)."""
+
+    exit_status = 4
+
+
+class EnvironmentFailure(CrankorderError, OSError):
+    """Disk full, no permission, a missing program or package: the surroundings must change (exit status 5)."""
+
+    exit_status = 5
+
+
+class SchemaError(CrankorderError, TypeError):
+    """A dataset does not have the dims, variables or units that its schema names: a fault of the program."""
+
+
+class ManyErrors(RequestError):
+    """Several faults of one request, listed together."""
+
+    def __init__(self, faults: list[CrankorderError]) -> None:
+        self.faults = faults
+        super().__init__("\n".join(str(fault) for fault in faults))
+
+    def __str__(self) -> str:
+        return "\n".join(str(fault) for fault in self.faults)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (ManyErrors, (self.faults,))

@@ -1,0 +1,1 @@
+"""Planned transforms, windows and their scalings, decimation and resampling kernels."""

@@ -1,0 +1,1 @@
+"""Orders, natural frequencies, bearings and crossings, named with evidence."""

@@ -1,0 +1,1 @@
+"""Test-run folders, manifests and files become recordings."""

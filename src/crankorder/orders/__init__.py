@@ -1,0 +1,1 @@
+"""Order frames, order maps and order tracks."""

@@ -1,0 +1,109 @@
+"""The nouns: every dataset that flows, in flow order. ``data_schema/`` states the dims, variables and units of each.
+
+Conventions shared by all of them:
+
+* crank angle in revolutions from top dead centre (0 = TDC; firing TDC where ``cycle_known`` is 1), growing with time;
+* a line at an order is ``amplitude * cos(2 pi order crank_angle + phase)``, amplitude is the peak;
+* speed in revolutions per minute; the unit attribute is the UDUNITS string ``min-1``;
+* quality flags travel in ``attrs["quality"]`` as a JSON list (:func:`flags_of`, :func:`with_flags`);
+* what was done travels in ``attrs["history"]``, one line per stage.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from functools import cache
+from importlib.resources import files
+from typing import Any, Literal, NewType, TypedDict
+
+import xarray as xr
+
+from crankorder.errors import SchemaError
+
+Recording = NewType("Recording", xr.Dataset)
+"""One file as measured: signal[channel, time | crank_angle] with encoder and index pulse times."""
+
+ShaftAngle = NewType("ShaftAngle", xr.Dataset)
+"""Crank angle, speed and their standard error on time knots."""
+
+BandRecording = NewType("BandRecording", xr.Dataset)
+"""A recording limited to the band that the wanted results need (low-pass filtered and decimated)."""
+
+OrderFrames = NewType("OrderFrames", xr.Dataset)
+"""Complex order spectra of whole-cycle frames of one recording, each frame with its speed."""
+
+OrderMap = NewType("OrderMap", xr.Dataset)
+"""Order spectra of a test against speed: energy average, coherent average, standard error."""
+
+FrequencyFrames = NewType("FrequencyFrames", xr.Dataset)
+"""Power spectra of the frames of one recording by frequency, each frame with its speed."""
+
+CampbellMap = NewType("CampbellMap", xr.Dataset)
+"""The speed-frequency map of a test: peak amplitude of a tone and power spectral density."""
+
+OrderTracks = NewType("OrderTracks", xr.Dataset)
+"""Amplitude and phase of the found and the asked-for orders against speed."""
+
+Findings = NewType("Findings", dict[str, Any])
+"""What the test says: orders, modes, crossings, bearings, lines, each with a 95 % interval and evidence."""
+
+Truth = NewType("Truth", dict[str, Any])
+"""What was put into a synthetic test, in the words of the findings."""
+
+Severity = Literal["info", "suspect", "bad"]
+
+
+class QualityFlag(TypedDict):
+    """One remark on a recording: which, what, how bad, and where or how much."""
+
+    recording: str
+    flag: str
+    severity: Severity
+    detail: str
+
+
+def flags_of(dataset: xr.Dataset) -> list[QualityFlag]:
+    """Quality flags that ``dataset`` carries, in the order in which they were raised."""
+    flags: list[QualityFlag] = json.loads(dataset.attrs.get("quality", "[]"))
+    return flags
+
+
+def with_flags(dataset: xr.Dataset, flags: Iterable[QualityFlag]) -> xr.Dataset:
+    """``dataset`` (changed in place) with ``flags`` added to those that it carries."""
+    dataset.attrs["quality"] = json.dumps([*flags_of(dataset), *flags], ensure_ascii=False)
+    return dataset
+
+
+@cache
+def schema_of(noun: str) -> dict[str, Any]:
+    """JSON Schema of a noun or file of ``data_schema/``, by file stem such as ``"order_map"``."""
+    text = files("crankorder.data_schema").joinpath(f"{noun}.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+def check_dataset(dataset: xr.Dataset, noun: str) -> None:
+    """Refuse a dataset that lacks a variable, dimension or unit of its schema; reads metadata only.
+
+    Raises SchemaError naming the variable, what it has and what the schema of ``noun`` asks for.
+    """
+    variables = schema_of(noun)["properties"]["variables"]
+    for name in variables["required"]:
+        if name not in dataset.variables:
+            raise SchemaError(f"variable {name!r} is missing", place=noun, allowed=", ".join(variables["required"]))
+    for name, wanted in variables["properties"].items():
+        if name not in dataset.variables:
+            continue
+        rule = wanted["properties"]
+        dims = list(dataset[name].dims)
+        if dims not in rule["dims"]["enum"]:
+            raise SchemaError("wrong dims", place=f"{noun}.{name}", found=dims, allowed=str(rule["dims"]["enum"]))
+        units = dataset[name].attrs.get("units")
+        if units is None or ("const" in rule["units"] and units != rule["units"]["const"]):
+            raise SchemaError(
+                "wrong units", place=f"{noun}.{name}", found=units, allowed=rule["units"].get("const", "any, but stated")
+            )
+    for name in schema_of(noun)["properties"]["attrs"]["required"]:
+        if name not in dataset.attrs:
+            raise SchemaError(f"attribute {name!r} is missing", place=noun)

@@ -1,0 +1,182 @@
+"""Frozen settings per stage, filled from ``pipeline/*.toml`` and a recipe; unknown keys are refused.
+
+The TOML files are the one home of every default and of its reason; the classes state type and range only.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from crankorder.errors import ManyErrors, RequestError
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(gt=0)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+
+
+class StageSettings(BaseModel):
+    """Base of every stage's settings."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class IngestSettings(StageSettings):
+    """Limits on what is read (``1-ingest.toml``)."""
+
+    max_bytes: Count
+    max_objects: Count
+    clip_run_samples: Count
+
+
+class ShaftSettings(StageSettings):
+    """How pulses become crank angle (``2-shaft.toml``)."""
+
+    hysteresis_fraction: Fraction
+    envelope_teeth: Positive
+    gap_ratio_tolerance: Fraction
+    double_pulse_ratio: Fraction
+    lost_pulse_ratio: Annotated[float, Field(gt=1)]
+    max_repaired_fraction: Annotated[float, Field(ge=0, lt=1)]
+    knots_per_rev: Count
+    speed_lowpass_rev: Positive
+
+
+class OrderSettings(StageSettings):
+    """Frames, map and tracks by order (``3-orders.toml``)."""
+
+    max_order: Positive
+    revs_per_frame: Count
+    overlap: Annotated[float, Field(ge=0, lt=1)]
+    speed_bin_rpm: Positive
+    track_orders: tuple[Positive, ...] = Field(strict=False)
+    band_width_orders: Positive
+
+
+class CampbellSettings(StageSettings):
+    """The speed-frequency map (``4-campbell.toml``)."""
+
+    max_frequency_hz: Positive
+    resolution_hz: Positive
+    overlap: Annotated[float, Field(ge=0, lt=1)]
+
+
+class IdentifySettings(StageSettings):
+    """What counts as an order, a mode, a tone (``5-identify.toml``)."""
+
+    false_alarm_probability: Fraction
+    min_speed_fraction: Fraction
+    min_speeds: Count
+    floor_width_orders: Positive
+    guard_bins: Annotated[int, Field(ge=0)]
+    order_match: Positive
+    mode_floor_width_hz: Positive
+    mode_prominence_db: Positive
+    mode_min_width_bins: Positive
+    max_damping_ratio: Fraction
+    mains_hz: tuple[Positive, ...] = Field(strict=False)
+    mains_tolerance_hz: Positive
+    crossing_band_rpm: Positive
+
+
+class ReportSettings(StageSettings):
+    """Pictures and page (``6-report.toml``)."""
+
+    width_in: Positive
+    height_in: Positive
+    dpi: Count
+    dynamic_range_db: Positive
+    acceleration_reference_m_s2: Positive
+    pressure_reference_pa: Positive
+    max_labelled_orders: Count
+    max_name_characters: Count
+
+
+class Settings(StageSettings):
+    """All stages' settings, as one recipe asks for them."""
+
+    ingest: IngestSettings
+    shaft: ShaftSettings
+    orders: OrderSettings
+    campbell: CampbellSettings
+    identify: IdentifySettings
+    report: ReportSettings
+
+    file_of: ClassVar[dict[str, str]] = {
+        stage: f"{number}-{stage}.toml"
+        for number, stage in enumerate(("ingest", "shaft", "orders", "campbell", "identify", "report"), start=1)
+    }
+
+
+@cache
+def _defaults() -> dict[str, dict[str, Any]]:
+    root = files("crankorder.pipeline")
+    merged: dict[str, dict[str, Any]] = {}
+    for name in Settings.file_of.values():
+        merged |= tomllib.loads(root.joinpath(name).read_text(encoding="utf-8"))
+    return merged
+
+
+def shipped(kind: str) -> dict[str, str]:
+    """Names and texts of the TOML files of one folder of ``pipeline/``: ``"recipes"``, ``"engines"`` or ``"scenes"``."""
+    folder = files("crankorder.pipeline").joinpath(kind)
+    texts = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
+    return {name.removesuffix(".toml"): texts[name].read_text(encoding="utf-8") for name in sorted(texts)}
+
+
+def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dict[str, Any], str]:
+    """Table of a shipped or a user's TOML file, and the name by which errors call it.
+
+    ``name`` is a shipped file's stem, or the path of a TOML file (tried from ``beside`` first where given).
+    Raises RequestError where no such file exists or its TOML is wrong (with line and column).
+    """
+    ours = shipped(kind)
+    candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
+    found = next((path for path in candidates if path.suffix == ".toml" and path.is_file()), None)
+    if found is None and name not in ours:
+        raise RequestError(
+            f"no such {kind.removesuffix('s')}", found=name, allowed=f"{', '.join(ours) or 'none shipped'}, or a path of a .toml file"
+        )
+    try:
+        text = ours[name] if found is None else found.read_text(encoding="utf-8")
+        return tomllib.loads(text), f"{kind}/{name}.toml" if found is None else found.name
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RequestError("not valid TOML", file=found or name, found=error, remedy="Mend the line that it names") from None
+
+
+def load_settings(recipe: str | None = None, *, beside: Path | None = None) -> Settings:
+    """Settings of all stages with the differences of ``recipe`` (a shipped name or a path of a TOML file) applied.
+
+    Raises ManyErrors that lists every unknown key and every value out of range, or RequestError for a missing file.
+    """
+    tables, source = dict(_defaults()), "pipeline"
+    if recipe is not None:
+        differences, source = toml_table(recipe, "recipes", beside=beside)
+        for stage, table in differences.items():
+            if isinstance(table, dict):
+                tables[stage] = {**tables.get(stage, {}), **table}
+            elif stage not in ("title", "description"):
+                tables[stage] = table
+    try:
+        return Settings.model_validate(tables)
+    except ValidationError as error:
+        raise ManyErrors([validation_fault(fault, source) for fault in error.errors()]) from None
+
+
+def validation_fault(fault: Any, source: str, place_of: dict[str, int] | None = None) -> RequestError:
+    """One pydantic fault as a RequestError with the key path (and the line, where ``place_of`` knows it)."""
+    key = ".".join(str(part) for part in fault["loc"])
+    line = (place_of or {}).get(key)
+    unknown = fault["type"] == "extra_forbidden"
+    return RequestError(
+        "unknown key" if unknown else fault["msg"],
+        file=source if line is None else f"{source}:{line}",
+        place=key,
+        found="" if unknown or fault["type"] == "missing" else fault["input"],
+        remedy="Remove it or mend its spelling" if unknown else "",
+    )

@@ -1,0 +1,1 @@
+"""Encoder pulses become crank angle and speed, with a standard error."""

@@ -1,0 +1,1 @@
+"""Scenes: recordings as a test cell would have made them, with the truth beside."""
