@@ -32,12 +32,19 @@ class IngestSettings(StageSettings):
     max_bytes: Count
     max_objects: Count
     clip_run_samples: Count
+    max_gap_samples: Annotated[int, Field(ge=0)]
+    max_gap_fraction: Fraction
+    max_clipped_fraction: Fraction
+    rate_tolerance: Fraction
+    time_jitter_samples: Fraction
+    max_time_jitter_samples: Fraction
 
 
 class ShaftSettings(StageSettings):
     """How pulses become crank angle (``2-shaft.toml``)."""
 
     hysteresis_fraction: Fraction
+    pickup_level_fraction: Fraction
     envelope_teeth: Positive
     gap_ratio_tolerance: Fraction
     double_pulse_ratio: Fraction
@@ -56,6 +63,8 @@ class OrderSettings(StageSettings):
     speed_bin_rpm: Positive
     track_orders: tuple[Positive, ...] = Field(strict=False)
     band_width_orders: Positive
+    floor_bins: Count
+    guard_bins: Annotated[int, Field(ge=0)]
 
 
 class CampbellSettings(StageSettings):
@@ -72,8 +81,6 @@ class IdentifySettings(StageSettings):
     false_alarm_probability: Fraction
     min_speed_fraction: Fraction
     min_speeds: Count
-    floor_width_orders: Positive
-    guard_bins: Annotated[int, Field(ge=0)]
     order_match: Positive
     mode_floor_width_hz: Positive
     mode_prominence_db: Positive

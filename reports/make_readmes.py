@@ -1,0 +1,205 @@
+"""README pages of ``pipeline/`` and ``data_schema/``, made from the files that they describe.
+
+Run ``python reports/make_readmes.py`` after a change there; a house test compares the pages with a fresh rendering.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+MARKER = "<!-- made by `python reports/make_readmes.py`: change the files that it describes, not this page -->"
+
+NOUNS = ("recording", "shaft_angle", "order_frames", "order_map", "frequency_frames", "campbell_map", "order_tracks")
+"""Datasets in the order in which they flow; schemas not named here follow by name."""
+
+UNITS = (
+    ("_rad_s", "rad/s"),
+    ("_m_s2", "m/s²"),
+    ("_hz", "Hz"),
+    ("_s", "s"),
+    ("_rpm", "rpm"),
+    ("_deg", "°"),
+    ("_rev", "rev"),
+    ("_db", "dB"),
+    ("_in", "in"),
+    ("_pa", "Pa"),
+    ("_bytes", "bytes"),
+    ("_samples", "samples"),
+    ("_bins", "bins"),
+    ("_teeth", "teeth"),
+    ("_orders", "orders"),
+    ("_order", "order"),
+    ("_characters", "characters"),
+    ("_fraction", "share"),
+    ("_probability", "share"),
+    ("_ratio", "ratio"),
+    ("dpi", "dots per inch"),
+)
+
+SETTING = re.compile(r"^(?P<key>[a-z0-9_]+) = (?P<value>[^#]*?)\s*(?:#\s*(?P<reason>.*?)\s*)?$")
+
+
+def unit_of(key: str) -> str:
+    """Unit that the name of a setting states, such as ``"Hz"`` for the ``key`` ``"max_frequency_hz"``; "" for pure numbers."""
+    if "_per_" in key:
+        return key.replace("_", " ")
+    return next((unit for suffix, unit in UNITS if key.endswith(suffix)), "")
+
+
+def settings_of(text: str) -> list[tuple[str, str, str]]:
+    """Key, value and reason (the comment; "" where there is none) of each line of a stage's TOML ``text``."""
+    matches = (SETTING.match(line) for line in text.splitlines())
+    return [(match["key"], match["value"], match["reason"] or "") for match in matches if match]
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Markdown table with the cells of ``header`` and ``rows``; bars and line ends in a cell are escaped."""
+    lines = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows]
+    titles = list(header)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in [titles, ["---"] * len(titles), *lines])
+
+
+def render_pipeline_readme(root: Path = ROOT) -> str:
+    """Text of ``pipeline/README.md``: every setting by stage, then what is shipped, read from the tree at ``root``."""
+    folder = root / "pipeline"
+    stages = sorted(folder.glob("[0-9]-*.toml"))
+    parts = [
+        MARKER,
+        "# Pipeline: what is done, in order, and every number that shapes a result",
+        f"`{' → '.join(path.stem.partition('-')[2] for path in stages)}`",
+        "One file per stage is the one home of each default. A recipe names only the settings in which it differs; "
+        "an unknown name or a value out of range is refused. Units are part of the name.",
+    ]
+    for path in stages:
+        text = path.read_text(encoding="utf-8")
+        parts += [f"## {path.stem.replace('-', '. ', 1)}", _heading_comment(text)]
+        rows = ((f"`{key}`", f"`{value}`", unit_of(key), reason) for key, value, reason in settings_of(text))
+        parts += [table(("setting", "value", "unit", "reason"), rows)]
+    for kind, what in (
+        ("recipes", "An analysis: the settings that differ."),
+        ("engines", "Engine data; a manifest names one."),
+        ("scenes", "Synthetic tests: an engine, its speeds, sensors and effects."),
+    ):
+        parts += [f"## {kind}", what, _shipped(folder / kind)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _heading_comment(text: str) -> str:
+    first = text.partition("\n")[0]
+    return first.removeprefix("#").strip() if first.startswith("#") else ""
+
+
+def _shipped(folder: Path) -> str:
+    rows = []
+    for path in sorted(folder.glob("*.toml")):
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        about = content.get("description") or _heading_comment(path.read_text(encoding="utf-8"))
+        rows.append((f"[`{path.stem}`]({folder.name}/{path.name})", str(content.get("title", "")), str(about)))
+    return table(("name", "title", "what it is"), rows) if rows else "None is shipped yet."
+
+
+def render_schema_readme(root: Path = ROOT) -> str:
+    """Text of ``data_schema/README.md``: each dataset in flow order, then each file, read from the tree at ``root``."""
+    schemas = {
+        path.stem: json.loads(path.read_text(encoding="utf-8")) for path in (root / "data_schema").glob("*.json")
+    }
+    datasets = [name for name in sorted(schemas) if "variables" in schemas[name].get("properties", {})]
+    datasets.sort(key=lambda name: NOUNS.index(name) if name in NOUNS else len(NOUNS))
+    parts = [
+        MARKER,
+        "# Data schema: what each dataset and each file holds",
+        "Each page is a JSON Schema. Datasets are checked by name, dims and units at the door of every stage. "
+        "A unit of `see unit` is the one that the variable `unit` states for each channel.",
+        "## Datasets, in flow order",
+    ]
+    for name in datasets:
+        parts += _dataset(name, schemas[name])
+    files = [name for name in sorted(schemas) if name not in datasets]
+    if files:
+        parts.append("## Files")
+    for name in files:
+        rows = list(_fields(schemas[name], schemas[name]))
+        parts += [f"### {schemas[name].get('title', name)} (`{name}.json`)", schemas[name].get("description", "")]
+        parts += [table(("field", "type", "required", "meaning"), rows)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _dataset(name: str, schema: dict[str, Any]) -> list[str]:
+    variables, attrs = schema["properties"]["variables"], schema["properties"].get("attrs", {})
+    rows = []
+    for variable, rule in variables["properties"].items():
+        dims = " or ".join(", ".join(choice) or "scalar" for choice in rule["properties"]["dims"]["enum"])
+        optional = "" if variable in variables["required"] else " (optional)"
+        unit = rule["properties"]["units"].get("const", "any, stated")
+        rows.append((f"`{variable}`{optional}", dims, unit, rule.get("description", "")))
+    parts = [f"### {schema['title']} (`{name}.json`), one per {schema['per']}", schema["description"]]
+    parts += [table(("variable", "dims", "units", "meaning"), rows)]
+    required = attrs.get("required", [])
+    notes = [
+        (f"`{attr}`{'' if attr in required else ' (optional)'}", rule.get("description", ""))
+        for attr, rule in attrs.get("properties", {}).items()
+    ]
+    return [*parts, table(("attribute", "meaning"), notes)] if notes else parts
+
+
+def _resolved(schema: dict[str, Any], whole: dict[str, Any]) -> dict[str, Any]:
+    if "$ref" not in schema:
+        return schema
+    target: Any = whole
+    for part in schema["$ref"].removeprefix("#/").split("/"):
+        target = target[part]
+    return {**_resolved(target, whole), **{key: value for key, value in schema.items() if key != "$ref"}}
+
+
+def _fields(schema: dict[str, Any], whole: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str, str, str]]:
+    for name, rule in schema.get("properties", {}).items():
+        field = _resolved(rule, whole)
+        required = "yes" if name in schema.get("required", []) else ""
+        yield f"`{prefix}{name}`", _type(field, whole), required, field.get("description", "")
+        for inner, path in _inside(field, whole, f"{prefix}{name}"):
+            yield from _fields(inner, whole, path)
+
+
+def _inside(field: dict[str, Any], whole: dict[str, Any], path: str) -> Iterator[tuple[dict[str, Any], str]]:
+    yield field, f"{path}."
+    if isinstance(field.get("items"), dict):
+        yield _resolved(field["items"], whole), f"{path}[]."
+    if isinstance(field.get("additionalProperties"), dict):
+        yield _resolved(field["additionalProperties"], whole), f"{path}.*."
+    for choice in (*field.get("anyOf", ()), *field.get("oneOf", ())):
+        yield from _inside(_resolved(choice, whole), whole, path)
+
+
+def _type(field: dict[str, Any], whole: dict[str, Any]) -> str:
+    choices = [_type(_resolved(choice, whole), whole) for choice in (*field.get("anyOf", ()), *field.get("oneOf", ()))]
+    if choices:
+        return " or ".join(dict.fromkeys(choices))
+    if "const" in field:
+        return f"`{json.dumps(field['const'], ensure_ascii=False)}`"
+    if "enum" in field:
+        return ", ".join(f"`{json.dumps(value, ensure_ascii=False)}`" for value in field["enum"])
+    kinds = field.get("type", "any")
+    text = kinds if isinstance(kinds, str) else " or ".join(kinds)
+    if isinstance(field.get("items"), dict):
+        return f"{text} of {_type(_resolved(field['items'], whole), whole)}"
+    return text
+
+
+def pages(root: Path = ROOT) -> dict[Path, str]:
+    """Path and text of every generated page of the tree at ``root``."""
+    return {
+        root / "pipeline" / "README.md": render_pipeline_readme(root),
+        root / "data_schema" / "README.md": render_schema_readme(root),
+    }
+
+
+if __name__ == "__main__":
+    for page, text in pages().items():
+        page.write_text(text, encoding="utf-8")
+        print(page.relative_to(ROOT))

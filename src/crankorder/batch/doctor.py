@@ -1,0 +1,40 @@
+"""Is this machine fit: versions, free space, a known answer."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from crankorder.batch.execute import LIBRARIES
+from crankorder.fft.transforms import FrameTransform
+from crankorder.fft.windows import hann
+
+
+def examine(out: Path) -> tuple[list[str], bool]:
+    """Lines that say what there is, and whether the self-test gave the known answer.
+
+    ``out`` is the folder whose disk is asked for free space.
+    """
+    lines = [f"crankorder {version('crankorder')}, Python {platform.python_version()}"]
+    lines += [f"{name} {version(name)}" for name in LIBRARIES]
+    try:
+        lines.append(f"openpyxl {version('openpyxl')}: XLSX recordings can be read")
+    except PackageNotFoundError:
+        lines.append("openpyxl is missing: for XLSX recordings `pip install crankorder[xlsx]`")
+    existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
+    lines.append(f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB")
+    error = _known_answer()
+    healthy = error < 1e-12
+    lines.append(f"FFTW known answer: a cosine of amplitude 1 is found to {error:.1e}: {'good' if healthy else 'BAD'}")
+    return lines, healthy
+
+
+def _known_answer() -> float:
+    """Deviation of the spectrum of cos(2 pi 5 t + 1) at its bin from exp(1j)."""
+    signal = np.cos(2.0 * np.pi * 5.0 * np.arange(64) / 64 + 1.0)[None, :]
+    spectrum = FrameTransform(hann(64)).spectra(signal, np.array([0]))
+    return float(abs(spectrum[0, 0, 5] - np.exp(1j)))

@@ -1,0 +1,254 @@
+"""Run planned tests: each recording in a worker of its own, then maps, findings and the published results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.batch.plan import TestPlan
+from crankorder.batch.publish import test_files
+from crankorder.batch.store import code_sha256, file_sha256, finished_with, json_bytes, publish, text_sha256, write_atomically
+from crankorder.engine.definition import load_engine
+from crankorder.engine.forces import orders_of_engine
+from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
+from crankorder.identify.explain import Sources
+from crankorder.quantities import flags_of
+from crankorder.settings import toml_table
+from crankorder.stages import RecordingResult, analyse_recording, analyse_test
+
+LIBRARIES = ("numpy", "scipy", "xarray", "h5py", "h5netcdf", "matplotlib", "numba", "pyfftw")
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the test, recordings done and recordings in all."""
+
+
+@dataclass
+class Outcome:
+    """What became of one test."""
+
+    plan: TestPlan
+    status: str = "failed"
+    faults: list[CrankorderError] = field(default_factory=list)
+    internal: list[BaseException] = field(default_factory=list)
+    findings: dict[str, Any] | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of this test alone, as the command line defines it."""
+        if self.internal:
+            return 1
+        if self.status == "failed":
+            return next((f.exit_status for f in self.faults if f.exit_status in (4, 5)), 3)
+        return 3 if self.faults else 0
+
+
+def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: Progress | None = None) -> Outcome:
+    """Analyse the test of ``plan`` and publish its results; nothing is raised for a fault of the input.
+
+    ``jobs`` recordings are analysed at a time (threads: the numerical kernels run without the interpreter's lock);
+    ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into faults; ``progress`` is told
+    of every recording that is done.
+    """
+    outcome = Outcome(plan, faults=list(plan.faults))
+    clock = _Clock(outcome.seconds)
+    try:
+        hashes = _hash_inputs(plan, jobs)
+        clock.lap("hash")
+        provenance = _provenance(plan, hashes)
+        key = text_sha256(json_bytes(provenance).decode(), code_sha256(), str(strict))
+        if not fresh and not plan.faults and finished_with(plan.out, key):
+            outcome.status = "unchanged"
+            return outcome
+        results = _analyse(plan, hashes, jobs, outcome, progress)
+        clock.lap("recordings")
+        if strict:
+            _apply_strict(results, outcome)
+        if not results:
+            raise NoUsableRecordingError(
+                "no recording could be used", file=plan.folder, remedy="Mend the faults listed; `crankorder check` repeats them"
+            )
+        _finish(plan, results, provenance, key, outcome, clock)
+    except CrankorderError as error:
+        outcome.faults.append(error)
+    except Exception as error:
+        outcome.internal.append(error)
+    return outcome
+
+
+def _finish(
+    plan: TestPlan,
+    results: dict[Path, RecordingResult],
+    provenance: dict[str, Any],
+    key: str,
+    outcome: Outcome,
+    clock: _Clock,
+) -> None:
+    """Maps, findings, files and their publication."""
+    made = analyse_test(list(results.values()), test=plan.name, sources=_sources(plan), settings=plan.settings)
+    clock.lap("test")
+    findings = dict(made.findings)
+    findings["quality"] = findings["quality"] + _fault_flags(outcome.faults)
+    groups = {
+        "order_map": made.order_map,
+        "campbell_map": made.campbell_map,
+        "order_tracks": made.order_tracks,
+        "shaft": _shaft_summary(results),
+    }
+    files = test_files(groups, findings, provenance, settings=plan.settings.report)
+    clock.lap("report")
+    publish(plan.out, files, key=key)
+    clock.lap("publish")
+    write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
+    outcome.findings = findings
+    outcome.status = "partial" if outcome.faults else "done"
+
+
+class _Clock:
+    """Seconds between laps, kept by name."""
+
+    def __init__(self, seconds: dict[str, float]) -> None:
+        self._seconds, self._last = seconds, time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self._seconds[name] = round(now - self._last, 4)
+        self._last = now
+
+
+def _hash_inputs(plan: TestPlan, jobs: int) -> dict[Path, str]:
+    """SHA-256 of every recording that can be read; one that cannot is left to its reader to explain."""
+
+    def digest(path: Path) -> str:
+        try:
+            return file_sha256(path)
+        except OSError as error:
+            return f"unreadable: {error.strerror}"
+
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        return dict(zip(plan.recordings, pool.map(digest, plan.recordings), strict=True))
+
+
+def _analyse(
+    plan: TestPlan, hashes: dict[Path, str], jobs: int, outcome: Outcome, progress: Progress | None
+) -> dict[Path, RecordingResult]:
+    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome."""
+    results: dict[Path, RecordingResult] = {}
+    first_of: dict[str, Path] = {}
+    wanted = [path for path in plan.recordings if first_of.setdefault(hashes[path], path) == path]
+    copies = [path for path in plan.recordings if path not in wanted]
+    outcome.faults += [
+        InputError("the same bytes as another recording: counted once", file=path.name, found=first_of[hashes[path]].name)
+        for path in copies
+    ]
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        futures: dict[Future[RecordingResult], Path] = {
+            pool.submit(analyse_recording, path, plan.manifest, plan.settings): path for path in wanted
+        }
+        try:
+            for count, future in enumerate(as_completed(futures), start=1):
+                _collect(future, futures[future], results, outcome)
+                if progress is not None:
+                    progress(plan.name, count, len(wanted))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return {path: results[path] for path in wanted if path in results}
+
+
+def _collect(
+    future: Future[RecordingResult], path: Path, results: dict[Path, RecordingResult], outcome: Outcome
+) -> None:
+    try:
+        results[path] = future.result()
+    except EnvironmentFailure:
+        raise
+    except CrankorderError as error:
+        outcome.faults.append(error)
+    except MemoryError:
+        outcome.faults.append(InputError("not enough memory for this recording", file=path.name))
+    except Exception as error:
+        error.add_note(f"while analysing {printable(path.name)}")
+        outcome.internal.append(error)
+
+
+def _apply_strict(results: dict[Path, RecordingResult], outcome: Outcome) -> None:
+    """Leave out recordings with flags of severity "suspect", as faults."""
+    for path, result in list(results.items()):
+        doubts = [flag for flag in flags_of(result.order_frames) if flag["severity"] == "suspect"]
+        if doubts:
+            del results[path]
+            found = "; ".join(f"{flag['flag']}: {flag['detail']}" for flag in doubts)
+            outcome.faults.append(InputError("refused by --strict", file=path.name, found=found))
+
+
+def _sources(plan: TestPlan) -> Sources:
+    """What the manifest says of the machine."""
+    engine_orders: tuple[float, ...] = ()
+    if plan.manifest.test.engine is not None:
+        engine = load_engine(plan.manifest.test.engine, beside=plan.folder)
+        engine_orders = orders_of_engine(engine)
+    return Sources(
+        revs_per_cycle=plan.manifest.revs_per_cycle, engine_orders=engine_orders, bearings=plan.manifest.bearing_models()
+    )
+
+
+def _provenance(plan: TestPlan, hashes: dict[Path, str]) -> dict[str, Any]:
+    """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
+    engine = None
+    if plan.manifest.test.engine is not None:
+        engine = toml_table(plan.manifest.test.engine, "engines", beside=plan.folder)[0]
+    return {
+        "schema_version": 1,
+        "test": plan.name,
+        "crankorder": version("crankorder"),
+        "code_sha256": code_sha256(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+        "inputs": [{"file": printable(path.name), "sha256": hashes[path]} for path in plan.recordings],
+        "manifest": plan.manifest.model_dump(mode="json"),
+        "engine": engine,
+        "settings": plan.settings.model_dump(mode="json"),
+    }
+
+
+def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
+    """Speed, pulses used and angle error of every recording: one row each."""
+    shafts = [result.shaft for result in results.values()]
+
+    def each(of: Callable[[xr.Dataset], float]) -> tuple[str, np.ndarray[Any, np.dtype[np.float64]]]:
+        return "recording", np.array([of(shaft) for shaft in shafts], dtype=np.float64)
+
+    summary = xr.Dataset(
+        {
+            "speed_mean": each(lambda s: float(s["speed"].mean())),
+            "speed_min": each(lambda s: float(s["speed"].min())),
+            "speed_max": each(lambda s: float(s["speed"].max())),
+            "standard_error": each(lambda s: float(s["standard_error"].mean())),
+            "n_pulses": each(lambda s: float(s.attrs["n_pulses"])),
+        },
+        coords={"recording": ("recording", [printable(path.name) for path in results])},
+    )
+    for name, units, text in (
+        ("speed_mean", "min-1", "mean speed"),
+        ("speed_min", "min-1", "lowest speed"),
+        ("speed_max", "min-1", "highest speed"),
+        ("standard_error", "rev", "mean standard error of the crank angle"),
+        ("n_pulses", "1", "encoder pulses used"),
+        ("recording", "1", "file name"),
+    ):
+        summary[name].attrs = {"units": units, "long_name": text}
+    return summary
+
+
+def _fault_flags(faults: list[CrankorderError]) -> list[dict[str, Any]]:
+    return [
+        {"recording": Path(fault.file).name, "flag": "not_used", "severity": "bad", "detail": str(fault)} for fault in faults
+    ]

@@ -1,0 +1,49 @@
+"""What all tests of a run gave: batch.json and index.html."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from crankorder.batch.execute import Outcome
+from crankorder.batch.store import json_bytes, write_atomically
+from crankorder.errors import EnvironmentFailure, printable
+from crankorder.report.page import index_page
+from crankorder.report.sentences import headline
+
+
+def summary(outcomes: list[Outcome], *, out: Path) -> dict[str, Any]:
+    """Name, status, folder, headline and faults of each of ``outcomes``, as ``batch.json`` and ``--json`` state them.
+
+    ``out`` is the folder that the tests' folders are named relative to.
+    """
+    return {"schema_version": 1, "tests": [_record(outcome, out) for outcome in outcomes]}
+
+
+def _record(outcome: Outcome, out: Path) -> dict[str, Any]:
+    plan = outcome.plan
+    findings = outcome.findings
+    faults = [str(fault) for fault in outcome.faults]
+    faults += [f"internal fault: {type(error).__name__}: {printable(error)}" for error in outcome.internal]
+    return {
+        "name": plan.name,
+        "status": outcome.status,
+        "folder": plan.out.relative_to(out).as_posix(),
+        "recordings": len(plan.recordings),
+        "headline": [] if findings is None else headline(findings),
+        "faults": faults,
+    }
+
+
+def publish_index(out: Path, outcomes: list[Outcome]) -> None:
+    """Write ``batch.json`` and ``index.html`` of ``outcomes`` into ``out``.
+
+    A test that was unchanged keeps the words of its own findings. Raises EnvironmentFailure where it cannot write.
+    """
+    document = summary(outcomes, out=out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomically(out / "batch.json", json_bytes(document))
+        write_atomically(out / "index.html", index_page(document["tests"]).encode("utf-8", "backslashreplace"))
+    except OSError as error:
+        raise EnvironmentFailure(f"cannot write ({error.strerror})", file=error.filename or out) from error

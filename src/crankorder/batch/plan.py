@@ -1,0 +1,99 @@
+"""What a run will do: tests, their recordings, settings and output folders; every fault found before work starts."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from crankorder.errors import CrankorderError, ManyErrors, RequestError, printable
+from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.settings import Settings, load_settings
+
+LONGEST_NAME = 80
+
+
+@dataclass(frozen=True)
+class TestPlan:
+    """One test: its folder, manifest, settings, recordings and where its results go."""
+
+    __test__ = False
+
+    name: str
+    folder: Path
+    manifest: Manifest
+    settings: Settings
+    recordings: list[Path]
+    out: Path
+    faults: list[CrankorderError] = field(default_factory=list)
+
+
+def plan_tests(
+    folders: list[Path], out: Path, *, manifest: Path | None = None, recipe: str | None = None
+) -> list[TestPlan]:
+    """Plans of the tests in ``folders``, whose results go below ``out``.
+
+    ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe
+    that the manifest names. Raises ManyErrors with the faults of all folders; nothing has been written then.
+    """
+    plans: list[TestPlan] = []
+    faults: list[CrankorderError] = []
+    taken: set[str] = set()
+    for folder in folders:
+        try:
+            plans.append(_plan(folder, out, manifest, recipe, taken))
+        except ManyErrors as error:
+            faults += error.faults
+        except CrankorderError as error:
+            faults.append(error)
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        raise ManyErrors(faults)
+    return plans
+
+
+def _plan(folder: Path, out: Path, manifest: Path | None, recipe: str | None, taken: set[str]) -> TestPlan:
+    if not folder.is_dir():
+        raise RequestError("no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings")
+    _refuse_inside(folder, out)
+    stated = load_manifest(folder, manifest)
+    chosen = recipe if recipe is not None else stated.test.recipe
+    beside = manifest.parent if manifest is not None else folder
+    settings = load_settings(chosen, beside=beside if recipe is None else None)
+    found = recordings_of(folder, stated)
+    name = folder_name(stated.test.name or folder.resolve().name, taken)
+    return TestPlan(
+        name=stated.test.name or folder.resolve().name,
+        folder=folder,
+        manifest=stated,
+        settings=settings,
+        recordings=list(found.paths),
+        out=out / name,
+        faults=list(found.faults),
+    )
+
+
+def _refuse_inside(folder: Path, out: Path) -> None:
+    """Refuse an output folder that is the input folder or lies inside it: inputs are never touched."""
+    inside, outside = folder.resolve(), out.resolve()
+    if outside == inside or inside in outside.parents:
+        raise RequestError(
+            "the output folder lies in the input folder",
+            file=out,
+            allowed="any folder outside the recordings",
+            remedy="Choose another --out: recordings are never touched",
+        )
+
+
+def folder_name(name: str, taken: set[str]) -> str:
+    """A file name made of the letters, digits, ``-``, ``_`` and ``.`` of ``name``, not yet in ``taken`` (which it joins)."""
+    plain = unicodedata.normalize("NFKD", printable(name)).encode("ascii", "ignore").decode()
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip("-.")[:LONGEST_NAME] or "test"
+    unique, number = plain, 2
+    while unique.lower() in taken:
+        unique, number = f"{plain}-{number}", number + 1
+    taken.add(unique.lower())
+    return unique

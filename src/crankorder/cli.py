@@ -1,0 +1,273 @@
+"""The command line. Heavy imports wait until a command needs them; stdout is data only, everything else is stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from crankorder.errors import CrankorderError, EnvironmentFailure
+
+if TYPE_CHECKING:
+    from crankorder.batch.execute import Outcome
+
+FOLDER = click.Path(path_type=Path)
+DEMO_SCENE = "thesis-second-motoring"
+
+
+class Guarded(click.Group):
+    """A group whose commands end with the documented exit status and one clear line for every known fault."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except CrankorderError as error:
+            _fail(str(error), error.exit_status)
+        except KeyboardInterrupt:
+            _fail("interrupted; finished tests are kept, run the same command again to go on", 130)
+        except PermissionError as error:
+            _fail(f"{error.filename}: no permission. Choose another folder or change its rights.", 5)
+        except MemoryError:
+            _fail("not enough memory; analyse fewer recordings at a time (--jobs 1)", 5)
+
+
+def _fail(message: str, status: int) -> NoReturn:
+    click.echo(f"crankorder: {message}", err=True)
+    sys.exit(status)
+
+
+def _terminated(signum: int, frame: object) -> NoReturn:
+    raise SystemExit(128 + signum)
+
+
+@click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("crankorder"), prog_name="crankorder")
+def main() -> None:
+    """Order tracking and vibration analysis for engines and other rotating machines.
+
+    First look: `crankorder demo --quick`. Own data: `crankorder init FOLDER`, edit FOLDER/run.toml, then
+    `crankorder run FOLDER --out OUT`.
+    """
+    signal.signal(signal.SIGTERM, _terminated)
+
+
+def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option in reversed(
+        [
+            click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all cores"),
+            click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout."),
+            click.option("-q", "--quiet", is_flag=True, help="Only faults."),
+            click.option("-v", "--verbose", is_flag=True, help="Also flags, timings, tracebacks."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+@main.command()
+@click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
+@click.option("--out", required=True, type=FOLDER, help="Folder for the results; made if missing.")
+@click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
+@click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
+@click.option("--fresh", is_flag=True, help="Recompute even what is finished and unchanged.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done; write nothing.")
+@click.option("--strict", is_flag=True, help='Leave out recordings with flags of severity "suspect".')
+@_run_options
+def run(
+    folders: tuple[Path, ...],
+    out: Path,
+    manifest: Path | None,
+    recipe: str | None,
+    fresh: bool,
+    dry_run: bool,
+    strict: bool,
+    jobs: int,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Analyse test-run folders."""
+    from crankorder.batch.plan import plan_tests
+
+    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe)
+    if dry_run:
+        for plan in plans:
+            size = sum(path.stat().st_size for path in plan.recordings)
+            click.echo(f"{plan.name}: {len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {plan.out}")
+            for fault in plan.faults:
+                click.echo(f"  {fault}", err=True)
+        return
+    sys.exit(_run_plans(plans, out, jobs, as_json, quiet, verbose, fresh=fresh, strict=strict))
+
+
+def _run_plans(
+    plans: list[Any], out: Path, jobs: int, as_json: bool, quiet: bool, verbose: bool, *, fresh: bool, strict: bool
+) -> int:
+    """Run all plans, publish the index, say what was found; returns the exit status."""
+    from crankorder.batch.execute import run_test
+    from crankorder.batch.index import publish_index, summary
+
+    outcomes = []
+    for plan in plans:
+        with _Progress(quiet, plan.name) as progress:
+            outcome = run_test(plan, jobs=jobs, fresh=fresh, strict=strict, progress=progress.update)
+        _say(outcome, quiet, verbose)
+        outcomes.append(outcome)
+    publish_index(out, outcomes)
+    if as_json:
+        click.echo(json.dumps(summary(outcomes, out=out), ensure_ascii=False, indent=2))
+    return _exit_status(outcomes)
+
+
+def _exit_status(outcomes: list[Outcome]) -> int:
+    worst = [outcome.exit_status for outcome in outcomes]
+    for status in (1, 5):
+        if status in worst:
+            return status
+    if worst and all(status == 4 for status in worst):
+        return 4
+    return 3 if any(worst) else 0
+
+
+def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
+    from crankorder.report.sentences import headline
+
+    plan = outcome.plan
+    for fault in outcome.faults:
+        click.echo(f"crankorder: {plan.name}: {fault}", err=True)
+    for error in outcome.internal:
+        click.echo(f"crankorder: {plan.name}: internal fault: {type(error).__name__}: {error}", err=True)
+        if verbose:
+            click.echo("".join(traceback.format_exception(error)), err=True)
+    if quiet:
+        return
+    if outcome.findings is not None:
+        for sentence in headline(outcome.findings):
+            click.echo(sentence, err=True)
+    if outcome.status != "failed":
+        note = "unchanged, kept" if outcome.status == "unchanged" else "done"
+        click.echo(f"{plan.name}: {note}: {plan.out / 'report.html'}", err=True)
+    if verbose:
+        for name, seconds in outcome.seconds.items():
+            click.echo(f"  {name}: {seconds:.2f} s", err=True)
+
+
+class _Progress:
+    """A progress bar on stderr, on a terminal only."""
+
+    def __init__(self, quiet: bool, label: str) -> None:
+        self._shown = sys.stderr.isatty() and not quiet
+        self._label, self._bar, self._done = label, None, 0  # type: str, Any, int
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *unused: object) -> None:
+        if self._bar is not None:
+            self._bar.render_finish()
+
+    def update(self, _: str, done: int, total: int) -> None:
+        """Show ``done`` of ``total``."""
+        if not self._shown:
+            return
+        if self._bar is None:
+            self._bar = click.progressbar(length=total, label=self._label, file=sys.stderr)
+            self._bar.render_progress()
+        self._bar.update(done - self._done)
+        self._done = done
+
+
+@main.command()
+@click.argument("folder", type=FOLDER)
+@click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
+def check(folder: Path, manifest: Path | None) -> None:
+    """Validate manifest and files; list every fault at once, change nothing."""
+    from crankorder.ingest.manifest import load_manifest
+
+    load_manifest(folder, manifest)
+    from crankorder.ingest.check import check_folder
+
+    faults = check_folder(folder, manifest)
+    for fault in faults:
+        click.echo(f"crankorder: {fault}", err=True)
+    if faults:
+        sys.exit(max(fault.exit_status for fault in faults))
+    click.echo("no fault found", err=True)
+
+
+@main.command()
+@click.argument("folder", type=FOLDER)
+def init(folder: Path) -> None:
+    """Draft run.toml from what the files say (printed; redirect it into FOLDER/run.toml)."""
+    from crankorder.ingest.draft import draft_manifest
+
+    click.echo(draft_manifest(folder), nl=False)
+
+
+@main.command()
+@click.argument("results", nargs=-1, required=True, type=FOLDER, metavar="RESULT...")
+def report(results: tuple[Path, ...]) -> None:
+    """Redraw pictures and page from results (folders that `run` made, or their results.nc)."""
+    from crankorder.batch.redraw import redraw
+
+    for result in results:
+        click.echo(str(redraw(result)))
+
+
+@main.command()
+@click.argument("scene")
+@click.option("--out", required=True, type=FOLDER, help="Folder for the recordings; made if missing.")
+@click.option("--quick", is_flag=True, help="The scene's short version.")
+@click.option("-q", "--quiet", is_flag=True, help="Only faults.")
+def synth(scene: str, out: Path, quick: bool, quiet: bool) -> None:
+    """Write a test-run folder, with the truth in truth.json."""
+    _synthesise(scene, out, quick, quiet)
+    click.echo(str(out))
+
+
+def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> None:
+    from crankorder.synth.write import write_scene
+
+    with _Progress(quiet, f"synthesise {scene}") as progress:
+        write_scene(scene, out, quick=quick, progress=lambda done, total: progress.update("", done, total))
+
+
+@main.command()
+@click.option("--out", type=FOLDER, default=Path("crankorder-demo"), show_default=True)
+@click.option("--quick", is_flag=True, help="A short version, for a first look.")
+@_run_options
+def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose: bool) -> None:
+    """Synthesise the reference campaign from the engine model and analyse it."""
+    from crankorder.batch.plan import plan_tests
+
+    recordings = out / "recordings"
+    if not quiet:
+        click.echo(f"synthesising the campaign into {recordings} …", err=True)
+    _synthesise(DEMO_SCENE, recordings, quick, quiet)
+    plans = plan_tests([recordings], out / "results")
+    status = _run_plans(plans, out / "results", jobs, as_json, quiet, verbose, fresh=False, strict=False)
+    if status == 0 and not as_json:
+        for picture in sorted(plans[0].out.glob("*.png")):
+            click.echo(str(picture))
+    sys.exit(status)
+
+
+@main.command()
+@click.option("--out", type=FOLDER, default=Path(), show_default="this folder", help="Folder to test for results.")
+def doctor(out: Path) -> None:
+    """Versions, FFTW, free space and a known-answer self-test."""
+    from crankorder.batch.doctor import examine
+
+    lines, healthy = examine(out)
+    for line in lines:
+        click.echo(line)
+    if not healthy:
+        raise EnvironmentFailure("the self-test failed", remedy="Reinstall crankorder in a new environment")

@@ -1,0 +1,123 @@
+"""Exact motion of a slider-crank with piston or pin offset, free of cancellation for every crank-to-rod ratio below one.
+
+Crank angle is counted from the dead centre of the crank (crank along the cylinder axis, piston up). With an offset the
+piston stands highest a little beside it. All derivatives are by crank angle in radians: times speed in rad/s (squared)
+they are velocities (accelerations).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crankorder.errors import RequestError
+
+Angles = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SliderCrank:
+    """Lengths of a crank mechanism: crank radius, rod length, offset of the cylinder axis from the crankshaft (m)."""
+
+    crank_radius_m: float
+    rod_length_m: float
+    offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        lengths = (self.crank_radius_m, self.rod_length_m, self.offset_m)
+        if not (np.isfinite(lengths).all() and self.crank_radius_m > 0 and self.slack > 0):
+            raise RequestError(
+                "a crank needs a positive radius and a rod longer than radius and offset together",
+                found=f"radius {lengths[0]} m, rod {lengths[1]} m, offset {lengths[2]} m",
+            )
+
+    @property
+    def crank_ratio(self) -> float:
+        """λ: crank radius over rod length."""
+        return self.crank_radius_m / self.rod_length_m
+
+    @property
+    def offset_ratio(self) -> float:
+        """ε: offset over rod length."""
+        return self.offset_m / self.rod_length_m
+
+    @property
+    def slack(self) -> float:
+        """1 − λ − |ε|, from the lengths: nothing cancels where the rod is hardly longer than the crank."""
+        return (self.rod_length_m - self.crank_radius_m - abs(self.offset_m)) / self.rod_length_m
+
+
+def piston_drop(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
+    """Way of the piston down from its place at crank angle zero (m), exact near the dead centre too.
+
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
+    Source: truth sheet section 0, with the offset carried through.
+    """
+    angle = _reduced(crank_angle_rev)
+    sine = np.sin(angle)
+    _, rod_cosine = _rod_direction(angle, mechanism)
+    rod_cosine_top = np.sqrt((1 - mechanism.offset_ratio) * (1 + mechanism.offset_ratio))
+    lean = mechanism.crank_ratio * sine - 2 * mechanism.offset_ratio
+    drop: Angles = mechanism.crank_radius_m * (2 * np.sin(angle / 2) ** 2 + sine * lean / (rod_cosine_top + rod_cosine))
+    return drop
+
+
+def piston_velocity(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
+    """Velocity of the piston away from the crankshaft per unit of crank speed (m/rad).
+
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
+    """
+    angle = _reduced(crank_angle_rev)
+    rod_sine, rod_cosine = _rod_direction(angle, mechanism)
+    velocity: Angles = -mechanism.crank_radius_m * (np.sin(angle) + np.cos(angle) * rod_sine / rod_cosine)
+    return velocity
+
+
+def piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
+    """Acceleration of the piston towards the crankshaft per squared crank speed (m/rad²): −ẍ/ω².
+
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
+    Mass times this times ω² is the inertia force on the crankcase along the cylinder, away from the crankshaft.
+    Source: truth sheet section 0; with offset sin ψ = λ sin φ − ε.
+    """
+    angle = _reduced(crank_angle_rev)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    rod_sine, rod_cosine = _rod_direction(angle, mechanism)
+    swing = (mechanism.crank_ratio * cosine**2 - sine * rod_sine * rod_cosine**2) / rod_cosine**3
+    acceleration: Angles = mechanism.crank_radius_m * (cosine + swing)
+    return acceleration
+
+
+def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angles, Angles, Angles]:
+    """Rod angle from the cylinder axis (rad) with its first and second derivative by crank angle.
+
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the angles.
+    Source: truth sheet section 0; ψ'' = −λ (κ'² sin φ + ε (λ (1 + sin² φ) − ε sin φ)) / cos³ψ.
+    """
+    angle = _reduced(crank_angle_rev)
+    ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
+    sine = np.sin(angle)
+    rod_sine, rod_cosine = _rod_direction(angle, mechanism)
+    kappa_squared = (mechanism.slack + abs(offset)) * (1 + ratio)
+    second = -ratio * (kappa_squared * sine + offset * (ratio * (1 + sine**2) - offset * sine)) / rod_cosine**3
+    return np.arctan2(rod_sine, rod_cosine), ratio * np.cos(angle) / rod_cosine, second
+
+
+def _reduced(crank_angle_rev: ArrayLike) -> Angles:
+    revolutions = np.asarray(crank_angle_rev, dtype=np.float64)
+    angle: Angles = 2 * np.pi * (revolutions - np.rint(revolutions))
+    return angle
+
+
+def _rod_direction(angle: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
+    """Sine and cosine of the rod angle; 1 ∓ λ sin φ is rewritten so that it keeps its digits where the rod lies flat."""
+    ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
+    sine, cosine = np.sin(angle), np.cos(angle)
+    side = np.where(sine < 0, -1.0, 1.0)
+    rod_sine = ratio * sine - offset
+    # side * rod_sine = λ|sin φ| − side·ε, and 1 − |sin φ| = cos² φ / (1 + |sin φ|)
+    margin = mechanism.slack + (abs(offset) + side * offset)
+    near = margin + ratio * cosine**2 / (1 + np.abs(sine))
+    return rod_sine, np.sqrt(near * (1 + side * rod_sine))

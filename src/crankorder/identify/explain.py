@@ -1,0 +1,67 @@
+"""What makes a line: engine kinematics, a bearing, the gas cycle, mains, or nothing known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.settings import IdentifySettings
+
+HALF_ORDER_QUANTITIES = ("pressure",)
+"""In these quantities every half order is the gas cycle of a four-stroke engine itself."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What is known of the machine: its cycle, the orders that its kinematics make, its bearings."""
+
+    revs_per_cycle: int
+    engine_orders: tuple[float, ...] = ()
+    bearings: tuple[Bearing, ...] = ()
+    known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        orders = {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
+        object.__setattr__(self, "known_bearing_orders", orders)
+
+
+def explain_order(order: float, error: float, quantity: str, sources: Sources, *, settings: IdentifySettings) -> str:
+    """What explains a line at ``order`` (with its standard ``error``) in a channel of ``quantity``: one phrase.
+
+    ``sources`` says what the machine has; a match is closer than ``settings.order_match`` or three standard errors.
+    ``"unexplained"`` where nothing known makes it.
+    """
+    reach = max(settings.order_match, 3.0 * error)
+    bearings = [key for key, known in sources.known_bearing_orders.items() if abs(order - known) < reach]
+    whole = abs(order - round(order)) < reach
+    half = abs(2 * order - round(2 * order)) < 2 * reach
+    if any(abs(order - known) < reach for known in sources.engine_orders):
+        return "engine kinematics"
+    if quantity in HALF_ORDER_QUANTITIES and (whole or half):
+        return "gas cycle"
+    if bearings:
+        return "bearing " + ", ".join(f"{name} {line}" for name, line in bearings)
+    if whole and round(order) == 1:
+        return "unbalance"
+    if whole and not sources.engine_orders:
+        return "shaft harmonic"
+    if half and not whole and sources.revs_per_cycle == 2 and not sources.engine_orders:
+        return "half order of the four-stroke cycle"
+    return "unexplained"
+
+
+def explain_fixed(frequency_hz: float, is_tone: bool, *, settings: IdentifySettings) -> str:
+    """``"mode"`` for a line with width, ``"mains"`` for a tone on a multiple of a mains frequency, else ``"tone"``.
+
+    ``frequency_hz`` is the line's frequency, ``is_tone`` whether it has no width of its own; ``settings`` name the
+    mains frequencies and how far they wander.
+    """
+    if not is_tone:
+        return "mode"
+    for mains in settings.mains_hz:
+        multiple = max(1, round(frequency_hz / mains))
+        if abs(frequency_hz - multiple * mains) <= settings.mains_tolerance_hz * float(np.sqrt(multiple)):
+            return "mains"
+    return "tone"

@@ -1,0 +1,191 @@
+"""Findings of a test: every line with its number, its 95 % interval and its evidence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.identify.crossings import crossings
+from crankorder.identify.explain import Sources, explain_fixed, explain_order
+from crankorder.identify.modes import Mode, find_modes
+from crankorder.identify.order_lines import Z95, OrderLine, order_lines
+from crankorder.quantities import QualityFlag, flags_of
+from crankorder.settings import Settings
+
+SCHEMA_VERSION = 1
+
+NO_BALANCE = "the path from force to acceleration is not identified: a run with a known trial mass is needed"
+
+
+def find(
+    order_map: xr.Dataset, campbell: xr.Dataset, *, test: str, sources: Sources, settings: Settings
+) -> dict[str, Any]:
+    """Findings of a test, in the words of ``data_schema/findings.json``.
+
+    ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``; ``sources``
+    says what the machine is made of; ``settings`` are those of all stages.
+    """
+    lines = order_lines(order_map, settings=settings.identify, orders=settings.orders)
+    orders = sorted({round(line.order, 3) for line in lines})
+    modes = find_modes(campbell, orders, settings=settings.identify) if campbell.sizes["speed"] else []
+    quantity = dict(zip(order_map["channel"].values.tolist(), order_map["quantity"].values.tolist(), strict=True))
+    unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
+    order_records = [_order_record(line, quantity, unit, sources, settings) for line in lines]
+    mode_records = [_mode_record(mode, settings) for mode in modes]
+    speed = order_map["speed"].values
+    tested = (float(np.nanmin(speed)), float(np.nanmax(speed))) if np.isfinite(speed).any() else (np.nan, np.nan)
+    real_modes = [
+        mode.frequency for mode, record in zip(modes, mode_records, strict=True) if record["explained_by"] == "mode"
+    ]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "test": test,
+        "channels": [{"name": name, "unit": unit[name], "quantity": quantity[name]} for name in unit],
+        "speed_range_rpm": list(tested),
+        "orders": order_records,
+        "modes": mode_records,
+        "crossings": crossings(lines, real_modes, tested, settings=settings.identify),
+        "bearings": _bearing_records(order_records, sources, settings),
+        "lines": _line_records(order_records, modes, mode_records),
+        "unexplained_energy_fraction": _unexplained(order_records),
+        "balance": None,
+        "balance_reason": NO_BALANCE,
+        "false_alarm_probability": settings.identify.false_alarm_probability,
+        "quality": _flags(order_map, campbell),
+    }
+
+
+def _order_record(
+    line: OrderLine, quantity: dict[str, str], unit: dict[str, str], sources: Sources, settings: Settings
+) -> dict[str, Any]:
+    best = line.strongest
+    amplitude, error = float(line.amplitude[best]), float(line.amplitude_error[best])
+    phase = float(line.phase_deg[best])
+    exponent = line.exponent()
+    return {
+        "channel": line.channel,
+        "order": line.order,
+        "order_ci95": _interval(line.order, line.order_error),
+        "amplitude": amplitude,
+        "amplitude_ci95": [max(0.0, amplitude - Z95 * error), amplitude + Z95 * error],
+        "phase_deg": None if np.isnan(phase) else phase,
+        "phase_deg_ci95": None if np.isnan(phase) else _interval(phase, float(np.degrees(error / amplitude))),
+        "unit": unit[line.channel],
+        "speed_rpm_at_max": float(line.speed_rpm[best]),
+        "speed_exponent": None if exponent is None else exponent[0],
+        "speed_exponent_ci95": None if exponent is None else _interval(*exponent),
+        "speed_range_rpm": [float(line.speed_rpm.min()), float(line.speed_rpm.max())],
+        "n_speeds": len(line.seen),
+        "locked": line.locked,
+        "level_over_floor_db": line.level_over_floor_db,
+        "explained_by": explain_order(
+            line.order, line.order_error, quantity[line.channel], sources, settings=settings.identify
+        ),
+    }
+
+
+def _interval(value: float, error: float) -> list[float]:
+    return [value - Z95 * error, value + Z95 * error]
+
+
+def _mode_record(mode: Mode, settings: Settings) -> dict[str, Any]:
+    frequency, frequency_error = mode.frequency
+    damping, damping_error = mode.damping
+    strongest = mode.strongest
+    explained = explain_fixed(frequency, all(line.is_tone for line in mode.lines), settings=settings.identify)
+    return {
+        "frequency_hz": frequency,
+        "frequency_hz_ci95": _interval(frequency, frequency_error),
+        "damping_ratio": damping,
+        "damping_ratio_ci95": [max(0.0, damping - Z95 * damping_error), damping + Z95 * damping_error],
+        "channels": [line.channel for line in mode.lines],
+        "evidence": f"stays at its frequency at all speeds; {strongest.prominence_db:.1f} dB over the broadband floor "
+        f"in {strongest.channel} after removal of the order lines",
+        "prominence_db": strongest.prominence_db,
+        "explained_by": explained,
+    }
+
+
+def _bearing_records(orders: list[dict[str, Any]], sources: Sources, settings: Settings) -> list[dict[str, Any]]:
+    """One record per bearing line that was found, in the channel where it is strongest."""
+    records = []
+    for (name, line), expected in sources.known_bearing_orders.items():
+        near = [r for r in orders if abs(r["order"] - expected) < settings.identify.order_match]
+        if not near:
+            continue
+        best = max(near, key=lambda record: record["amplitude"])
+        locked = all(record["locked"] for record in near)
+        exact = abs(best["order"] - expected) <= max(settings.identify.order_match / 4, 2 * _half_width(best))
+        verdict = "watch: re-run the same test; a growing amplitude means a failing bearing"
+        if locked and exact and line == "N*fs":
+            verdict += ". Exactly locked to the shaft: an 11-fold or other toothed part of that shaft is as likely"
+        records.append(
+            {
+                "name": name,
+                "line": line,
+                "order": best["order"],
+                "order_ci95": best["order_ci95"],
+                "order_expected": expected,
+                "amplitude": best["amplitude"],
+                "amplitude_ci95": best["amplitude_ci95"],
+                "channel": best["channel"],
+                "verdict": verdict.replace("11-fold", f"{_teeth(sources, name)}-fold"),
+            }
+        )
+    return records
+
+
+def _half_width(record: dict[str, Any]) -> float:
+    return float(record["order_ci95"][1] - record["order_ci95"][0]) / 2.0
+
+
+def _teeth(sources: Sources, name: str) -> int:
+    return next(bearing.rolling_elements for bearing in sources.bearings if bearing.name == name)
+
+
+def _line_records(
+    orders: list[dict[str, Any]], modes: list[Mode], mode_records: list[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Every line above the false-alarm level: orders first, then lines of fixed frequency."""
+    records: list[dict[str, Any]] = [
+        {key: record[key] for key in ("channel", "order", "explained_by", "amplitude")} for record in orders
+    ]
+    for mode, record in zip(modes, mode_records, strict=True):
+        for line in mode.lines:
+            width_hz = max(line.damping_ratio * line.frequency_hz, 1e-9)
+            rms = np.sqrt(line.psd * np.pi * width_hz)
+            records.append(
+                {
+                    "channel": line.channel,
+                    "frequency_hz": line.frequency_hz,
+                    "explained_by": record["explained_by"],
+                    "amplitude": float(np.sqrt(2.0) * rms),
+                }
+            )
+    return records
+
+
+def _unexplained(orders: list[dict[str, Any]]) -> float:
+    """Share of the energy of the order lines (each at its strongest, per channel, channels alike) that nothing explains."""
+    total: dict[str, float] = {}
+    unknown: dict[str, float] = {}
+    for record in orders:
+        energy = record["amplitude"] ** 2
+        total[record["channel"]] = total.get(record["channel"], 0.0) + energy
+        if record["explained_by"] == "unexplained":
+            unknown[record["channel"]] = unknown.get(record["channel"], 0.0) + energy
+    if not total:
+        return 0.0
+    return float(np.mean([unknown.get(channel, 0.0) / energy for channel, energy in total.items()]))
+
+
+def _flags(order_map: xr.Dataset, campbell: xr.Dataset) -> list[QualityFlag]:
+    """Flags of both maps, each once, in the order in which they were raised."""
+    seen: list[QualityFlag] = []
+    for dataset in (order_map, campbell):
+        for flag in flags_of(dataset):
+            if flag not in seen:
+                seen.append(flag)
+    return seen

@@ -1,0 +1,234 @@
+"""Natural frequencies: lines that do not move with speed, from the floor that the order lines leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.settings import IdentifySettings
+
+MASKED_BINS = 3
+"""Bins on each side of an order line that take no part in the floor: its main lobe and a slow speed change."""
+
+PAIR_BINS = 4
+"""Peaks closer than this many bins are one."""
+
+
+@dataclass(frozen=True)
+class FixedLine:
+    """One line of fixed frequency in one channel: a natural frequency, or a tone where it has no width."""
+
+    channel: str
+    frequency_hz: float
+    frequency_error_hz: float
+    damping_ratio: float
+    damping_error: float
+    psd: float
+    prominence_db: float
+    is_tone: bool
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A natural frequency (or tone) as the channels that show it agree on it."""
+
+    lines: tuple[FixedLine, ...]
+
+    @property
+    def frequency(self) -> tuple[float, float]:
+        """Frequency in Hz and its standard error, weighted by the channels' own errors."""
+        return _weighted([(line.frequency_hz, line.frequency_error_hz) for line in self.lines])
+
+    @property
+    def damping(self) -> tuple[float, float]:
+        """Damping ratio and its standard error."""
+        return _weighted([(line.damping_ratio, line.damping_error) for line in self.lines])
+
+    @property
+    def strongest(self) -> FixedLine:
+        """The channel in which it stands out most."""
+        return max(self.lines, key=lambda line: line.prominence_db)
+
+
+def quiet_spectrum(campbell: xr.Dataset, orders: list[float]) -> NDArray[np.float64]:
+    """Median over speed of the power spectral density (channels, frequencies) with the lines of ``orders`` left out.
+
+    ``campbell`` is the CampbellMap. A line that moves with speed is masked where it lies and would be outvoted
+    anyway; one that stays is kept. Frequencies that an order covers at every speed are NaN.
+    """
+    psd = campbell["psd"].values.copy()
+    frequency, speed = campbell["frequency"].values, campbell["speed"].values
+    resolution = float(campbell.attrs["resolution_hz"])
+    width = MASKED_BINS * max(1.0, float(campbell.attrs["enbw_hz"]) / (1.5 * resolution)) * resolution
+    for k, rpm in enumerate(speed):
+        for order in orders:
+            psd[:, k, np.abs(frequency - order * rpm / 60.0) <= width + 0.5 * order * _half_bin(campbell) / 60.0] = np.nan
+    count = np.count_nonzero(~np.isnan(psd), axis=1)
+    ordered = np.sort(psd, axis=1)
+    middle = np.maximum(count - 1, 0)[:, None, :] // 2
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1)[:, 0, :])
+
+
+def _half_bin(campbell: xr.Dataset) -> float:
+    """Half the width in rpm of a speed group of a run-up; a stepped test's groups are narrow."""
+    return 0.5 * float(campbell.attrs["speed_bin_rpm"]) if campbell.sizes["speed"] > 100 else 0.0
+
+
+def find_modes(campbell: xr.Dataset, orders: list[float], *, settings: IdentifySettings) -> list[Mode]:
+    """Natural frequencies and tones of the CampbellMap ``campbell``, lowest first, after removal of ``orders``.
+
+    A peak of the quiet spectrum that stands ``settings.mode_prominence_db`` over the broadband floor is fitted by a
+    damped resonance seen through the window; channels are joined where their frequencies agree.
+    """
+    spectrum = quiet_spectrum(campbell, orders)
+    frequency = campbell["frequency"].values
+    lines: list[FixedLine] = []
+    for channel, density in zip(campbell["channel"].values, spectrum, strict=True):
+        usable = (frequency > 4.0 * float(campbell.attrs["enbw_hz"])) & np.isfinite(density) & (density > 0.0)
+        if np.count_nonzero(usable) > 20:
+            lines += _lines(str(channel), frequency[usable], density[usable], campbell, settings)
+    return _join(sorted(lines, key=lambda line: line.frequency_hz), float(campbell.attrs["resolution_hz"]))
+
+
+def _lines(
+    channel: str,
+    frequency: NDArray[np.float64],
+    density: NDArray[np.float64],
+    campbell: xr.Dataset,
+    settings: IdentifySettings,
+) -> list[FixedLine]:
+    resolution = float(campbell.attrs["resolution_hz"])
+    level = 10.0 * np.log10(density)
+    reach = max(3, round(0.5 * settings.mode_floor_width_hz / resolution))
+    floor = _moving_quantile(level, reach, 0.3)
+    n_averages = float(campbell["n_frames"].values.sum())
+    found = []
+    for peak in _local_maxima(level, PAIR_BINS):
+        prominence = float(level[peak] - floor[peak])
+        if prominence < settings.mode_prominence_db:
+            continue
+        fit = _fit(frequency, density, int(peak), resolution, float(campbell.attrs["enbw_hz"]), n_averages)
+        if fit is None:
+            continue
+        (centre, centre_error), (half_width, half_width_error) = fit
+        damping = half_width / centre
+        if damping > settings.max_damping_ratio or abs(centre - frequency[peak]) > max(4 * resolution, half_width):
+            continue
+        found.append(
+            FixedLine(
+                channel=channel,
+                frequency_hz=centre,
+                frequency_error_hz=centre_error,
+                damping_ratio=damping,
+                damping_error=half_width_error / centre,
+                psd=float(density[peak]),
+                prominence_db=prominence,
+                is_tone=2.0 * half_width < settings.mode_min_width_bins * resolution,
+            )
+        )
+    return found
+
+
+def _local_maxima(level: NDArray[np.float64], reach: int) -> NDArray[np.int64]:
+    """Bins that are the largest within ``reach`` bins on both sides, the ends excluded."""
+    padded = np.pad(level, reach, constant_values=-np.inf)
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
+    inner = np.arange(len(level))
+    return np.flatnonzero((level >= highest) & (inner > 1) & (inner < len(level) - 2))
+
+
+def _moving_quantile(level: NDArray[np.float64], reach: int, quantile: float) -> NDArray[np.float64]:
+    """Quantile of ``level`` within ``reach`` bins on both sides (mirrored at the ends)."""
+    reach = min(reach, len(level) - 1)
+    padded = np.pad(level, reach, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    return np.asarray(np.quantile(windows, quantile, axis=-1))
+
+
+def _fit(
+    frequency: NDArray[np.float64],
+    density: NDArray[np.float64],
+    peak: int,
+    resolution: float,
+    enbw_hz: float,
+    n_averages: float,
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Centre and half width (Hz, each with its standard error) of the resonance at bin ``peak``; None where none fits.
+
+    Near a lightly damped resonance the power of the response is A / ((f - fn)² + (ζ fn)²) (Ewins 2000, §4.3); it is
+    fitted, seen through the window, on a sloping background, by relative deviation: a power averaged n times
+    scatters by 1/√n of itself.
+    """
+    from scipy.optimize import least_squares
+
+    reach = _half_power_reach(density, peak)
+    span = slice(max(0, peak - reach), min(len(density), peak + reach + 1))
+    f, s = frequency[span], density[span]
+    height = density[peak]
+    offsets, kernel = _window_kernel(resolution, enbw_hz)
+    start_width = max(0.3 * resolution, 0.35 * reach * resolution - 0.4 * enbw_hz)
+
+    def model(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        lorentz = 1.0 / (1.0 + ((f[:, None] + offsets - p[0]) / p[1]) ** 2)
+        return np.asarray(np.exp(p[2]) * (lorentz @ kernel) + np.exp(p[3]) * (1.0 + p[4] * (f - f[0]) / (f[-1] - f[0])))
+
+    guess = np.array([frequency[peak], start_width, np.log(height), np.log(s.min()), 0.0])
+    low = [f[0], 0.02 * resolution, np.log(height) - 12.0, np.log(s.min()) - 12.0, -0.999]
+    high = [f[-1], 2.0 * (f[-1] - f[0]), np.log(height) + 12.0, np.log(height) + 1.0, 50.0]
+    if len(f) < 6:
+        return None
+    result = least_squares(lambda p: (model(p) - s) / s, guess, bounds=(low, high), x_scale="jac", max_nfev=200)
+    scatter = max(2.0 * result.cost / max(1, len(f) - 5), 1.0 / n_averages)
+    covariance = np.linalg.pinv(result.jac.T @ result.jac) * scatter
+    errors = np.sqrt(np.diag(covariance))
+    return (float(result.x[0]), float(errors[0])), (float(result.x[1]), float(errors[1]))
+
+
+def _half_power_reach(density: NDArray[np.float64], peak: int) -> int:
+    """Bins on each side that the fit takes: three half-power half widths, at least four bins, short of the next valley."""
+    reach = 1
+    while reach < 80 and _mean_side(density, peak, reach) > 0.5 * density[peak]:
+        reach += 1
+    reach = max(4, 3 * reach)
+    left = density[max(0, peak - reach) : peak + 1]
+    right = density[peak : peak + reach + 1]
+    valley = min(len(left) - 1 - int(np.argmin(left)), int(np.argmin(right)))
+    return int(np.clip(valley, 4, reach))
+
+
+def _mean_side(density: NDArray[np.float64], peak: int, reach: int) -> float:
+    return float(0.5 * (density[max(0, peak - reach)] + density[min(len(density) - 1, peak + reach)]))
+
+
+def _window_kernel(resolution: float, enbw_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offsets in Hz and weights of the power response of a Hann window with the noise bandwidth ``enbw_hz``."""
+    scale = enbw_hz / 1.5
+    x = np.linspace(-2.0, 2.0, 17)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        response = np.where(np.abs(np.abs(x) - 1.0) < 1e-9, 0.5, np.sinc(x) / (1.0 - x**2))
+    return x * scale, response**2 / np.sum(response**2)
+
+
+def _join(lines: list[FixedLine], resolution: float) -> list[Mode]:
+    """Lines of all channels, grouped where neighbours lie within 1 % or two bins and no channel counts twice."""
+    groups: list[list[FixedLine]] = []
+    for line in lines:
+        near = groups and line.frequency_hz - groups[-1][-1].frequency_hz < max(2.0 * resolution, 0.01 * line.frequency_hz)
+        if near and line.channel not in {other.channel for other in groups[-1]}:
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    return [Mode(tuple(group)) for group in groups]
+
+
+def _weighted(values: list[tuple[float, float]]) -> tuple[float, float]:
+    """Mean weighted by inverse variance and its error, widened where the values disagree by more than their errors."""
+    x = np.array([value for value, _ in values])
+    weight = 1.0 / np.maximum(np.array([error for _, error in values]), 1e-9 * np.abs(x) + 1e-12) ** 2
+    mean = float(np.average(x, weights=weight))
+    inner = 1.0 / float(weight.sum())
+    outer = float(np.average((x - mean) ** 2, weights=weight)) / max(1, len(x) - 1)
+    return mean, float(np.sqrt(max(inner, outer)))

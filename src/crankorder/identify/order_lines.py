@@ -1,0 +1,164 @@
+"""Order lines over a stated false-alarm level, each with its order, amplitude and growth with speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.special import gammainccinv
+
+from crankorder.orders.floor import floor_bins, local_floor
+from crankorder.settings import IdentifySettings, OrderSettings
+
+INDEPENDENT_SHARE = 0.9
+"""Independent power spectra per frame at 50 % overlap of a Hann window (Welch 1967: 1 / (1 + 2/36))."""
+
+NEIGHBOUR_ORDERS = 0.25
+"""Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
+
+LOCKED_COHERENCE = 0.5
+"""Share of a line's energy in its coherent average above which it is called locked to the shaft."""
+
+Z95 = 1.959964
+"""Half width of a 95 % interval in standard deviations."""
+
+
+@dataclass(frozen=True)
+class OrderLine:
+    """One order in one channel, over the speeds (``seen``) at which it stands above the false-alarm level."""
+
+    channel: str
+    bin: int
+    order: float
+    order_error: float
+    seen: NDArray[np.int64]
+    speed_rpm: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+    amplitude_error: NDArray[np.float64]
+    phase_deg: NDArray[np.float64]
+    locked: bool
+    level_over_floor_db: float
+
+    @property
+    def strongest(self) -> int:
+        """Position, among the speeds seen, of the largest amplitude."""
+        return int(np.argmax(self.amplitude))
+
+    def exponent(self) -> tuple[float, float] | None:
+        """Exponent n of amplitude ~ speed**n over the speeds seen and its standard error; None for fewer than four."""
+        if len(self.seen) < 4 or np.ptp(self.speed_rpm) <= 0.0:
+            return None
+        x, y = np.log(self.speed_rpm), np.log(self.amplitude)
+        x = x - x.mean()
+        slope = float(x @ (y - y.mean()) / (x @ x))
+        residual = y - y.mean() - slope * x
+        return slope, float(np.sqrt(residual @ residual / (len(x) - 2) / (x @ x)))
+
+
+def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: OrderSettings) -> list[OrderLine]:
+    """Order lines of all channels of the OrderMap ``order_map``, by channel, then by order.
+
+    A line stands above the level that noise alone reaches with ``settings.false_alarm_probability`` at enough speeds
+    (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, and was seen
+    over a speed range in which a line of fixed frequency would have left its bin. ``orders`` gives the floor's width.
+    """
+    axis, speed = order_map["order"].values, order_map["speed"].values
+    energy = order_map["amplitude"].values ** 2
+    n_independent = np.maximum(1.0, INDEPENDENT_SHARE * order_map["n_frames"].values.astype(float))
+    bins = floor_bins(
+        axis,
+        line_step=1.0 / int(order_map.attrs["revs_per_cycle"]),
+        guard_bins=orders.guard_bins,
+        n_bins=orders.floor_bins,
+    )
+    floor = local_floor(energy, bins, n_averages=n_independent[None, :, None])
+    threshold = gammainccinv(n_independent, settings.false_alarm_probability) / n_independent
+    with np.errstate(invalid="ignore", divide="ignore"):
+        excess = np.where(floor > 0.0, energy / floor / threshold[None, :, None], 0.0)
+    excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
+    excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
+    needed = min(len(speed), max(settings.min_speeds, round(settings.min_speed_fraction * len(speed))))
+    lines = []
+    for channel in range(len(excess)):
+        for peak in _peaks(excess[channel], axis, speed, needed):
+            seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
+            lines.append(_line(order_map, channel, int(peak), seen, excess * threshold[None, :, None], floor))
+    return lines
+
+
+def _peaks(
+    excess: NDArray[np.float64], axis: NDArray[np.float64], speed: NDArray[np.float64], needed: int
+) -> NDArray[np.int64]:
+    """Bins that are above the level at ``needed`` speeds and the largest within a quarter order."""
+    resolution = axis[1] - axis[0]
+    score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
+    reach = max(1, round(NEIGHBOUR_ORDERS / resolution))
+    padded = np.pad(score, reach, constant_values=-1.0)
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
+    seen = excess > 1.0
+    enough = (seen.sum(axis=0) >= needed) & (score > 0.0) & (score >= highest)
+    if len(speed) > 1:
+        fastest = np.where(seen, speed[:, None], -np.inf).max(axis=0)
+        slowest = np.where(seen, speed[:, None], np.inf).min(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            enough &= axis * (fastest / slowest - 1.0) > 2.0 * resolution
+    return np.flatnonzero(enough)
+
+
+def _line(
+    order_map: xr.Dataset,
+    channel: int,
+    peak: int,
+    seen: NDArray[np.int64],
+    ratio: NDArray[np.float64],
+    floor: NDArray[np.float64],
+) -> OrderLine:
+    axis = order_map["order"].values
+    energy = order_map["amplitude"].values[channel, seen, peak] ** 2
+    coherent = order_map["coherent_amplitude"].values[channel, seen, peak]
+    coherent_error = order_map["standard_error"].values[channel, seen, peak]
+    locked = bool(np.median(coherent**2 / energy) > LOCKED_COHERENCE)
+    noise = floor[channel, seen, peak]
+    if locked:
+        amplitude, error = coherent, coherent_error
+    else:
+        amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
+        n_frames = order_map["n_frames"].values[seen]
+        error = np.sqrt((noise * energy + 0.5 * noise**2) / np.maximum(1, n_frames)) / (2.0 * amplitude)
+    order, order_error = _refined(order_map["amplitude"].values[channel][seen], noise, axis, peak)
+    return OrderLine(
+        channel=str(order_map["channel"].values[channel]),
+        bin=peak,
+        order=order,
+        order_error=order_error,
+        seen=seen,
+        speed_rpm=order_map["speed"].values[seen],
+        amplitude=amplitude,
+        amplitude_error=error,
+        phase_deg=order_map["phase"].values[channel, seen, peak],
+        locked=locked,
+        level_over_floor_db=float(10.0 * np.log10(ratio[channel, seen, peak].max())),
+    )
+
+
+def _refined(
+    amplitude: NDArray[np.float64], noise: NDArray[np.float64], axis: NDArray[np.float64], peak: int
+) -> tuple[float, float]:
+    """Order between the bins and its standard error, from the two strongest bins of a Hann window at each speed.
+
+    ``amplitude`` is (speeds, orders), ``noise`` (speeds,) the floor's power. Two-point interpolation for the Hann
+    window: Rife and Vincent (1970); speeds count by their signal-to-noise ratio.
+    """
+    resolution = float(axis[1] - axis[0])
+    left, mid, right = (amplitude[:, min(max(peak + k, 0), len(axis) - 1)] for k in (-1, 0, 1))
+    left, right = np.nan_to_num(left), np.nan_to_num(right)
+    side = np.where(right >= left, 1.0, -1.0)
+    share = np.maximum(left, right) / mid
+    offset = side * (2.0 * share - 1.0) / (share + 1.0)
+    weight = mid**2 / np.maximum(noise, 1e-12 * mid**2)
+    mean = float(np.average(offset, weights=weight))
+    spread = float(np.sqrt(np.average((offset - mean) ** 2, weights=weight) / len(offset)))
+    bound = float(np.sqrt(1.0 / weight.sum()))
+    return float(axis[peak]) + resolution * mean, resolution * max(spread, bound)

@@ -1,0 +1,144 @@
+"""The recordings of a test-run folder: which files belong to it, and which must not be touched."""
+
+from __future__ import annotations
+
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, UnsafeInputError
+from crankorder.ingest.manifest import MANIFEST_NAME, Manifest
+
+_LEFTOVER = re.compile(
+    r"\..*|.*~|~\$.*|.*\.(part|partial|tmp|temp|crdownload|filepart|download|swp|bak|lock)|thumbs\.db|desktop\.ini",
+    re.IGNORECASE,
+)
+_COMPANIONS = (MANIFEST_NAME, "truth.json", "manifest-sha256.txt")
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """Recordings of one folder in natural order, what is wrong with others that were asked for, and what was passed over."""
+
+    paths: list[Path]
+    faults: list[CrankorderError]
+    ignored: list[str]
+
+
+def is_leftover(name: str) -> bool:
+    """Whether a file ``name`` is what an editor, a copy program or a file manager leaves behind."""
+    return _LEFTOVER.fullmatch(name) is not None
+
+
+def natural_key(path: Path) -> list[tuple[int, int, str]]:
+    """Sort key of ``path`` that puts ``rpm_300`` before ``rpm_2000``."""
+    parts = re.findall(r"[0-9]{1,18}|[^0-9]+|[0-9]+", path.as_posix())
+    return [(0, int(part), "") if part.isdecimal() and part.isascii() else (1, 0, part) for part in parts]
+
+
+def recordings_of(folder: Path, manifest: Manifest) -> Folder:
+    """Recordings that ``manifest`` names in ``folder``: each a regular file inside it, in natural order.
+
+    A named file that is missing, unsafe or not a regular file is a fault of its own, so that the others go on.
+    Raises NoUsableRecordingError where nothing at all was found.
+    """
+    chosen: dict[Path, None] = {}
+    faults: list[CrankorderError] = []
+    ignored: list[str] = []
+    for pattern in manifest.recordings.files:
+        try:
+            matches = _matches(folder, pattern)
+        except CrankorderError as error:
+            faults.append(error)
+            continue
+        for path in matches:
+            try:
+                if path in chosen:
+                    continue
+                if is_leftover(path.name):
+                    ignored.append(path.name)
+                elif path.name not in _COMPANIONS or pattern == path.name:
+                    check_regular(path, folder)
+                    chosen[path] = None
+            except CrankorderError as error:
+                faults.append(error)
+    if not chosen and not faults:
+        raise NoUsableRecordingError(
+            "no recording found; looked for " + ", ".join(manifest.recordings.files),
+            file=folder,
+            found=_listing(folder),
+            remedy="Mend [recordings] files, or give the right folder",
+        )
+    return Folder(sorted(chosen, key=natural_key), faults, sorted(set(ignored)))
+
+
+def check_regular(path: Path, folder: Path | None = None) -> None:
+    """Refuse anything but a regular file inside ``folder``, without opening it: a pipe would hang for ever.
+
+    ``path`` may be a symbolic link that stays inside ``folder``; where ``folder`` is None links are not checked.
+    Raises InputError or UnsafeInputError saying what ``path`` is.
+    """
+    try:
+        if folder is not None and not path.resolve(strict=True).is_relative_to(folder.resolve(strict=True)):
+            raise UnsafeInputError(
+                "outside the run folder", file=path, found=path.resolve(), remedy="Copy the file into the folder"
+            )
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        problem = "a link to nothing" if path.is_symlink() else "no such file"
+        raise InputError(problem, file=path, remedy="Copy the file again, or take it out of [recordings]") from None
+    except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, CrankorderError):
+            raise
+        reason = "a link that leads to itself" if _is_loop(error) else "cannot be reached"
+        raise InputError(reason, file=path, found="" if _is_loop(error) else error) from None
+    if not stat.S_ISREG(mode):
+        raise InputError(
+            f"not a file but {_kind(mode)}", file=path, remedy="Only regular files are read; take it out of [recordings]"
+        )
+
+
+def _is_loop(error: Exception) -> bool:
+    return isinstance(error, RuntimeError) or "levels of symbolic links" in str(error)
+
+
+def _kind(mode: int) -> str:
+    tests = {
+        "a folder": stat.S_ISDIR, "a named pipe": stat.S_ISFIFO, "a socket": stat.S_ISSOCK,
+        "a device": lambda value: stat.S_ISCHR(value) or stat.S_ISBLK(value),
+    }  # fmt: skip
+    return next((name for name, test in tests.items() if test(mode)), "something else")
+
+
+def _matches(folder: Path, pattern: str) -> list[Path]:
+    parts = re.split(r"[/\\]", pattern)
+    if "\0" in pattern or pattern.startswith(("/", "\\", "~")) or ".." in parts or re.match(r"[A-Za-z]:[/\\]", pattern):
+        raise UnsafeInputError(
+            "outside the run folder",
+            file=folder,
+            place="recordings.files",
+            found=repr(pattern),
+            allowed="names and patterns relative to the folder",
+            remedy="Give the folder that holds the files",
+        )
+    try:
+        # a name may hold the characters of a pattern, such as "run [2].h5"
+        if (folder / pattern).is_symlink() or (folder / pattern).exists():
+            return [folder / pattern]
+        if not re.search(r"[*?\[]", pattern):
+            check_regular(folder / pattern)
+        return list(folder.glob(pattern))
+    except (OSError, ValueError, NotImplementedError) as error:
+        if isinstance(error, CrankorderError):
+            raise
+        raise InputError("not a usable name", file=folder, place="recordings.files", found=repr(pattern)) from None
+
+
+def _listing(folder: Path, limit: int = 8) -> str:
+    try:
+        names = sorted(item.name for item in folder.iterdir())
+    except OSError:
+        return "a folder that cannot be listed"
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more if names else "an empty folder"

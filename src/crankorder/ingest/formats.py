@@ -1,0 +1,178 @@
+"""Which format a file has, told by its content, and the reader for it."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, NoReturn
+
+from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError
+from crankorder.ingest.folder import check_regular
+from crankorder.ingest.rawfile import Contents, RawFile, Source
+from crankorder.settings import IngestSettings
+
+Format = Literal["HDF5", "WAV", "XLSX", "text"]
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
+_BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".npy", ".dat")
+_HEAD_BYTES = 8192
+# what the first bytes say, and what to do with a format that is not read
+_EXPORT = "Export the recording to HDF5, WAV or text"
+_UNREAD: tuple[tuple[bytes, str, str], ...] = (
+    (b"MATLAB 7.3 MAT-file", "a MATLAB 7.3 file", f"not supported yet. {_EXPORT}"),
+    (b"MATLAB 5.0 MAT-file", "a MATLAB 5 file", f"not supported yet. {_EXPORT}"),
+    (b"TDSm", "a TDMS file", f"not supported yet. {_EXPORT}"),
+    (b"MDF     ", "an MDF4 file", f"not supported yet. {_EXPORT}"),
+    (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
+    (b"\x93NUMPY", "a NumPy array file", f"not supported yet. {_EXPORT}"),
+    (b"LabVIEW Measurement", "a LabVIEW measurement file (LVM)", f"not supported yet. {_EXPORT}"),
+    (b"CDF\x01", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
+    (b"CDF\x02", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
+    (b"CDF\x05", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
+    (b"\x0e\x03\x13\x01", "an HDF4 file", "not HDF5, not supported. Convert it with `h4toh5`"),
+    (b"RF64", "an RF64 file", f"not supported yet. {_EXPORT}"),
+    (b"RIFX", "a big-endian RIFF file", f"not supported yet. {_EXPORT}"),
+    (b"fLaC", "a FLAC file", f"not supported yet. {_EXPORT}"),
+    (b"OggS", "an Ogg file", "lossy and not supported. Export the original"),
+    (b"\x1aE\xdf\xa3", "an EBML file (such as enDAQ IDE)", f"not supported yet. {_EXPORT}"),
+    (b"\x1f\x8b", "a gzip archive", "not a recording. Unpack it"),
+    (b"BZh", "a bzip2 archive", "not a recording. Unpack it"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", "not a recording. Unpack it"),
+    (b"%PDF", "a PDF document", f"not a recording. {_EXPORT}"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel or Office document", "not supported. Save it as XLSX or text"),
+    (b"\x89PNG", "a PNG picture", "not a recording. Take it out of [recordings]"),
+    (b"PAR1", "a Parquet file", f"not supported. {_EXPORT}"),
+    (b"Rar!", "a RAR archive", "not a recording. Unpack it"),
+    (b"\xff\xfe", "UTF-16 text", "not supported. Save it as UTF-8"),
+    (b"\xfe\xff", "UTF-16 text", "not supported. Save it as UTF-8"),
+)
+
+
+def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Columns of the file at ``path`` that ``sources`` ask for, by whatever reader fits its content.
+
+    ``settings`` limit what is read. Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
+    """
+    match format_of(path):
+        case "HDF5":
+            from crankorder.ingest.hdf5 import read_hdf5
+
+            return _guarded(read_hdf5, path, sources, settings)
+        case "WAV":
+            from crankorder.ingest.wav import read_wav
+
+            return _guarded(read_wav, path, sources, settings)
+        case "XLSX":
+            from crankorder.ingest.xlsx import read_xlsx
+
+            return _guarded(read_xlsx, path, sources, settings)
+        case _:
+            from crankorder.ingest.text import read_text
+
+            return _guarded(read_text, path, sources, settings)
+
+
+def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
+    """What the file at ``path`` holds, read cheaply: names, units and rates, without the samples.
+
+    ``settings`` limit what is read. Raises what :func:`read_file` raises.
+    """
+    match format_of(path):
+        case "HDF5":
+            from crankorder.ingest.hdf5 import contents_of_hdf5
+
+            return contents_of_hdf5(path, settings=settings)
+        case "WAV":
+            from crankorder.ingest.wav import contents_of_wav
+
+            return contents_of_wav(path, settings=settings)
+        case "XLSX":
+            from crankorder.ingest.xlsx import contents_of_xlsx
+
+            return contents_of_xlsx(path, settings=settings)
+        case _:
+            from crankorder.ingest.text import contents_of_text
+
+            return contents_of_text(path, settings=settings)
+
+
+def format_of(path: Path) -> Format:
+    """Format of the file at ``path``, told by its content and never by its name.
+
+    Raises InputError that says what the file really is where it is not one of the formats that are read.
+    """
+    check_regular(path)
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except PermissionError:
+        raise EnvironmentFailure("no permission to read", file=path, remedy="Change its permissions") from None
+    except OSError as error:
+        raise InputError("cannot be read", file=path, found=error) from None
+    if size == 0:
+        raise InputError("truncated: the file is empty (0 bytes)", file=path, remedy="Copy it again")
+    for signature, kind, advice in _UNREAD:
+        if head.startswith(signature):
+            _refuse(path, kind, advice)
+    if any(head[start : start + 8] == HDF5_SIGNATURE for start in (0, 512, 1024, 2048, 4096)):
+        return "HDF5"
+    if head.startswith(b"RIFF") and (head[8:12] == b"WAVE" or size < 12):
+        return "WAV"
+    if head.startswith(b"PK\x03\x04"):
+        return _zip_kind(path)
+    _refuse_by_suspicion(path, head, size)
+    return "text"
+
+
+def _guarded(reader: object, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    try:
+        raw: RawFile = reader(path, sources=sources, settings=settings)  # type: ignore[operator]  # all four share the call
+    except MemoryError:
+        raise UnsafeInputError(
+            "does not fit into memory", file=path, remedy="Split the recording, or run where there is more memory"
+        ) from None
+    return raw
+
+
+def _refuse(path: Path, kind: str, advice: str) -> NoReturn:
+    problem, _, remedy = advice.partition(". ")
+    raise InputError(f"is {kind}: {problem}", file=path, remedy=remedy)
+
+
+def _zip_kind(path: Path) -> Format:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if "xl/workbook.xml" in archive.namelist():
+                return "XLSX"
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError):
+        raise InputError(
+            "truncated or damaged: a zip or XLSX file without its directory", file=path, remedy="Copy it again"
+        ) from None
+    _refuse(path, "a zip archive", "not a recording. Unpack it")
+
+
+def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
+    """Refuse what has no signature of its own but is certainly no table of numbers."""
+    suffix = path.suffix.lower()
+    if not head.strip(b"\0"):
+        raise InputError(f"holds only zeros (in its first {len(head)} bytes)", file=path, remedy="Copy it again")
+    if size < 12 and (HDF5_SIGNATURE.startswith(head[:8]) or b"RIFF".startswith(head[:4])):
+        raise InputError(f"truncated: only {size} bytes are left", file=path, remedy="Copy it again")
+    if re.match(rb"\x80[\x02-\x05]", head):
+        raise UnsafeInputError("is a Python pickle, which can run code: never opened", file=path, remedy=_EXPORT)
+    if re.match(rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)", head, re.IGNORECASE):
+        _refuse(path, "an HTML or XML page", "not a recording. Download the file itself: this may be an error page")
+    if re.match(rb"\s{0,8}-1\r?\n\s{0,8}(58|151|164|15|55|82)", head):
+        _refuse(path, "a universal file (UFF)", f"not supported yet. {_EXPORT}")
+    if suffix == ".hdf":
+        _refuse(path, "not HDF5 (HEAD .hdf is a format of its own)", "not supported. Export UFF58, WAV or HDF5")
+    if b"\0" in head:
+        raise InputError(
+            "content is not known (not HDF5, WAV, XLSX or text)", file=path, found=f"first bytes {head[:8].hex(' ')}", remedy=_EXPORT
+        )
+    if suffix in _BINARY_SUFFIXES:
+        raise InputError(f"is text, though its name ends in {suffix}", file=path, remedy="Copy the recording again, or rename it")

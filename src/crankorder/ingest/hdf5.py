@@ -1,0 +1,288 @@
+"""HDF5 and NetCDF-4 files: read-only, without locks, without following anything that leads out of the file."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from crankorder.errors import CrankorderError, InputError, UnsafeInputError
+from crankorder.ingest.formats import HDF5_SIGNATURE
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, common_rate, named
+from crankorder.settings import IngestSettings
+
+_MAX_DEPTH = 32
+# deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lzf: all others would load code from a plugin folder
+_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
+_RATE_NAMES = ("rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_frequency", "sample_freq", "fs")
+_STEP_NAMES = ("wf_increment", "dt", "delta_t", "increment_s", "time_step")
+_UNIT_NAMES = ("units", "unit", "unit_string")
+_START_NAMES = ("start_s", "wf_start_offset")
+# an exception of h5py on a damaged file may be any of these
+_H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    dataset: str
+    index: int | None  # of the shorter axis of a 2-D dataset
+    n_samples: int
+
+
+def read_hdf5(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Columns that ``sources`` ask for from the HDF5 file at ``path``: 1-D datasets, or ``"name[0]"`` of a 2-D one.
+
+    A source is a dataset path or a position in the sorted list of them; ``settings`` give the byte and object limits.
+    Raises InputError for damage or a missing name, UnsafeInputError for links out of the file and impossible sizes.
+    """
+    with _opened(path) as file:
+        columns = _columns_of(file, path, settings)
+        names = [named(source, list(columns), path) for source in sources]
+        used = {columns[name].dataset: file[columns[name].dataset] for name in names}
+        for dataset in used.values():
+            _check_dataset(dataset, path)
+        n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
+        check_budget(n_bytes, path, max_bytes=settings.max_bytes)
+        rates = {name: rate for name in names if (rate := _rate_of(used[columns[name].dataset], path)) is not None}
+        values = _read_columns([columns[name] for name in names], used, path)
+        units = {source: _text_attr(used[columns[name].dataset], _UNIT_NAMES) for source, name in zip(sources, names, strict=True)}
+        start = next((value for ds in used.values() if (value := _number_attr(ds, _START_NAMES)) is not None), None)
+        return RawFile(
+            columns=dict(zip(sources, values, strict=True)),
+            units={source: unit for source, unit in units.items() if unit},
+            rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance),
+            attrs={} if start is None else {"start_s": start},
+        )
+
+
+def contents_of_hdf5(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names, lengths, units and rates of the numeric datasets of the HDF5 file at ``path``; reads no samples.
+
+    ``settings`` give the object limit. Raises what :func:`read_hdf5` raises.
+    """
+    with _opened(path) as file:
+        columns = _columns_of(file, path, settings)
+        datasets = {name: file[column.dataset] for name, column in columns.items()}
+        for dataset in datasets.values():
+            _check_dataset(dataset, path)
+        rates = {name: _rate_of(dataset, path) for name, dataset in datasets.items()}
+        return Contents(
+            format="HDF5",
+            names=tuple(columns),
+            samples={name: column.n_samples for name, column in columns.items()},
+            units={name: unit for name, dataset in datasets.items() if (unit := _text_attr(dataset, _UNIT_NAMES))},
+            rates_hz={name: rate for name, rate in rates.items() if rate is not None},
+        )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    _check_superblock(path)
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except CrankorderError:
+        raise
+    except _H5PY_ERRORS as error:
+        raise InputError(
+            "is a damaged HDF5 file", file=path, found=str(error).split("\n")[0], remedy="Copy it again from where it was recorded"
+        ) from None
+
+
+def _check_superblock(path: Path) -> None:
+    """Say in plain words that a file is cut short or was never closed, before the HDF5 library says it in its own."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(8192)
+    base = next((start for start in (0, 512, 1024, 2048, 4096) if head[start : start + 8] == HDF5_SIGNATURE), 0)
+    block = head[base : base + 96]
+    version = block[8] if len(block) > 8 else 0
+    offset = {0: 40, 1: 44}.get(version, 28)
+    wide = block[13 if version < 2 else 9 : 14 if version < 2 else 10] in (b"\x08", b"")
+    if len(block) < offset + 8:
+        raise InputError(f"truncated: only {size} bytes are left of an HDF5 file", file=path, remedy="Copy it again")
+    end = struct.unpack_from("<Q", block, offset)[0] + base if wide else 0
+    marked_open = version >= 3 and block[11] & 0b101
+    if marked_open:
+        raise InputError(
+            "was not closed by its writer", file=path,
+            remedy="Copy it after the recording has ended, or clear the mark on a copy, at your own risk, with `h5clear --status`",
+        )  # fmt: skip
+    if wide and size < end < 2**62:
+        raise InputError(
+            f"truncated: {size} of {end} bytes", file=path,
+            remedy="Copy it again; if the original is as short, its writer was stopped before closing it",
+        )  # fmt: skip
+
+
+def _columns_of(file: Any, path: Path, settings: IngestSettings) -> dict[str, _Column]:
+    """Numeric columns of ``file`` by name, walked without following links; the walk is bounded in depth and number."""
+    columns: dict[str, _Column] = {}
+    seen: set[int] = set()
+    stack: list[tuple[Any, int]] = [(file["/"], 0)]
+    n_objects = 0
+    while stack:
+        group, depth = stack.pop()
+        address = h5py.h5o.get_info(group.id).addr
+        if address in seen:
+            continue
+        seen.add(address)
+        if depth > _MAX_DEPTH:
+            raise UnsafeInputError(f"groups are nested deeper than {_MAX_DEPTH}", file=path, place=group.name)
+        for key in group:
+            n_objects += 1
+            if n_objects > settings.max_objects:
+                raise UnsafeInputError(f"holds more than {settings.max_objects} objects", file=path)
+            link = group.get(key, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                raise UnsafeInputError(
+                    "links to another file, which is never followed", file=path, place=f"{group.name.rstrip('/')}/{key}",
+                    remedy="Write the samples into the file itself",
+                )  # fmt: skip
+            if isinstance(link, h5py.SoftLink):
+                continue
+            item = group[key]
+            if isinstance(item, h5py.Group):
+                stack.append((item, depth + 1))
+            elif isinstance(item, h5py.Dataset):
+                columns.update(_columns_in(item, settings))
+    return dict(sorted(columns.items()))
+
+
+def _columns_in(dataset: Any, settings: IngestSettings) -> dict[str, _Column]:
+    name = dataset.name.lstrip("/")
+    if dataset.dtype.kind not in "iufb" or dataset.shape is None or dataset.ndim not in (1, 2):
+        return {}
+    if dataset.ndim == 1:
+        return {name: _Column(dataset.name, None, int(dataset.shape[0]))}
+    n_columns, n_samples = sorted(int(length) for length in dataset.shape)
+    if n_columns == 1:
+        return {name: _Column(dataset.name, 0, n_samples)}
+    if n_columns > min(settings.max_objects, 1000):
+        return {}
+    return {f"{name}[{index}]": _Column(dataset.name, index, n_samples) for index in range(n_columns)}
+
+
+def _check_dataset(dataset: Any, path: Path) -> None:
+    """Refuse storage outside the file, virtual datasets, filters that need a plugin, and blocks that were never written."""
+    place, create = dataset.name, dataset.id.get_create_plist()
+    if create.get_external_count():
+        raise UnsafeInputError(
+            "keeps its samples in another file, which is never opened", file=path, place=place, remedy="Write them into the file itself"
+        )
+    if dataset.is_virtual:
+        raise UnsafeInputError(
+            "is put together from other files, which are never opened", file=path, place=place, remedy="Write them into the file itself"
+        )
+    for number in range(create.get_nfilters()):
+        code = create.get_filter(number)[0]
+        if code not in _FILTERS:
+            raise InputError(
+                f"needs filter {code}, which is not built in", file=path, place=place, allowed=", ".join(_FILTERS.values()),
+                remedy="Save the file again with gzip or without compression",
+            )  # fmt: skip
+    if dataset.chunks and dataset.size:
+        expected = int(np.prod([-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True)], dtype=object))
+        if expected > 10**9 or (written := dataset.id.get_num_chunks()) == expected:
+            return
+        raise InputError(
+            f"missing data: {written} of {expected} blocks were written", file=path, place=place, remedy="Export the recording again"
+        )
+
+
+def _read_columns(columns: list[_Column], used: dict[str, Any], path: Path) -> list[FloatArray]:
+    """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
+    kinds = [(column.n_samples, _target(used[column.dataset].dtype)) for column in columns]
+    blocks = {kind: np.empty((kinds.count(kind), kind[0]), kind[1]) for kind in set(kinds)}
+    rows = dict.fromkeys(blocks, 0)
+    tables: dict[str, Any] = {}
+    out: list[FloatArray] = []
+    for column, kind in zip(columns, kinds, strict=True):
+        dataset, row = used[column.dataset], blocks[kind][rows[kind]]
+        rows[kind] += 1
+        try:
+            _read_into(row, dataset, column.index, tables)
+        except _H5PY_ERRORS as error:
+            raise InputError(
+                "damaged: the checksum or the compression of the samples is wrong",
+                file=path, place=dataset.name, found=str(error).split("\n")[0], remedy="Copy the file again",
+            ) from None  # fmt: skip
+        _unpack(row, dataset)
+        out.append(row)
+    return out
+
+
+def _read_into(row: FloatArray, dataset: Any, index: int | None, tables: dict[str, Any]) -> None:
+    if index is not None:
+        # a column of an interleaved table costs as much as the whole table: read that once
+        if dataset.name not in tables:
+            tables[dataset.name] = dataset[()]
+        table = tables[dataset.name]
+        row[:] = table[:, index] if table.shape[0] >= table.shape[1] else table[index]
+    elif dataset.dtype == row.dtype and dataset.size:
+        dataset.read_direct(row)
+    elif dataset.size:
+        row[:] = dataset[()]
+
+
+def _target(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
+    small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)
+    return np.float32 if small else np.float64
+
+
+def _unpack(row: FloatArray, dataset: Any) -> None:
+    """Undo the packing conventions of NetCDF: fill value, scale and offset."""
+    fill = _number_attr(dataset, ("_FillValue", "missing_value"), inherited=False)
+    if fill is not None:
+        row[row == row.dtype.type(fill)] = np.nan
+    scale = _number_attr(dataset, ("scale_factor",), inherited=False)
+    offset = _number_attr(dataset, ("add_offset",), inherited=False)
+    if scale is not None:
+        row *= scale
+    if offset is not None:
+        row += offset
+
+
+def _rate_of(dataset: Any, path: Path) -> float | None:
+    """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
+    rate = _number_attr(dataset, _RATE_NAMES)
+    step = _number_attr(dataset, _STEP_NAMES) if rate is None else None
+    value = rate if step is None else (1.0 / step if step else 0.0)
+    if value is not None and not (value > 0 and np.isfinite(value)):
+        raise InputError("the sampling rate must be above 0", file=path, place=dataset.name, found=value)
+    return value
+
+
+def _number_attr(dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
+    for item in (dataset, dataset.parent, dataset.file) if inherited else (dataset,):
+        for name in names:
+            value = _attr(item, name)
+            if value is not None and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
+                return float(np.asarray(value).reshape(()))
+    return None
+
+
+def _text_attr(dataset: Any, names: Sequence[str]) -> str:
+    for name in names:
+        value = _attr(dataset, name)
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.reshape(-1)[0]
+        if isinstance(value, bytes):
+            value = value.decode("utf-8", "replace")
+        if isinstance(value, str):
+            return re.sub(r"\0.*", "", value)
+    return ""
+
+
+def _attr(item: Any, name: str) -> Any:
+    try:
+        return item.attrs[name] if name in item.attrs else None
+    except _H5PY_ERRORS:
+        return None

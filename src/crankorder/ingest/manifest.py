@@ -1,0 +1,360 @@
+"""The manifest ``run.toml`` of a test-run folder: what was recorded, with which sensors, on what shaft.
+
+This module imports nothing heavy: a wrong manifest is refused before numpy is ever loaded.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, ValidationError, WithJsonSchema
+from pydantic import field_validator as field_check
+
+from crankorder.errors import CrankorderError, ManyErrors, RequestError
+from crankorder.ingest.toml_lines import key_lines
+from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, parse_sensitivity, unit_of
+
+SCHEMA_VERSION = 1
+MANIFEST_NAME = "run.toml"
+_MAX_MANIFEST_BYTES = 4_000_000
+
+EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "none"]
+TRACE_KINDS = ("square", "analogue")
+TIME_KINDS = ("pulse_times", "edge_list")
+
+
+def _source(value: object) -> str | int:
+    if isinstance(value, str) and value:
+        return value
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+        return value
+    raise ValueError("a source is a dataset path, a column name, or a column number from 0")
+
+
+Source = Annotated[
+    str | int,
+    PlainValidator(_source),
+    WithJsonSchema({"anyOf": [{"type": "string", "minLength": 1}, {"type": "integer", "minimum": 0}]}),
+]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(gt=0)]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=1000)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Test(_Table):
+    """``[test]``: what was tested."""
+
+    __test__ = False  # not a pytest class, in spite of its name
+
+    cycle: Literal["four-stroke", "two-stroke", "rotor"]
+    name: str = ""
+    engine: Name | None = None
+    recipe: Name | None = None
+
+
+class Recordings(_Table):
+    """``[recordings]``: which files, relative to the folder, and their speeds where no file states them."""
+
+    files: Annotated[tuple[Name, ...], Field(strict=False, min_length=1)]
+    speed_rpm: dict[str, Positive] = {}
+
+
+class Sampling(_Table):
+    """``[sampling]``: the axis of the samples."""
+
+    domain: Literal["time", "crank_angle"] = "time"
+    rate_hz: Positive | None = None
+    time_source: Source | None = None
+    samples_per_rev: Count | None = None
+    start_deg: float = 0.0
+
+
+class Channel(_Table):
+    """``[[channels]]``: one analysed signal."""
+
+    name: Name
+    unit: str
+    source: Source | None = None
+    quantity: str = ""
+    sensitivity: str | None = None
+    offset: str | None = None
+    direction: str = ""
+
+    @field_check("unit")
+    @classmethod
+    def _unit_is_known(cls, text: str) -> str:
+        return unit_of(text).name
+
+    @field_check("sensitivity")
+    @classmethod
+    def _sensitivity_is_known(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_sensitivity(text)
+        return text
+
+    @field_check("offset")
+    @classmethod
+    def _offset_is_known(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_quantity(text)
+        return text
+
+    @property
+    def file_source(self) -> str | int:
+        """Where the file holds the channel: ``source``, or ``name`` where no source is stated."""
+        return self.name if self.source is None else self.source
+
+    @property
+    def analysed_unit(self) -> Unit:
+        """Unit of the analysed signal."""
+        return unit_of(self.unit)
+
+    @property
+    def measured_quantity(self) -> str:
+        """``quantity``, or the quantity that the unit measures where none is stated."""
+        return self.quantity or self.analysed_unit.quantity
+
+
+class Encoder(_Table):
+    """``[encoder]``: how the file tells the angle or the speed of the shaft."""
+
+    kind: EncoderKind = "none"
+    source: Source | None = None
+    pulses_per_rev: Count | None = None
+    missing_teeth: Annotated[int, Field(ge=0)] = 0
+    index: Source | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    ratio: Positive = 1.0
+    index_to_tdc_deg: float = 0.0
+    speed_rpm: Positive | None = None
+
+
+class Bearing(_Table):
+    """``[[bearings]]``: one rolling bearing, by geometry or by published orders of its shaft."""
+
+    name: Name
+    shaft_ratio: Positive = 1.0
+    rolling_elements: Count | None = None
+    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = None
+    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+    bpfo: Positive | None = None
+    bpfi: Positive | None = None
+    bsf: Positive | None = None
+    ftf: Positive | None = None
+
+
+class Manifest(_Table):
+    """A test-run folder, as ``run.toml`` describes it."""
+
+    schema_version: Literal[1]
+    test: Test
+    recordings: Recordings
+    channels: Annotated[tuple[Channel, ...], Field(strict=False, min_length=1)]
+    sampling: Sampling = Sampling()
+    encoder: Encoder = Encoder()
+    bearings: Annotated[tuple[Bearing, ...], Field(strict=False)] = ()
+
+    def speed_of(self, path: Path) -> float | None:
+        """Speed in rpm that the manifest states for the recording at ``path``, or None."""
+        posix = path.as_posix()
+        for name, speed_rpm in self.recordings.speed_rpm.items():
+            if posix == name or posix.endswith(f"/{name}"):
+                return speed_rpm
+        return self.encoder.speed_rpm
+
+
+def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
+    """Manifest of the test-run folder ``folder``, read from its ``run.toml`` or from the file ``manifest``.
+
+    Raises ManyErrors listing every fault with key and line, or RequestError where there is no such file or its TOML is wrong.
+    """
+    path = folder / MANIFEST_NAME if manifest is None else manifest
+    text = _text_of(path, folder)
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        match = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        where = f":{match[1]}:{match[2]}" if match else f":{text.count(chr(10)) + 1}"
+        problem = f"not valid TOML: {re.sub(r' .at .*.$', '', str(error))}"
+        raise RequestError(problem, file=f"{path}{where}", remedy="Mend that line") from None
+    except RecursionError:
+        raise RequestError("not valid TOML: nested too deep", file=path) from None
+    version = table.get("schema_version")
+    if isinstance(version, int) and version > SCHEMA_VERSION:
+        raise RequestError(
+            "written for a newer crankorder", file=path, place="schema_version", found=version, allowed=str(SCHEMA_VERSION),
+            remedy="Update crankorder",
+        )  # fmt: skip
+    lines = key_lines(text)
+    try:
+        found = Manifest.model_validate(table)
+    except ValidationError as error:
+        raise ManyErrors([_fault(fault, path, lines) for fault in error.errors()]) from None
+    faults = [_located(fault, path, lines) for fault in _cross_faults(found)]
+    if faults:
+        raise ManyErrors(faults)
+    return found
+
+
+def _text_of(path: Path, folder: Path) -> str:
+    init = f"Run `crankorder init {folder}` for a draft, or give one with --manifest FILE"
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise RequestError("the manifest is not a regular file", file=path, remedy=init)
+        if path.stat().st_size > _MAX_MANIFEST_BYTES:
+            raise RequestError("too large for a manifest", file=path, allowed=f"{_MAX_MANIFEST_BYTES} bytes")
+        return path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+    except FileNotFoundError:
+        problem = "there is no manifest" if folder.is_dir() else "there is no such folder"
+        raise RequestError(problem, file=path, remedy=init) from None
+    except UnicodeDecodeError as error:
+        raise RequestError("not UTF-8 text", file=path, place=f"byte {error.start}", remedy="Save it as UTF-8") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, CrankorderError):
+            raise
+        raise RequestError("the manifest cannot be read", file=path, found=error) from None
+
+
+def _fault(fault: Any, path: Path, lines: dict[str, int]) -> RequestError:
+    """One pydantic fault as a RequestError with key path and line."""
+    key = ".".join(str(part) for part in fault["loc"])
+    cause = fault.get("ctx", {}).get("error")
+    if isinstance(cause, RequestError):
+        found, allowed, problem, remedy = cause.found, cause.allowed, cause.problem, cause.remedy
+    elif fault["type"] == "extra_forbidden":
+        known = _keys_of(Manifest, fault["loc"][:-1])
+        close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
+        found, allowed, problem = "", ", ".join(known), "unknown key"
+        remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
+    elif fault["type"] == "missing":
+        found, allowed, problem, remedy = "", "", "this key is missing", "Add it"
+    else:
+        found, allowed, remedy = repr(fault["input"]), "", ""
+        problem = str(fault["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+        problem = problem if problem != fault["msg"] else problem.lower()
+        problem = f"must be {problem}" if str(fault["msg"]).startswith("Input should be ") else problem
+    return _located(RequestError(problem, place=key, found=found, allowed=allowed, remedy=remedy), path, lines)
+
+
+def _located(fault: RequestError, path: Path, lines: dict[str, int]) -> RequestError:
+    key, line = fault.place, lines.get(fault.place)
+    while line is None and "." in key:
+        key = key.rpartition(".")[0]
+        line = lines.get(key)
+    fault.file = str(path) if line is None else f"{path}:{line}"
+    return RequestError(
+        fault.problem, file=fault.file, place=fault.place, found=fault.found, allowed=fault.allowed, remedy=fault.remedy
+    )
+
+
+def _keys_of(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            kinds = [model.model_fields[part].annotation, *get_args(model.model_fields[part].annotation)]
+            inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+            model = inner[0] if inner else model
+    return list(model.model_fields)
+
+
+def _cross_faults(manifest: Manifest) -> list[RequestError]:
+    """Faults that show only when several keys are seen together."""
+    faults: list[RequestError] = []
+    sampling = manifest.sampling
+    if sampling.domain == "crank_angle" and sampling.samples_per_rev is None:
+        faults.append(
+            RequestError("samples by crank angle need samples_per_rev", place="sampling.samples_per_rev", remedy="Add it")
+        )
+    seen: dict[str, int] = {}
+    for number, channel in enumerate(manifest.channels):
+        if channel.name in seen:
+            place = f"channels.{number}.name"
+            faults.append(RequestError("two channels have the same name", place=place, found=channel.name))
+        seen[channel.name] = number
+        faults += _channel_faults(channel, f"channels.{number}")
+    for number, bearing in enumerate(manifest.bearings):
+        orders = (bearing.bpfo, bearing.bpfi, bearing.bsf, bearing.ftf)
+        if all(order is None for order in orders) and None in (bearing.rolling_elements, bearing.ball_over_pitch):
+            faults.append(
+                RequestError(
+                    "a bearing needs rolling_elements and ball_over_pitch, or published orders (bpfo, bpfi, bsf, ftf)",
+                    place=f"bearings.{number}",
+                )
+            )
+    return faults + _encoder_faults(manifest)
+
+
+def _channel_faults(channel: Channel, place: str) -> list[RequestError]:
+    faults: list[RequestError] = []
+    unit = channel.analysed_unit
+    expected = unit
+    if channel.sensitivity is not None:
+        sensitivity = parse_sensitivity(channel.sensitivity)
+        expected = sensitivity.output
+        faults += _unit_clash(sensitivity.measured, unit, f"{place}.sensitivity")
+    if channel.offset is not None:
+        faults += _unit_clash(parse_quantity(channel.offset)[1], expected, f"{place}.offset")
+    known = ("acceleration", "velocity", "displacement", "pressure", "force", "torque", "voltage")
+    stated = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
+    if stated != unit.quantity:
+        faults.append(
+            RequestError(
+                f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}",
+                place=f"{place}.quantity",
+                found=channel.quantity,
+            )
+        )
+    return faults
+
+
+def _unit_clash(source: Unit, target: Unit, place: str) -> list[RequestError]:
+    try:
+        conversion_factor(source, target)
+    except RequestError as error:
+        return [RequestError(error.problem, place=place, remedy=error.remedy)]
+    return []
+
+
+def _encoder_faults(manifest: Manifest) -> list[RequestError]:
+    encoder, faults = manifest.encoder, []
+    needs: dict[str, object] = {}
+    if encoder.kind in (*TRACE_KINDS, *TIME_KINDS):
+        needs = {"source": encoder.source, "pulses_per_rev": encoder.pulses_per_rev}
+    elif encoder.kind == "speed":
+        needs = {"source": encoder.source}
+    elif encoder.kind == "constant" and not manifest.recordings.speed_rpm:
+        needs = {"speed_rpm": encoder.speed_rpm}
+    for key, value in needs.items():
+        if value is None:
+            faults.append(
+                RequestError(f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it")
+            )
+    if encoder.pulses_per_rev is not None and encoder.missing_teeth >= encoder.pulses_per_rev:
+        faults.append(
+            RequestError(
+                "more teeth are missing than the wheel has",
+                place="encoder.missing_teeth",
+                found=encoder.missing_teeth,
+                allowed=f"below pulses_per_rev = {encoder.pulses_per_rev}, which counts the full wheel",
+            )
+        )
+    if manifest.sampling.domain == "crank_angle" and encoder.kind not in ("none", "constant"):
+        faults.append(
+            RequestError(
+                "samples by crank angle have no use for an encoder",
+                place="encoder.kind",
+                found=encoder.kind,
+                allowed="none, constant",
+                remedy="Remove [encoder], or state domain = \"time\"",
+            )
+        )
+    return faults

@@ -1,0 +1,103 @@
+"""What a file holds, as it holds it: columns in the file's own units, before the manifest gives them meaning."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crankorder.errors import InputError, UnsafeInputError
+from crankorder.quantities import QualityFlag, Severity
+
+FloatArray = npt.NDArray[np.floating[Any]]
+Source = str | int
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """Names, sizes and units of what a file holds, read without its samples.
+
+    ``samples`` and ``units`` go by name; ``samples`` lacks a name whose length only a full read would tell.
+    """
+
+    format: str
+    names: tuple[str, ...]
+    samples: Mapping[str, int] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    rates_hz: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class RawFile:
+    """Columns of one file, each under the source by which it was asked for, and how the file says they were sampled.
+
+    ``columns`` are float32 or float64 in the file's unit, which ``units`` states where the file does. Columns that were
+    asked for one after the other may be neighbouring rows of one block, so that they can be stacked without a copy.
+    """
+
+    columns: Mapping[Source, FloatArray]
+    units: Mapping[Source, str] = field(default_factory=dict)
+    rate_hz: float | None = None
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+    flags: list[QualityFlag] = field(default_factory=list)
+
+
+def flag(path: Path, name: str, severity: Severity, detail: str) -> QualityFlag:
+    """Quality flag ``name`` of the recording at ``path`` with its ``severity`` and ``detail``."""
+    return QualityFlag(recording=path.name, flag=name, severity=severity, detail=detail)
+
+
+def named(source: Source, names: Sequence[str], path: Path) -> str:
+    """Name among ``names`` of the column that ``source`` asks for: the name itself, or its position from 0.
+
+    Raises InputError "channel a4 not in file; has a1, a2, a3" for the file at ``path``.
+    """
+    if isinstance(source, str):
+        for candidate in (source, source.strip().strip("/")):
+            if candidate in names:
+                return candidate
+    if (isinstance(source, int) or source.isdecimal()) and int(source) < len(names):
+        return names[int(source)]
+    shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    close = difflib.get_close_matches(str(source), names, n=1)
+    raise InputError(
+        f"channel {source} not in file; has {shown or 'nothing that holds samples'}",
+        file=path,
+        remedy=f"Did you mean {close[0]!r}?" if close else "Mend the source in the manifest",
+    )
+
+
+def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> float | None:
+    """The one sampling rate in Hz that all of ``rates`` (name to Hz) state, or None where they state none.
+
+    Raises InputError for the file at ``path`` where two differ by more than ``tolerance`` (relative).
+    """
+    first: tuple[str, float] | None = None
+    for name, rate_hz in rates.items():
+        first = first or (name, rate_hz)
+        if abs(rate_hz - first[1]) > tolerance * first[1]:
+            raise InputError(
+                f"channels were sampled at different rates: {first[0]} at {first[1]:.12g} Hz, {name} at {rate_hz:.12g} Hz",
+                file=path,
+                remedy="Export all channels at one rate",
+            )
+    return first[1] if first else None
+
+
+def check_budget(n_bytes: int, path: Path, *, max_bytes: int) -> None:
+    """Refuse a claim of ``n_bytes`` above ``max_bytes`` before anything is allocated for the file at ``path``.
+
+    Raises UnsafeInputError with both numbers.
+    """
+    if n_bytes > max_bytes:
+        raise UnsafeInputError(
+            f"claims {n_bytes} bytes of samples",
+            file=path,
+            allowed=f"{max_bytes} bytes (ingest.max_bytes)",
+            remedy="Check the file, or raise ingest.max_bytes in a recipe",
+        )

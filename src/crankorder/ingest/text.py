@@ -1,0 +1,228 @@
+"""Text tables: comma, semicolon, tab or blanks between the columns, decimal point or comma, comments and names above."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from crankorder.errors import InputError, printable
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named
+from crankorder.ingest.units import known_unit, unit_in_label
+from crankorder.quantities import QualityFlag
+from crankorder.settings import IngestSettings
+
+_HEAD_BYTES = 65_536
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_NAN_WORDS = ("nan", "NaN", "NAN", "Nan")
+_RATE = re.compile(
+    r"\b(?:sample_?freq|sampling_frequency|sample_?rate|sampling_?rate|rate_hz|fs)(?:_hz)?[\"']?\s*[:=]\s*([0-9.eE+]{1,20})\s*(k?Hz)?",
+    re.IGNORECASE,
+)
+_SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    encoding: str
+    separator: str
+    decimal_comma: bool
+    names: tuple[str, ...]
+    units: dict[str, str]
+    n_head_lines: int
+    rate_hz: float | None
+
+
+def read_text(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Columns (float64) that ``sources`` ask for, by name or number from 0, from the text table at ``path``.
+
+    ``settings`` give the byte limit. Raises InputError with line and cell for ragged lines and cells that are no number.
+    """
+    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    layout = _layout_of(path)
+    positions = [layout.names.index(named(source, layout.names, path)) for source in sources]
+    table = _parsed(path, layout)
+    block = np.ascontiguousarray(table[:, positions].T)
+    return RawFile(
+        columns=dict(zip(sources, block, strict=True)),
+        units={
+            source: layout.units[layout.names[position]]
+            for source, position in zip(sources, positions, strict=True)
+            if layout.names[position] in layout.units
+        },
+        rate_hz=layout.rate_hz,
+        flags=_flags(path, layout),
+    )
+
+
+def contents_of_text(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names, units and rate that the head of the text table at ``path`` states; lengths are not known without reading.
+
+    ``settings`` give the byte limit. Raises what :func:`read_text` raises for the head.
+    """
+    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    layout = _layout_of(path)
+    rates = {} if layout.rate_hz is None else dict.fromkeys(layout.names, layout.rate_hz)
+    return Contents(format="text", names=layout.names, units=layout.units, rates_hz=rates)
+
+
+def _layout_of(path: Path) -> _Layout:
+    with path.open("rb") as stream:
+        raw = stream.read(_HEAD_BYTES)
+    encoding = "utf-8-sig"
+    try:
+        # a multi-byte character may be cut at the end of the head
+        text = raw[: raw.rfind(b"\n") + 1 or None].decode(encoding)
+    except UnicodeDecodeError:
+        encoding, text = "latin-1", raw.decode("latin-1")
+    lines = text.splitlines()
+    if len(raw) == _HEAD_BYTES:
+        lines = lines[:-1]
+    for number, line in enumerate(lines):
+        if not _is_comment(line) and (found := _separation(line)):
+            separator, decimal_comma = found
+            fields = _fields(line, separator)
+            names, units = _header(lines[:number], separator, len(fields), path)
+            comments = "\n".join(line for line in lines[:number] if _is_comment(line))
+            return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
+    shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
+    raise InputError(
+        "no line of numbers in the first 64 kB: this is no table of samples", file=path, found=repr(printable(shown, 60)),
+        remedy="Export the recording as columns of numbers",
+    )  # fmt: skip
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(("#", "%", "//")) or not line.strip()
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    fields = line.split() if separator == " " else line.split(separator)
+    if separator != " " and len(fields) > 1 and not fields[-1].strip():
+        fields = fields[:-1]
+    return [field.strip().strip('"').strip() for field in fields]
+
+
+def _separation(line: str) -> tuple[str, bool] | None:
+    """Separator of a line that holds numbers only, and whether its decimals stand after a comma; None for other lines."""
+    for separator in _SEPARATORS:
+        fields = _fields(line, separator)
+        if all(_NUMBER.fullmatch(field) for field in fields):
+            return separator, False
+        if separator != "," and all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
+            # "1,2" alone is two columns by comma; with another separator in the line it is a decimal comma
+            if separator != " " or len(fields) > 1:
+                return separator, True
+    return None
+
+
+def _header(lines: list[str], separator: str, n_columns: int, path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Names of the columns, and their units, from the lines above the first numbers."""
+    rows = [_fields(line, separator) for line in lines if not _is_comment(line)]
+    rows = [row for row in rows if len(row) == n_columns] or [
+        row for line in lines if not _is_comment(line) and len(row := _words(line)) == n_columns
+    ]
+    units_row = rows.pop() if len(rows) > 1 and _is_units_row(rows[-1]) else None
+    if not rows:
+        return tuple(str(number) for number in range(n_columns)), {}
+    names = tuple(name or str(number) for number, name in enumerate(rows[-1]))
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError("two columns have the same name", file=path, place=f"line {len(lines)}", found=repr(twice))
+    stated = [unit_in_label(name) for name in names] if units_row is None else [cell.strip("[]()") for cell in units_row]
+    return names, {name: unit for name, unit in zip(names, stated, strict=True) if unit}
+
+
+def _words(line: str) -> list[str]:
+    return [field.strip().strip('"') for field in re.split(r"[,;\t]", line)]
+
+
+def _is_units_row(row: list[str]) -> bool:
+    return any(row) and all(not cell.strip("[]()") or known_unit(cell.strip("[]()")) for cell in row)
+
+
+def _rate_in(comments: str) -> float | None:
+    match = _RATE.search(comments)
+    try:
+        rate_hz = float(match[1]) if match else 0.0
+    except ValueError:
+        return None
+    if match and match[2] and match[2].lower() == "khz":
+        rate_hz *= 1e3
+    return rate_hz if 0 < rate_hz < 1e12 else None
+
+
+def _parsed(path: Path, layout: _Layout) -> FloatArray:
+    """The whole table (sample, column); an empty, missing or unreadable cell is an error, ``nan`` is a missing sample."""
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(
+            path,
+            engine="c",
+            sep=r"\s+" if layout.separator == " " else layout.separator,
+            decimal="," if layout.decimal_comma else ".",
+            header=None,
+            names=None,
+            skiprows=layout.n_head_lines,
+            dtype=np.float64,
+            encoding=layout.encoding,
+            keep_default_na=False,
+            na_values=list(_NAN_WORDS),
+            skip_blank_lines=True,
+            float_precision="round_trip",
+        )
+    except (ValueError, OverflowError, pd.errors.ParserError) as error:
+        _find_bad_cell(path, layout)
+        raise InputError("not a table of numbers", file=path, found=error) from None
+    if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
+        frame = frame.iloc[:, :-1]  # every line ends with a separator
+    table = frame.to_numpy()
+    if table.shape[1] != len(layout.names) or np.isnan(table).any():
+        # pandas fills short lines with NaN without a word
+        _find_bad_cell(path, layout)
+    return table
+
+
+def _find_bad_cell(path: Path, layout: _Layout) -> None:
+    """Raise InputError naming the first line and cell that is not as the first line of numbers; slow, for errors only."""
+    n_columns = len(layout.names)
+    with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
+        for number, line in enumerate(stream, start=1):
+            if number <= layout.n_head_lines or not line.strip():
+                continue
+            fields = _fields(line.rstrip("\n"), layout.separator)
+            if len(fields) != n_columns:
+                last = "" if line.endswith("\n") else "; the file seems to be truncated"
+                raise InputError(
+                    f"{len(fields)} cells where the lines above have {n_columns}{last}", file=path, place=f"line {number}",
+                    found=repr(printable(line.strip(), 60)), remedy="Mend the line, or copy the file again",
+                )  # fmt: skip
+            for position, cell in enumerate(fields):
+                plain = cell.replace(",", ".", 1) if layout.decimal_comma else cell
+                if not _NUMBER.fullmatch(plain):
+                    raise InputError(
+                        "not a number" if cell else "an empty cell", file=path,
+                        place=f"line {number}, column {position} ({printable(layout.names[position], 40)})",
+                        found=repr(printable(cell, 40)), remedy="Mend the cell, or leave the recording out",
+                    )  # fmt: skip
+
+
+def _flags(path: Path, layout: _Layout) -> list[QualityFlag]:
+    flags: list[QualityFlag] = []
+    if layout.decimal_comma:
+        flags.append(flag(path, "decimal_comma", "info", "decimals are written after a comma"))
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - 4096))
+        lines = stream.read().split(b"\n")
+    if lines[-1].strip():
+        # a copy that was cut inside the last number still parses
+        shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
+        severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
+        flags.append(
+            flag(path, "last_line_open", "suspect" if severity == "suspect" else "info", "the last line has no end: it may be truncated")
+        )
+    return flags

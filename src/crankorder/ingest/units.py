@@ -1,0 +1,175 @@
+"""Unit spellings, a closed table: no parser, so that no text from a file can hang it or be guessed wrong."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import unicodedata
+from dataclasses import dataclass
+
+from crankorder.errors import RequestError
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+_MAX_CHARACTERS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One unit: its spelling in results, the quantity that it measures, and SI base units per one of it."""
+
+    name: str
+    quantity: str
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """Output of a sensor per unit of what it measures, both in SI base units."""
+
+    output: Unit
+    measured: Unit
+    output_per_measured: float
+
+    def measured_per_output(self, unit: Unit) -> float:
+        """Factor from the sensor's output in its SI base unit (volts) to ``unit``."""
+        return 1.0 / (self.output_per_measured * unit.factor)
+
+
+# name, quantity, SI base units per unit, further spellings (after Unicode NFKC, which turns "²" into "2")
+_TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
+    ("m/s2", "acceleration", 1.0, ("m/s^2", "m/s**2", "m s-2", "m s^-2", "m*s-2", "m/s/s", "ms-2", "m/sec2", "m/sec^2")),
+    ("mm/s2", "acceleration", 1e-3, ("mm/s^2", "mm/s**2", "mm s-2")),
+    ("g", "acceleration", STANDARD_GRAVITY_M_S2, ("gn", "g_n", "g0")),
+    ("m/s", "velocity", 1.0, ("m s-1", "m s^-1", "m/sec")),
+    ("mm/s", "velocity", 1e-3, ("mm s-1", "mm s^-1", "mm/sec")),
+    ("m", "displacement", 1.0, ()),
+    ("mm", "displacement", 1e-3, ()),
+    ("µm", "displacement", 1e-6, ("um", "micron")),
+    ("Pa", "pressure", 1.0, ("N/m2", "N/m^2", "pascal")),
+    ("hPa", "pressure", 1e2, ("mbar",)),
+    ("kPa", "pressure", 1e3, ()),
+    ("MPa", "pressure", 1e6, ()),
+    ("bar", "pressure", 1e5, ()),
+    ("N", "force", 1.0, ("newton",)),
+    ("kN", "force", 1e3, ()),
+    ("N·m", "torque", 1.0, ("N m", "Nm", "N*m", "N.m", "N-m")),
+    ("V", "voltage", 1.0, ("volt", "volts", "Volt", "Volts")),
+    ("mV", "voltage", 1e-3, ()),
+    ("A", "current", 1.0, ()),
+    ("mA", "current", 1e-3, ()),
+    ("counts", "counts", 1.0, ("count", "cts", "digits", "LSB")),
+    ("FS", "full scale", 1.0, ("full scale",)),
+    ("min-1", "rotational speed", 1.0 / 60.0, ("rpm", "RPM", "1/min", "r/min", "rev/min", "tr/min", "U/min", "min^-1")),
+    ("Hz", "rotational speed", 1.0, ("1/s", "s-1", "s^-1", "rev/s", "r/s")),
+    ("rad/s", "rotational speed", 1.0 / (2.0 * math.pi), ("rad s-1",)),
+    ("deg", "angle", math.pi / 180.0, ("°", "degree", "degrees")),
+    ("rad", "angle", 1.0, ()),
+    ("strain", "strain", 1.0, ("m/m",)),
+    ("µstrain", "strain", 1e-6, ("µε", "um/m", "µm/m", "microstrain")),
+    ("s", "time", 1.0, ("sec", "seconds", "second")),
+    ("ms", "time", 1e-3, ()),
+    ("µs", "time", 1e-6, ("us",)),
+    ("1", "ratio", 1.0, ()),
+    ("%", "ratio", 1e-2, ()),
+)
+
+
+def _key(text: str) -> str:
+    return unicodedata.normalize("NFKC", text.strip()).replace("⋅", "·")
+
+
+_UNITS: dict[str, Unit] = {
+    _key(spelling): Unit(name, quantity, factor)
+    for name, quantity, factor, others in _TABLE
+    for spelling in (name, *others)
+}
+ACCEPTED = ", ".join(name for name, *_ in _TABLE)
+
+
+def known_unit(text: str) -> Unit | None:
+    """Unit that ``text`` spells, or None where the closed table does not have it."""
+    return _UNITS.get(_key(text)) if 0 < len(text) <= _MAX_CHARACTERS else None
+
+
+def unit_of(text: str) -> Unit:
+    """Unit that ``text`` spells, such as ``"m/s²"`` or ``"mV"``.
+
+    Raises RequestError that lists the accepted units where ``text`` is none of the table's spellings.
+    """
+    unit = known_unit(text)
+    if unit is None:
+        close = difflib.get_close_matches(text[:_MAX_CHARACTERS], [*_UNITS, "g"], n=1, cutoff=0.6)
+        if text.casefold() == "g":
+            close = ["g"]
+        raise RequestError(
+            "unknown unit",
+            found=repr(text),
+            allowed=ACCEPTED,
+            remedy=f"Did you mean {close[0]!r}?" if close else "Write one of these",
+        )
+    return unit
+
+
+def conversion_factor(source: Unit, target: Unit) -> float:
+    """Factor from values in ``source`` to values in ``target``.
+
+    Raises RequestError where the two measure different quantities.
+    """
+    if source.quantity != target.quantity:
+        raise RequestError(
+            f"{source.name} ({source.quantity}) cannot become {target.name} ({target.quantity})",
+            remedy="Mend the unit, or give the sensitivity of the sensor",
+        )
+    return 1.0 if source.name == target.name else source.factor / target.factor
+
+
+_NUMBER = r"([+-]?[0-9]{1,18}(?:\.[0-9]{0,18})?(?:[eE][+-]?[0-9]{1,3})?)"
+_QUANTITY = re.compile(rf"\s*{_NUMBER}\s*(\S.*)")
+_SENSITIVITY = re.compile(rf"\s*{_NUMBER}\s*([^/\s]+)\s*/\s*(\S.*)")
+
+
+def parse_quantity(text: str) -> tuple[float, Unit]:
+    """Number and unit of a text such as ``"0.575 V"``.
+
+    Raises RequestError where ``text`` is not a number followed by a known unit.
+    """
+    match = _QUANTITY.fullmatch(text) if len(text) <= _MAX_CHARACTERS else None
+    if match is None:
+        raise RequestError("not a number with a unit", found=repr(text), allowed='such as "0.575 V"')
+    return float(match[1]), unit_of(match[2])
+
+
+def parse_sensitivity(text: str) -> Sensitivity:
+    """Sensitivity that a text such as ``"100 mV/g"`` or ``"10.2 mV/(m/s2)"`` states.
+
+    Raises RequestError where ``text`` is not a positive number of volts (or counts) per unit of a known quantity.
+    """
+    match = _SENSITIVITY.fullmatch(text) if len(text) <= _MAX_CHARACTERS else None
+    if match is None:
+        raise RequestError("not a sensitivity", found=repr(text), allowed='such as "100 mV/g" or "0.077 V/bar"')
+    value, measured = float(match[1]), match[3].strip()
+    if measured.startswith("(") and measured.endswith(")"):
+        measured = measured[1:-1]
+    output, unit = unit_of(match[2]), unit_of(measured)
+    if output.quantity not in ("voltage", "current", "counts", "full scale"):
+        raise RequestError(
+            "the sensitivity does not start with an electrical unit", found=repr(text), allowed="V, mV, A, mA, counts, FS"
+        )
+    if not (value > 0 and math.isfinite(value)):
+        raise RequestError(
+            "the sensitivity must be above 0",
+            found=repr(text),
+            remedy='A sensor mounted the other way round is told by direction = "-Z"',
+        )
+    return Sensitivity(output=output, measured=unit, output_per_measured=value * output.factor / unit.factor)
+
+
+_LABEL = re.compile(r"[\[(]([^\[\]()]{1,40})[\])]\s*$")
+
+
+def unit_in_label(label: str) -> str:
+    """Unit that a column label states in brackets at its end, such as ``"s"`` in ``"Time [s]"``; empty where none."""
+    match = _LABEL.search(label[-_MAX_CHARACTERS:])
+    return match[1].strip() if match else ""

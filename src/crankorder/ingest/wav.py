@@ -1,0 +1,223 @@
+"""WAV files, with the calibration that an ``LEA`` chunk states.
+
+The chunks are walked here and not by a library: a truncated file must be told from a whole one, the chunk after the samples
+holds the calibration, and scipy's reader speaks of it through ``warnings``, which is not safe in threads.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crankorder.errors import InputError
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, flag, named
+from crankorder.quantities import QualityFlag
+from crankorder.settings import IngestSettings
+
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+# below this share of the declared samples a cut recording is refused, above it it is used and flagged
+_MIN_PRESENT = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class _Calibration:
+    name: str
+    unit: str
+    scale: float  # of a full-scale sample, in unit
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    rate_hz: int
+    n_channels: int
+    n_bits: int
+    is_float: bool
+    data_start: int
+    n_declared: int
+    n_present: int
+    calibrations: tuple[_Calibration, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels from the calibration, or their positions."""
+        names = tuple(calibration.name for calibration in self.calibrations)
+        if len(names) == self.n_channels == len(set(names)) and all(names):
+            return names
+        return tuple(str(number) for number in range(self.n_channels))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the channels: those of the calibration, or the full scale of the samples."""
+        known = tuple(calibration.unit for calibration in self.calibrations)
+        return known if len(known) == self.n_channels else ("FS",) * self.n_channels
+
+
+def read_wav(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Channels that ``sources`` ask for (number from 0, or calibration name) from the WAV file at ``path``.
+
+    Integer samples become fractions of full scale (-1 to 1), times the calibration where the file has one; ``settings`` give
+    the byte limit. Raises InputError for a truncated or damaged file.
+    """
+    header = _header_of(path)
+    numbers = [header.names.index(named(source, header.names, path)) for source in sources]
+    frame_bytes = header.n_channels * header.n_bits // 8
+    check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    with path.open("rb") as stream:
+        stream.seek(header.data_start)
+        data = stream.read(header.n_present * frame_bytes)
+    frames = _decoded(data, header)
+    block = np.empty((len(numbers), header.n_present), _sample_type(header))
+    for row, number in enumerate(numbers):
+        block[row] = frames[:, number]
+        scale = (1.0 if header.is_float else 2.0 ** (1 - header.n_bits)) * _scale(header, number)
+        if header.n_bits == 8:
+            block[row] -= 128.0
+        if scale != 1.0:
+            block[row] *= scale
+    return RawFile(
+        columns=dict(zip(sources, block, strict=True)),
+        units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
+        rate_hz=float(header.rate_hz),
+        flags=_flags(header, path),
+    )
+
+
+def contents_of_wav(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names, lengths, units and rate of the channels of the WAV file at ``path``; reads no samples.
+
+    ``settings`` are those of :func:`read_wav`, whose errors it raises.
+    """
+    header = _header_of(path)
+    check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    return Contents(
+        format="WAV",
+        names=header.names,
+        samples=dict.fromkeys(header.names, header.n_present),
+        units=dict(zip(header.names, header.units, strict=True)),
+        rates_hz=dict.fromkeys(header.names, float(header.rate_hz)),
+    )
+
+
+def _header_of(path: Path) -> _Header:
+    size = path.stat().st_size
+    layout: bytes | None = None
+    calibrations: tuple[_Calibration, ...] = ()
+    data_start, data_bytes = -1, 0
+    with path.open("rb") as stream:
+        position = 12
+        while position + 8 <= size:
+            stream.seek(position)
+            name, length = struct.unpack("<4sI", stream.read(8))
+            if name == b"data":
+                data_start, data_bytes = position + 8, length
+            elif position + 8 + length > size:
+                raise InputError(f"truncated: {size} of {position + 8 + length} bytes", file=path, remedy="Copy it again")
+            elif name == b"fmt ":
+                layout = stream.read(min(length, 64))
+            elif name == b"LEA ":
+                calibrations = _calibrations(stream.read(min(length, 1_000_000)), path)
+            position += 8 + length + length % 2
+        stream.seek(0)
+        riff = stream.read(8)
+    if layout is None or len(layout) < 16 or data_start < 0:
+        raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy="Copy it again")
+    declared = struct.unpack("<I", riff[4:8])[0] + 8
+    if data_bytes in (0xFFFFFFFF, 0) and size > data_start:
+        raise InputError("was not closed by its writer: the length of the samples is not filled in", file=path)
+    if data_start + data_bytes <= size < declared:
+        raise InputError(f"truncated after the samples: {size} of {declared} bytes", file=path, remedy="Copy it again")
+    return _checked(path, layout, data_start, data_bytes, min(data_bytes, size - data_start), calibrations)
+
+
+def _checked(
+    path: Path, layout: bytes, data_start: int, declared: int, present: int, calibrations: tuple[_Calibration, ...]
+) -> _Header:
+    code, n_channels, rate_hz, _, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
+    if code == _EXTENSIBLE and len(layout) >= 26:
+        code = struct.unpack_from("<H", layout, 24)[0]
+    allowed = {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}.get(code, ())
+    if n_bits not in allowed:
+        raise InputError(
+            "the sample format is not supported", file=path, found=f"format code {code} with {n_bits} bits",
+            allowed="8, 16, 24 or 32-bit integers, 32 or 64-bit floats", remedy="Export as 16-bit or float WAV",
+        )  # fmt: skip
+    if not (n_channels and rate_hz and frame_bytes == n_channels * n_bits // 8):
+        raise InputError(
+            "the header contradicts itself", file=path,
+            found=f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes",
+        )  # fmt: skip
+    if present < _MIN_PRESENT * declared:
+        raise InputError(
+            f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples", file=path, remedy="Copy it again"
+        )
+    if calibrations and len(calibrations) != n_channels:
+        raise InputError(
+            f"the calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}", file=path
+        )
+    return _Header(
+        rate_hz, n_channels, n_bits, code == _FLOAT, data_start, declared // frame_bytes, present // frame_bytes, calibrations
+    )
+
+
+def _calibrations(chunk: bytes, path: Path) -> tuple[_Calibration, ...]:
+    """Calibrations of an ``LEA`` chunk, decoded from recordings of which the physical values are known.
+
+    Per channel: ``le`` and two digits, length, float32 full scale, name and unit (each a length and its characters),
+    float32 offset (0 wherever seen), float32 factor.
+    """
+    found: list[_Calibration] = []
+    position = 0
+    try:
+        while position + 8 <= len(chunk) and chunk[position : position + 2] == b"le":
+            length = struct.unpack_from("<I", chunk, position + 4)[0]
+            record = chunk[position + 8 : position + 8 + length]
+            full_scale, n_name = struct.unpack_from("<fH", record)
+            n_unit = struct.unpack_from("<H", record, 6 + n_name)[0]
+            offset, factor = struct.unpack_from("<ff", record, 8 + n_name + n_unit)
+            name, unit = record[6 : 6 + n_name], record[8 + n_name : 8 + n_name + n_unit]
+            scale = float(np.float64(full_scale) * np.float64(factor))
+            if offset != 0.0 or not (np.isfinite(scale) and scale > 0):
+                raise InputError(
+                    "the calibration (LEA chunk) is not understood", file=path, place=f"channel {len(found)}",
+                    found=f"full scale {full_scale:g}, offset {offset:g}, factor {factor:g}",
+                    remedy="Export the recording as float WAV, and state a sensitivity",
+                )  # fmt: skip
+            found.append(_Calibration(name.decode("latin-1"), unit.decode("latin-1"), scale))
+            position += 8 + length
+    except struct.error:
+        raise InputError("the calibration (LEA chunk) is cut short", file=path, remedy="Copy it again") from None
+    return tuple(found)
+
+
+def _scale(header: _Header, number: int) -> float:
+    return header.calibrations[number].scale if header.calibrations else 1.0
+
+
+def _sample_type(header: _Header) -> type[np.float32] | type[np.float64]:
+    wide = header.n_bits == 64 or (header.n_bits == 32 and not header.is_float)
+    return np.float64 if wide else np.float32
+
+
+def _decoded(data: bytes, header: _Header) -> np.ndarray[Any, np.dtype[Any]]:
+    """Samples (frame, channel) in the file's own type; 24-bit integers widen to 32."""
+    if header.n_bits == 24:
+        octets = np.frombuffer(data, np.uint8).reshape(-1, 3)
+        wide = np.zeros((len(octets), 4), np.uint8)
+        wide[:, 1:] = octets
+        return (wide.view("<i4") >> 8).reshape(-1, header.n_channels)
+    kind = "f" if header.is_float else "u" if header.n_bits == 8 else "i"
+    return np.frombuffer(data, f"<{kind}{header.n_bits // 8}").reshape(-1, header.n_channels)
+
+
+def _flags(header: _Header, path: Path) -> list[QualityFlag]:
+    if header.n_present == header.n_declared:
+        return []
+    detail = f"truncated: {header.n_present} of {header.n_declared} samples"
+    return [flag(path, "missing_data", "suspect", detail)]
+
+

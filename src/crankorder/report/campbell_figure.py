@@ -1,0 +1,261 @@
+"""The Campbell diagram of a channel: level over frequency and speed, with orders, natural frequencies and crossings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from crankorder.report.labels import EdgeLabel, fitting, label_right, label_top
+from crankorder.report.notation import frequency_text, is_number, level_reference, order_text
+from crankorder.report.sentences import strongest_sentence
+from crankorder.report.style import (
+    FAINT,
+    INK,
+    LARGE,
+    MAINS,
+    MAINS_ON_MAP,
+    MAP,
+    MODE,
+    MODE_ON_MAP,
+    SMALL,
+    axes_at,
+    drawable,
+    house_style,
+    new_figure,
+    write,
+)
+from crankorder.settings import ReportSettings
+
+_LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.98, 1.75, 1.22  # margins of the diagram in inches
+_COMMON_SCALE_DB = 20.0  # channels of one unit share a colour scale unless one is so much weaker than the strongest
+
+
+def campbell_figure(campbell: xr.Dataset, channel: str, findings: dict[str, Any], *, settings: ReportSettings) -> Figure:
+    """Campbell diagram of one channel, ready for :func:`crankorder.report.figures.png_bytes`.
+
+    Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of speed
+    reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram, natural
+    frequencies dashed lines labelled at the top, mains dotted, excited crossings circles.
+
+    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the report.
+    Raises KeyError for an unknown channel.
+    """
+    with house_style():
+        figure = new_figure(settings.width_in, settings.height_in)
+        box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
+        axes = axes_at(figure, *box)
+        one = campbell.sel(channel=channel).dropna("speed", how="all", subset=["amplitude"]).sortby("speed")
+        edges = cell_edges(one["speed"].values)
+        _draw_map(axes, one, edges, _level_limits(campbell, channel, settings=settings), box, settings=settings)
+        orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
+        modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+        _draw_orders(axes, orders)
+        _draw_modes(axes, modes)
+        circles = _draw_crossings(axes, findings, channel)
+        _label_edges(axes, box, orders, modes)
+        _legend(figure, orders=bool(orders), modes=modes, circles=circles)
+        _title(figure, findings, channel, settings=settings)
+        return figure
+
+
+def cell_edges(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges [rpm] of the cells of a map: half-way between neighbouring speeds, as far out at both ends.
+
+    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %.
+    """
+    speeds = np.asarray(speeds_rpm, dtype=float)
+    if len(speeds) == 1:
+        half = max(0.025 * abs(float(speeds[0])), 1.0)
+        return np.array([speeds[0] - half, speeds[0] + half])
+    middle = (speeds[1:] + speeds[:-1]) / 2
+    return np.concatenate([[speeds[0] * 2 - middle[0]], middle, [speeds[-1] * 2 - middle[-1]]])
+
+
+def pixel_maximum(values: NDArray[Any], edges: NDArray[np.float64], ends: tuple[float, float], n: int, axis: int) -> NDArray[Any]:
+    """Largest value under each of ``n`` equal pixels along ``axis``: thin lines survive, narrow pixels repeat a cell.
+
+    ``values`` of cells with ascending ``edges`` (one more than cells); ``ends`` first and last place that is shown.
+    """
+    places = np.linspace(ends[0], ends[1], n, endpoint=False)
+    first = np.clip(np.searchsorted(edges, places, side="right") - 1, 0, values.shape[axis] - 1)
+    last = int(np.clip(np.searchsorted(edges, ends[1], side="left"), first[-1] + 1, values.shape[axis]))
+    kept = np.take(values, np.arange(last), axis=axis)
+    return np.asarray(np.maximum.reduceat(kept, first, axis=axis))
+
+
+def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dict[str, Any]]:
+    """Order records of a ``channel`` in ``findings``, the ``limit`` strongest, by order."""
+    records = [record for record in findings.get("orders", []) if record.get("channel") == channel]
+    records.sort(key=lambda record: -float(record.get("amplitude") or 0))
+    return sorted(records[:limit], key=lambda record: float(record["order"]))
+
+
+def _level_limits(campbell: xr.Dataset, channel: str, *, settings: ReportSettings) -> tuple[float, float]:
+    alike = (campbell["unit"].values == str(campbell["unit"].sel(channel=channel).item())) & (
+        campbell["quantity"].values == str(campbell["quantity"].sel(channel=channel).item())
+    )
+    own = campbell["amplitude"].sel(channel=channel).values
+    strongest = campbell["amplitude"].values[alike]
+    top, own_top = float(np.nanmax(strongest, initial=0.0)), float(np.nanmax(own, initial=0.0))
+    if own_top <= 0:
+        return 0.0, settings.dynamic_range_db
+    reference, _ = level_reference(
+        str(campbell["quantity"].sel(channel=channel).item()), str(campbell["unit"].sel(channel=channel).item()), settings=settings
+    )
+    values = strongest if 20 * np.log10(top / own_top) <= _COMMON_SCALE_DB else own
+    high = 5 * np.ceil(20 * np.log10(float(np.nanmax(values)) / reference) / 5)
+    quiet = np.nanquantile(values[values > 0], 0.05)
+    low = max(high - settings.dynamic_range_db, 5 * np.floor(20 * np.log10(float(quiet) / reference) / 5))
+    return float(min(low, high - 20)), float(high)
+
+
+def _draw_map(
+    axes: Axes,
+    one: xr.Dataset,
+    edges: NDArray[np.float64],
+    limits: tuple[float, float],
+    box: tuple[float, float, float, float],
+    *,
+    settings: ReportSettings,
+) -> None:
+    reference, unit = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
+    frequency = one["frequency"].values
+    half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
+    columns, rows = round(box[2] * settings.dpi), round(box[3] * settings.dpi)
+    left, right = float(frequency[0]), float(frequency[-1])
+    values = np.nan_to_num(one["amplitude"].transpose("speed", "frequency").values)
+    bins = np.concatenate([frequency - half, [frequency[-1] + half]])
+    pooled = pixel_maximum(values, bins, (left, right), min(columns, 4 * len(frequency)), 1)
+    pooled = pixel_maximum(pooled, edges, (float(edges[0]), float(edges[-1])), rows, 0)
+    level = 20 * np.log10(np.maximum(pooled / reference, 1e-300))
+    image = axes.imshow(
+        level, origin="lower", aspect="auto", interpolation="nearest", cmap=MAP, vmin=limits[0], vmax=limits[1],
+        extent=(left, right, float(edges[0]), float(edges[-1])),
+    )  # fmt: skip
+    if not np.any(pooled > 0):
+        axes.text(0.5, 0.5, "no signal: every value is zero", transform=axes.transAxes, ha="center", color="white", fontsize=LARGE)
+    axes.set_xlabel("Frequency, Hz")
+    axes.set_ylabel("Speed, rpm")
+    axes.tick_params(length=3)
+    axes.autoscale(False)
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    bar_axes = axes_at(figure, box[0] + box[2] + 0.62, box[1], 0.17, box[3])
+    bar = figure.colorbar(image, cax=bar_axes)
+    bar.set_ticks(np.arange(10 * np.ceil(limits[0] / 10), limits[1] + 0.1, 10).tolist())
+    bar.set_label(f"Level, {unit}", parse_math=False)
+    bar.ax.tick_params(length=3)
+    bar.outline.set_linewidth(0.5)  # type: ignore[operator]  # a Spine, typed as a plain artist
+
+
+def _draw_orders(axes: Axes, orders: list[dict[str, Any]]) -> None:
+    low, high = axes.get_ylim()
+    for record in orders:
+        order = float(record["order"])
+        span = record.get("speed_range_rpm") or [low, high]
+        seen = np.clip(np.array([span[0], span[1]], dtype=float), low, high)
+        everywhere = np.array([low, high])
+        look: dict[str, Any] = {"color": "white", "linewidth": 0.7, "gid": f"order-{order_text(order)}"}
+        axes.plot(order * everywhere / 60, everywhere, alpha=0.28, **look)
+        axes.plot(order * seen / 60, seen, alpha=0.55, **look)
+
+
+def is_mains(mode: dict[str, Any]) -> bool:
+    """True for a ``mode`` record of the findings that is explained by the electric mains."""
+    return str(mode.get("explained_by", "")).startswith("mains")
+
+
+def _draw_modes(axes: Axes, modes: list[dict[str, Any]]) -> None:
+    for mode in modes:
+        mains = is_mains(mode)
+        axes.axvline(
+            float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP, linewidth=0.8, alpha=0.75,
+            linestyle=(0, (1, 2)) if mains else (0, (5, 4)), gid="mains" if mains else "mode",
+        )  # fmt: skip
+
+
+def _draw_crossings(axes: Axes, findings: dict[str, Any], channel: str) -> bool:
+    places = [
+        (float(crossing["mode_hz"]), float(crossing["rpm"]))
+        for crossing in findings.get("crossings", [])
+        if crossing.get("excited") and crossing.get("in_range") and crossing.get("channel", channel) == channel
+    ]
+    if places:
+        axes.plot(
+            *zip(*places, strict=True), linestyle="none", marker="o", markersize=11, markerfacecolor="none",
+            markeredgecolor="white", markeredgewidth=1.5, gid="crossings", path_effects=[withStroke(linewidth=3, foreground="#00000090")],
+        )  # fmt: skip
+    return bool(places)
+
+
+def _label_edges(
+    axes: Axes, box: tuple[float, float, float, float], orders: list[dict[str, Any]], modes: list[dict[str, Any]]
+) -> None:
+    left, bottom, width, height = box
+    (f_low, f_high), (low, high) = axes.get_xlim(), axes.get_ylim()
+    loudest = max((float(record.get("amplitude") or 0) for record in orders), default=0.0)
+    top, side = [], []
+    for number, record in enumerate(orders):
+        order = float(record["order"])
+        weight = "bold" if loudest > 0 and float(record.get("amplitude") or 0) == loudest else "normal"
+        if f_low <= order * high / 60 <= f_high:
+            place = left + width * (order * high / 60 - f_low) / (f_high - f_low)
+            top.append(EdgeLabel(place, order_text(order), INK, number, weight))
+        elif low < 60 * f_high / order < high:
+            side.append(EdgeLabel(bottom + height * (60 * f_high / order - low) / (high - low), order_text(order), INK, number, weight))
+    named = [
+        EdgeLabel(left + width * (float(mode["frequency_hz"]) - f_low) / (f_high - f_low), f"{frequency_text(float(mode['frequency_hz']))} Hz",
+                  MAINS if is_mains(mode) else MODE, number)
+        for number, mode in enumerate(modes) if f_low <= float(mode["frequency_hz"]) <= f_high
+    ]  # fmt: skip
+    if not fitting(named, width):
+        named = [EdgeLabel(label.target_in, label.text.removesuffix(" Hz"), label.color, label.key) for label in named]
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    lines = label_top(figure, box, [top, named])
+    label_right(figure, box, side)
+    if top:
+        write(figure, left - 0.3, lines[0], "order", ha="right", va="bottom", fontsize=SMALL, color=INK)
+    if side:
+        write(figure, left + width + 0.06, bottom + height + 0.14, "order", ha="left", va="bottom", fontsize=SMALL, color=INK)
+
+
+def _legend(figure: Figure, *, orders: bool, modes: list[dict[str, Any]], circles: bool) -> None:
+    handles = []
+    dark: dict[str, Any] = {"linewidth": 1.2}
+    if orders:
+        handles.append(Line2D([], [], color=INK, label="order found (bold number: strongest)", **dark))
+    if any(not is_mains(mode) for mode in modes):
+        handles.append(Line2D([], [], color=MODE, linestyle=(0, (5, 3)), label="natural frequency", **dark))
+    if any(is_mains(mode) for mode in modes):
+        handles.append(Line2D([], [], color=MAINS, linestyle=(0, (1, 1.5)), label="mains", **dark))
+    if circles:
+        ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4}
+        handles.append(Line2D([], [], color=INK, linestyle="none", label="excited crossing", **ring))
+    if handles:
+        width, height = figure.get_size_inches()
+        figure.legend(
+            handles=handles, loc="lower left", bbox_to_anchor=(_LEFT / width, 0.12 / height), ncols=len(handles), frameon=False,
+            fontsize=SMALL + 0.5, borderpad=0, borderaxespad=0, handlelength=2.6, columnspacing=2.2,
+        )  # fmt: skip
+
+
+def _title(figure: Figure, findings: dict[str, Any], channel: str, *, settings: ReportSettings) -> None:
+    top = settings.height_in
+    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    write(figure, _LEFT, top - 0.34, f"{name} · channel {drawable(channel, settings.max_name_characters)}", fontsize=LARGE,
+          fontweight="bold")  # fmt: skip
+    sentence = strongest_sentence(findings, channel)
+    if sentence:
+        write(figure, _LEFT, top - 0.56, drawable(sentence, 160), color=FAINT)
+    doubtful = sum(flag.get("severity") in ("suspect", "bad") for flag in findings.get("quality", []))
+    if doubtful:
+        text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
+        write(figure, settings.width_in - 0.2, 0.14, text, ha="right", color=MAINS, fontsize=SMALL + 0.5)

@@ -1,0 +1,25 @@
+"""The pictures of a test and their bytes; each picture has a module of its own."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+from matplotlib.figure import Figure
+
+from crankorder.report.campbell_figure import campbell_figure
+from crankorder.report.orders_figure import orders_figure
+from crankorder.report.spectra_figure import spectra_figure
+from crankorder.report.style import house_style
+
+__all__ = ["campbell_figure", "orders_figure", "png_bytes", "spectra_figure"]
+
+
+def png_bytes(figure: Figure, *, dpi: int) -> bytes:
+    """PNG of a figure, the same bytes for the same figure (no date, fixed software name).
+
+    ``figure`` from one of the functions here; ``dpi`` pixels per inch.
+    """
+    buffer = BytesIO()
+    with house_style():
+        figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": "crankorder"}, pil_kwargs={"compress_level": 4})
+    return buffer.getvalue()

@@ -1,0 +1,118 @@
+"""Labels at the edges of a diagram that never overlap, each tied to its place by a leader."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from crankorder.report.style import SMALL, text_width_in, write
+
+GAP_IN = 0.05
+LINE_HEIGHT_IN = 0.125
+
+
+@dataclass(frozen=True)
+class EdgeLabel:
+    """A text that belongs to a place on an edge: ``target_in`` inches along it; ``""`` keeps room for a leader only."""
+
+    target_in: float
+    text: str
+    color: str
+    key: int = 0
+    weight: str = "normal"
+
+
+def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
+    """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
+
+    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all in
+    one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression by
+    pooling adjacent violators (Ayer et al. 1955).
+    """
+    width = np.asarray(widths, dtype=float)
+    if width.sum() >= high - low:
+        shares = np.cumsum(width) - width / 2
+        return np.asarray(low + shares * (high - low) / max(float(width.sum()), 1e-12))
+    offset = np.cumsum(width) - width / 2
+    blocks: list[list[float]] = []
+    for value in np.asarray(targets, dtype=float) - offset:
+        blocks.append([float(value), 1.0])
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            mean, count = blocks.pop()
+            blocks[-1] = [(blocks[-1][0] * blocks[-1][1] + mean * count) / (blocks[-1][1] + count), blocks[-1][1] + count]
+    starts = np.concatenate([np.full(int(count), mean) for mean, count in blocks]) if blocks else np.empty(0)
+    return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
+
+
+def fitting(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL) -> bool:
+    """True where all ``labels`` at ``size`` points fit side by side into ``length_in`` inches."""
+    return sum(text_width_in(label.text, size) + GAP_IN for label in labels) < length_in
+
+
+def _leader(figure: Figure, points_in: Sequence[tuple[float, float]], color: str, dashes: Any) -> None:
+    width, height = figure.get_size_inches()
+    xs, ys = zip(*points_in, strict=True)
+    line = Line2D(np.divide(xs, width), np.divide(ys, height), color=color, linewidth=0.7, linestyle=dashes, alpha=0.85)
+    figure.add_artist(line)
+
+
+def label_top(
+    figure: Figure, box_in: tuple[float, float, float, float], tiers: Sequence[Sequence[EdgeLabel]], *, size: float = SMALL
+) -> list[float]:
+    """Heights in inches of the text lines (one per tier that is not empty, then the top of all) of labels above a diagram.
+
+    Leaders of the upper tiers pass between the labels of the lower ones.
+
+    ``figure`` to draw on; ``box_in`` left, bottom, width and height of the diagram in inches; ``tiers`` labels from the
+    lowest tier up, targets in inches from the figure's left; ``size`` of the text in points.
+    """
+    left, bottom, width, height = box_in
+    level, lines = bottom + height, []
+    waiting = [[label for label in tier if label.text] for tier in tiers]
+    at = {(row, number): label.target_in for row, tier in enumerate(waiting) for number, label in enumerate(tier)}
+    for row, tier in enumerate(waiting):
+        if not tier:
+            continue
+        through = [key for key in at if key[0] >= row]
+        through.sort(key=lambda key: at[key])
+        widths = [text_width_in(waiting[key[0]][key[1]].text, size) + GAP_IN if key[0] == row else GAP_IN for key in through]
+        places = spread([at[key] for key in through], widths, low=left - 0.15, high=left + width + 0.15)
+        fan, text_at = level + 0.11, level + 0.11 + LINE_HEIGHT_IN
+        for key, place in zip(through, places, strict=True):
+            label = waiting[key[0]][key[1]]
+            points = [(at[key], level), (at[key], level + 0.03), (float(place), fan)]
+            if key[0] == row:
+                write(figure, float(place), fan + 0.01, label.text, ha="center", va="bottom", fontsize=size, color=label.color,
+                      fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip
+            else:
+                points.append((float(place), text_at))
+            _leader(figure, points, label.color, "-")
+            at[key] = float(place)
+        level = text_at
+        lines.append(fan + 0.01)
+    return [*lines, level]
+
+
+def label_right(
+    figure: Figure, box_in: tuple[float, float, float, float], labels: Sequence[EdgeLabel], *, size: float = SMALL
+) -> None:
+    """Labels right of a diagram, each with a leader from its place on the right edge.
+
+    ``figure`` to draw on; ``box_in`` left, bottom, width, height of the diagram in inches; ``labels`` with targets in
+    inches from the figure's bottom; ``size`` of the text in points.
+    """
+    left, bottom, width, height = box_in
+    ordered = sorted(labels, key=lambda label: label.target_in)
+    room = [LINE_HEIGHT_IN * size / SMALL] * len(ordered)
+    places = spread([label.target_in for label in ordered], room, low=bottom - 0.05, high=bottom + height + 0.05)
+    edge = left + width
+    for label, place in zip(ordered, places, strict=True):
+        _leader(figure, [(edge, label.target_in), (edge + 0.03, label.target_in), (edge + 0.12, float(place))], label.color, "-")
+        write(figure, edge + 0.14, float(place), label.text, ha="left", va="center_baseline", fontsize=size,
+              color=label.color, fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip

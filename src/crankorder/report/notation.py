@@ -1,0 +1,118 @@
+"""How numbers, units and names are written in sentences, pictures and tables: one way everywhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from crankorder.errors import printable
+from crankorder.settings import ReportSettings
+
+_TYPOGRAPHY = {
+    "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
+    "degree": "°", "1": "",
+}  # fmt: skip
+_SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
+_SI_PRESSURE = {"Pa": 1.0, "uPa": 1e-6, "mPa": 1e-3, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5}
+
+
+def named(value: object, *, limit: int) -> str:
+    """Text from a file, safe to show: control characters as ``\\xNN``, cut with an ellipsis.
+
+    ``value`` any text; ``limit`` the greatest number of characters.
+    """
+    return printable(value, limit)
+
+
+def unit_text(unit: str) -> str:
+    """Typographic form of a unit of a channel: ``"m/s²"`` for ``unit`` ``"m/s2"``; unknown ones as they are."""
+    return _TYPOGRAPHY.get(unit, printable(unit, 24))
+
+
+def order_text(order: float) -> str:
+    """Shortest text of an ``order`` to three decimals: ``"2"``, ``"5.5"``, ``"61.2"``."""
+    return f"{order:.3f}".rstrip("0").rstrip(".")
+
+
+def number_text(value: float, *, digits: int = 3) -> str:
+    """``value`` to ``digits`` significant digits without exponent between 1e-4 and 1e6; ``"–"`` for NaN and infinity."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if not -4 <= size < 6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa.replace('-', '−')}e{int(exponent)}"
+    return f"{value:.{max(0, digits - 1 - size)}f}".replace("-", "−")
+
+
+def _decimals(width: float, value: float) -> int:
+    """Decimals that show an interval of ``width`` with two digits, and never more than six digits of ``value``."""
+    size = math.floor(math.log10(max(abs(value), width, 1e-300)))
+    wanted = 1 - math.floor(math.log10(width)) if width > 0 else 2 - size
+    return min(wanted, 5 - size)
+
+
+def interval_of(record: dict[str, Any], key: str) -> tuple[float, float] | None:
+    """95 % interval of ``key`` in a ``record`` of the findings (its ``key_ci95``), or None where it has none."""
+    interval = record.get(f"{key}_ci95")
+    if not isinstance(interval, list | tuple) or len(interval) != 2 or any(not is_number(end) for end in interval):
+        return None
+    return float(interval[0]), float(interval[1])
+
+
+def is_number(value: object) -> bool:
+    """True for a finite number ``value`` (and no bool)."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def estimate_text(record: dict[str, Any], key: str, *, unit: str = "") -> str:
+    """Estimate with its 95 % interval: ``"0.83 (0.81…0.85) m/s²"``; ``"–"`` where there is none.
+
+    ``record`` one of the findings; ``key`` the estimate's name; ``unit`` follows where given.
+    """
+    value = record.get(key)
+    if not is_number(value):
+        return "–"
+    tail = f" {unit}" if unit else ""
+    interval = interval_of(record, key)
+    if interval is None:
+        return number_text(float(value)) + tail  # type: ignore[arg-type]  # is_number has looked
+    low, high = interval
+    decimals = _decimals(high - low, float(value))  # type: ignore[arg-type]  # as above
+    if not -1 <= decimals <= 6:
+        return f"{number_text(float(value))} ({number_text(low)}…{number_text(high)}){tail}"  # type: ignore[arg-type]
+    texts = [f"{number:.{max(decimals, 0)}f}".replace("-", "−") for number in (float(value), low, high)]  # type: ignore[arg-type]
+    return f"{texts[0]} ({texts[1]}…{texts[2]}){tail}"
+
+
+def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tuple[float, str]:
+    """Reference of a level in the channel's own unit, and its text for the colour bar.
+
+    ``quantity`` and ``unit`` of the channel; ``settings`` hold the references for acceleration [m/s²] and sound pressure
+    [Pa]. Returns (reference, text); any other quantity refers to one unit. Source: ISO 1683:2015, table 1.
+    """
+    if quantity == "acceleration" and unit in _SI_ACCELERATION:
+        reference = settings.acceleration_reference_m_s2
+        return reference / _SI_ACCELERATION[unit], f"dB re {_power(reference)} m/s² (peak)"
+    if (quantity == "sound_pressure" and unit in _SI_PRESSURE) or (quantity == "pressure" and unit == "Pa"):
+        reference = settings.pressure_reference_pa
+        return reference / _SI_PRESSURE[unit], f"dB re {number_text(reference * 1e6, digits=2)} µPa (peak)"
+    return 1.0, f"dB re 1 {unit_text(unit)} (peak)".replace("1  ", "1 ")
+
+
+def _power(value: float) -> str:
+    mantissa, exponent = f"{value:e}".split("e")
+    return f"{float(mantissa):g}e{int(exponent)}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """``words`` as in a sentence: ``"X, Y and Z"``."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+
+
+def frequency_text(frequency_hz: float) -> str:
+    """``frequency_hz`` for a label: three digits below 100 Hz, whole hertz above; no unit."""
+    return f"{frequency_hz:.0f}" if abs(frequency_hz) >= 99.95 else f"{frequency_hz:.3g}"

@@ -1,0 +1,225 @@
+"""What a test says, in plain sentences made from its findings: what shakes, why, how sure, what to do."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, TypedDict
+
+from crankorder.report.notation import (
+    estimate_text,
+    frequency_text,
+    interval_of,
+    is_number,
+    listed,
+    named,
+    number_text,
+    order_text,
+    unit_text,
+)
+
+NAME_CHARACTERS = 60
+RE_RUN_RULE = "Re-run the same test: a growing amplitude means a failing bearing."
+_MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
+_TOGETHER_RPM = 30.0  # crossings closer than this share one sentence
+_MANY = 3  # channels, or speeds to avoid, that a summary names one by one
+
+
+class Story(TypedDict):
+    """The four answers that a page gives first, each a list of sentences."""
+
+    what: list[str]
+    why: list[str]
+    how_sure: list[str]
+    what_to_do: list[str]
+
+
+def headline(findings: dict[str, Any]) -> list[str]:
+    """The few sentences that matter most, the strongest line first; for the command line and the head of the page.
+
+    ``findings`` as in ``data_schema/findings.json``. Never empty.
+    """
+    story = story_of(findings)
+    return [*story["what"][:1], *bearing_sentences(findings)[:1], *avoid_sentences(findings)[:1]]
+
+
+def story_of(findings: dict[str, Any]) -> Story:
+    """What shakes, why, how sure and what to do, from ``findings``."""
+    return Story(
+        what=_what(findings),
+        why=[*_law_sentences(findings), *_mode_sentences(findings), *bearing_sentences(findings), *_balance_sentences(findings)],
+        how_sure=_how_sure(findings),
+        what_to_do=_what_to_do(findings),
+    )
+
+
+def strongest_sentence(findings: dict[str, Any], channel: str) -> str:
+    """``"Order 2 is the strongest in Z: 0.83 m/s² (0.81…0.85) at 1800 rpm, where it meets the 60 Hz natural frequency."``
+
+    ``findings`` of the test; ``channel`` whose strongest order is asked for; empty where it has none.
+    """
+    records = [record for record in findings.get("orders", []) if record.get("channel") == channel and is_number(record.get("amplitude"))]
+    if not records:
+        return ""
+    record = max(records, key=lambda one: float(one["amplitude"]))
+    value, _, interval = estimate_text(record, "amplitude").partition(" ")
+    text = f"Order {order_text(record['order'])} is the strongest in {named(channel, limit=NAME_CHARACTERS)}: "
+    text += " ".join(part for part in (value, unit_text(str(record.get("unit", ""))), interval) if part)
+    rpm = record.get("speed_rpm_at_max")
+    if is_number(rpm):
+        text += f" at {rpm:.0f} rpm"
+        mode_hz = _met_mode(findings, float(record["order"]), float(rpm))  # type: ignore[arg-type]  # is_number has looked
+        if mode_hz is not None:
+            text += f", where it meets the {frequency_text(mode_hz)} Hz natural frequency"
+    return f"{text}."
+
+
+def _met_mode(findings: dict[str, Any], order: float, rpm: float) -> float | None:
+    line_hz = order * rpm / 60
+    modes = [float(mode["frequency_hz"]) for mode in findings.get("modes", []) if mode.get("explained_by", "mode") == "mode"]
+    near = [mode_hz for mode_hz in modes if abs(mode_hz - line_hz) <= _MEETING_SHARE * mode_hz]
+    return min(near, key=lambda mode_hz: abs(mode_hz - line_hz)) if near else None
+
+
+def _what(findings: dict[str, Any]) -> list[str]:
+    records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude"))]
+    if not records:
+        return ["No order stands above the noise."]
+    top: dict[str, float] = {}
+    for record in records:
+        channel = str(record.get("channel", ""))
+        top[channel] = max(top.get(channel, 0.0), float(record["amplitude"]))
+    names = sorted(top, key=lambda name: -top[name])
+    sentences = [strongest_sentence(findings, name) for name in names[:_MANY]]
+    if len(names) > _MANY:
+        sentences.append(f"{len(names) - _MANY} further channels are in the table of orders.")
+    orders = sorted({float(record["order"]) for record in records})
+    shown = [order_text(order) for order in orders[:14]] + (["…"] if len(orders) > 14 else [])
+    plural = "s" if len(orders) > 1 else ""
+    return [*sentences, f"{len(orders)} order{plural} found: {', '.join(shown)}."]
+
+
+def _law_sentences(findings: dict[str, Any]) -> list[str]:
+    square, steady = set(), set()
+    for record in findings.get("orders", []):
+        interval = interval_of(record, "speed_exponent")
+        if interval is None or interval[1] - interval[0] > 1.5:
+            continue
+        if interval[0] <= 2.0 <= interval[1]:
+            square.add(float(record["order"]))
+        elif interval[0] <= 0.0 <= interval[1]:
+            steady.add(float(record["order"]))
+    sentences = []
+    if square & {1.0, 2.0}:
+        words, verb = _orders_text(square & {1.0, 2.0}), "grow" if len(square & {1.0, 2.0}) > 1 else "grows"
+        sentences.append(f"{words} {verb} with the square of the speed, as an unbalanced mass does.")
+    if steady - square:
+        words, verb = _orders_text(steady - square), "keep their" if len(steady - square) > 1 else "keeps its"
+        sentences.append(f"{words} {verb} size at all speeds: no unbalance, rather a bearing or a gear.")
+    return sentences
+
+
+def _orders_text(orders: set[float]) -> str:
+    return f"Order{'s' if len(orders) > 1 else ''} {listed([order_text(order) for order in sorted(orders)])}"
+
+
+def _mode_sentences(findings: dict[str, Any]) -> list[str]:
+    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    own = [f"{frequency_text(mode['frequency_hz'])} Hz" for mode in modes if mode.get("explained_by", "mode") == "mode"]
+    other = [
+        f"{frequency_text(mode['frequency_hz'])} Hz ({named(mode['explained_by'], limit=NAME_CHARACTERS)})"
+        for mode in modes
+        if mode.get("explained_by", "mode") != "mode"
+    ]
+    sentences = []
+    if own:
+        noun = "Natural frequencies" if len(own) > 1 else "Natural frequency"
+        sentences.append(f"{noun}: {listed(own[:16])}{' and more' if len(own) > 16 else ''}.")
+    if other:
+        sentences.append(f"Tones that are no natural frequencies: {listed(other[:8])}.")
+    return sentences
+
+
+def bearing_sentences(findings: dict[str, Any]) -> list[str]:
+    """One sentence per bearing line of ``findings`` that was seen, with the rule to re-run the test."""
+    sentences = []
+    for record in findings.get("bearings", []):
+        if not is_number(record.get("amplitude")) or not is_number(record.get("order")):
+            continue
+        name, line = (named(record.get(key, ""), limit=NAME_CHARACTERS) for key in ("name", "line"))
+        value, _, interval = estimate_text(record, "amplitude").partition(" ")
+        level = " ".join(part for part in (value, unit_text(str(record.get("unit", ""))), interval) if part)
+        verdict = named(record.get("verdict", ""), limit=2 * NAME_CHARACTERS).rstrip(".")
+        text = f"Order {order_text(record['order'])} is the {line} line of the {name} bearing"
+        text += f" ({verdict})" if verdict else ""
+        sentences.append(f"{text}: {level}. {RE_RUN_RULE}")
+    return sentences
+
+
+def _balance_sentences(findings: dict[str, Any]) -> list[str]:
+    balance = findings.get("balance")
+    if not isinstance(balance, dict):
+        return []
+    sentences = []
+    if is_number(balance.get("residual_reciprocating_g")):
+        sentences.append(f"Unbalanced reciprocating mass: {estimate_text(balance, 'residual_reciprocating_g', unit='g')}.")
+    if is_number(balance.get("residual_rotating_gmm")):
+        text = f"Rotating unbalance: {estimate_text(balance, 'residual_rotating_gmm', unit='g·mm')}"
+        if is_number(balance.get("angle_deg")):
+            text += f" at {estimate_text(balance, 'angle_deg', unit='°')} from the crank"
+        sentences.append(f"{text}.")
+    return sentences
+
+
+def _how_sure(findings: dict[str, Any]) -> list[str]:
+    sentences = ["Numbers in brackets are 95 % intervals."]
+    fraction = findings.get("unexplained_energy_fraction")
+    if is_number(fraction):
+        share = number_text(100 * float(fraction), digits=2)  # type: ignore[arg-type]  # is_number has looked
+        sentences.append(f"{share} % of the vibration energy is not explained by any line that was found.")
+    count = Counter(str(flag.get("severity", "info")) for flag in findings.get("quality", []))
+    if count["bad"]:
+        sentences.append(f"{_remarks(count['bad'])} bad: those data took no part in the averages.")
+    if count["suspect"]:
+        sentences.append(f"{_remarks(count['suspect'])} suspect: read them before relying on the numbers.")
+    if not count["bad"] and not count["suspect"]:
+        sentences.append("No recording was found faulty or suspect.")
+    return sentences
+
+
+def _remarks(number: int) -> str:
+    return "1 quality remark is" if number == 1 else f"{number} quality remarks are"
+
+
+def avoid_sentences(findings: dict[str, Any]) -> list[str]:
+    """Speeds to avoid: one sentence per group of excited crossings of ``findings`` inside the tested range."""
+    wanted = [
+        record
+        for record in findings.get("crossings", [])
+        if record.get("excited") and record.get("in_range") and is_number(record.get("rpm"))
+    ]
+    wanted.sort(key=lambda record: float(record["rpm"]))
+    groups: list[list[dict[str, Any]]] = []
+    for record in wanted:
+        if groups and float(record["rpm"]) - float(groups[-1][0]["rpm"]) <= _TOGETHER_RPM:
+            groups[-1].append(record)
+        else:
+            groups.append([record])
+    sentences = []
+    for group in sorted(groups, key=lambda group: (-len(group), float(group[0]["rpm"]))):
+        rpm = sum(float(record["rpm"]) for record in group) / len(group)
+        unique = dict.fromkeys((float(record["order"]), float(record["mode_hz"])) for record in group)
+        pairs = [f"order {order_text(order)} excites the {frequency_text(mode_hz)} Hz natural frequency" for order, mode_hz in unique]
+        sentences.append(f"Avoid steady running near {rpm:.0f} rpm, where {listed(pairs)}.")
+    return sentences
+
+
+def _what_to_do(findings: dict[str, Any]) -> list[str]:
+    avoid = avoid_sentences(findings)
+    sentences = avoid[:_MANY]
+    if len(avoid) > _MANY:
+        sentences.append(f"{len(avoid) - _MANY} more speeds to avoid are in the table of crossings.")
+    if bearing_sentences(findings):
+        sentences.append(RE_RUN_RULE)
+    if any(flag.get("severity") == "bad" for flag in findings.get("quality", [])):
+        sentences.append("Repeat the recordings that are marked bad.")
+    return sentences or ["Nothing in this test asks for action."]

@@ -1,0 +1,120 @@
+"""The look of the pictures: colours, type, margins, and text that stays text."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.font_manager import get_font
+from matplotlib.text import Text
+
+from crankorder.errors import printable
+
+INK = "#1f2933"
+FAINT = "#7b8794"
+GRID = "#e4e7eb"
+MODE = "#00718f"
+MODE_ON_MAP = "#7fe3ff"
+MAINS = "#a03c78"
+MAINS_ON_MAP = "#ff9ad5"
+MAP = "inferno"
+BAND_FACTOR = 1.959964  # half a 95 % interval in standard errors of a normal estimate
+LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.4)), (0, (1, 1.2)))
+SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
+
+_FONT = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"  # ships with matplotlib: same bytes anywhere
+_LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
+_HOUSE: dict[str, Any] = {
+    "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
+    "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID, "grid.linewidth": 0.6,
+    "text.color": INK, "text.parse_math": False, "text.usetex": False, "xtick.color": FAINT, "ytick.color": FAINT,
+    "xtick.labelcolor": INK, "ytick.labelcolor": INK, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
+    "lines.linewidth": 1.3, "figure.facecolor": "white", "axes.facecolor": "white", "savefig.facecolor": "white",
+    "axes.unicode_minus": True, "axes.formatter.use_mathtext": False, "path.simplify": True,
+}  # fmt: skip
+_NOT_LOOK = ("backend", "interactive", "toolbar", "timezone", "tk.", "webagg.", "keymap.", "docstring.", "_internal")
+
+
+@cache
+def _look() -> dict[str, Any]:
+    """Every rc setting that shapes a picture: matplotlib's defaults (not the user's file) with the house's on top."""
+    defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_NOT_LOOK)}
+    return defaults | _HOUSE
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The house's settings for the time of a ``with`` block, whatever the user's matplotlibrc says; one thread at a time."""
+    with _LOCK, matplotlib.rc_context(_look()):
+        yield
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Empty figure on the Agg canvas, ``width_in`` by ``height_in`` inches."""
+    figure = Figure(figsize=(width_in, height_in))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axes_at(figure: Figure, left_in: float, bottom_in: float, width_in: float, height_in: float) -> Axes:
+    """Axes at a place given in inches: ``left_in``, ``bottom_in``, ``width_in``, ``height_in`` on ``figure``."""
+    width, height = figure.get_size_inches()
+    return figure.add_axes((left_in / width, bottom_in / height, width_in / width, height_in / height))
+
+
+def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> Text:
+    """``text``, taken literally, at (``x_in``, ``y_in``) inches on ``figure``; ``look`` are matplotlib text properties."""
+    width, height = figure.get_size_inches()
+    return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
+
+
+def drawable(value: object, limit: int) -> str:
+    """Text from a file as a picture can show it: ``value`` escaped and cut at ``limit``, unknown glyphs as ``\\uNNNN``."""
+    known = _glyphs()
+    text = "".join(char if ord(char) in known else f"\\u{ord(char):04x}" for char in printable(value, limit))
+    return printable(text, limit)
+
+
+@cache
+def _glyphs() -> frozenset[int]:
+    return frozenset(get_font(str(_FONT)).get_charmap())
+
+
+@cache
+def text_width_in(text: str, size: float) -> float:
+    """Width in inches of ``text`` in the house's font at ``size`` points."""
+    font = get_font(str(_FONT))
+    font.set_size(size, 72)
+    font.set_text(text, 0.0)
+    return float(font.get_width_height()[0]) / 64 / 72
+
+
+def quiet_frame(axes: Axes) -> None:
+    """Leave ``axes`` only its left and bottom edges and a faint grid."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True)
+    axes.tick_params(length=3)
+
+
+def line_look(number: int) -> dict[str, Any]:
+    """Colour and dash of the ``number``-th line (0…): colour first, then dashes, so that 30 lines differ."""
+    return {"color": LINES[number % len(LINES)], "linestyle": DASHES[number // len(LINES) % len(DASHES)]}
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def decade_text(value: float, _position: int | None = None) -> str:
+    """Tick text of a power of ten: plain from 0.001 to 1000, else as 10⁻⁵; ``value`` > 0, ``_position`` is not used."""
+    exponent = round(float(np.log10(value)))
+    return f"{value:g}" if -3 <= exponent <= 3 else "10" + str(exponent).translate(_RAISED)

@@ -1,0 +1,197 @@
+"""The stages in flow order: the whole program on one screen. What a stage takes and gives is its signature.
+
+``analyse_recording`` runs the stages of one file, ``analyse_test`` those that join a test's files; the plan of each is
+worked out from the signatures by sciline. Every stage checks its inputs at the door (schema, metadata only) and signs
+what it gives with a line of history.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NewType, TypeVar, get_type_hints
+
+import numpy as np
+import sciline
+import xarray as xr
+from sciline.scheduler import NaiveScheduler
+
+from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.map import campbell_map
+from crankorder.fft.band import band_limited
+from crankorder.identify.explain import Sources
+from crankorder.identify.findings import find
+from crankorder.ingest.manifest import Manifest
+from crankorder.ingest.recording import read_recording
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
+from crankorder.orders.tracks import order_tracks
+from crankorder.quantities import (
+    BandRecording,
+    CampbellMap,
+    Findings,
+    FrequencyFrames,
+    OrderFrames,
+    OrderMap,
+    OrderTracks,
+    Recording,
+    ShaftAngle,
+    check_dataset,
+)
+from crankorder.settings import Settings
+from crankorder.shaft.decode import shaft_angle
+
+RecordingFile = NewType("RecordingFile", Path)
+TestName = NewType("TestName", str)
+AllOrderFrames = NewType("AllOrderFrames", list[xr.Dataset])
+AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
+
+SCHEMAS: dict[Any, str] = {
+    Recording: "recording",
+    BandRecording: "recording",
+    ShaftAngle: "shaft_angle",
+    OrderFrames: "order_frames",
+    FrequencyFrames: "frequency_frames",
+    OrderMap: "order_map",
+    CampbellMap: "campbell_map",
+    OrderTracks: "order_tracks",
+}
+
+Stage = TypeVar("Stage", bound=Callable[..., Any])
+
+
+def stage(function: Stage) -> Stage:
+    """``function`` with its datasets checked against their schemas at the door and its result signed."""
+    hints = get_type_hints(function)
+    schemas = {name: SCHEMAS[kind] for name, kind in hints.items() if kind in SCHEMAS}
+
+    @functools.wraps(function)
+    def checked(**inputs: Any) -> Any:
+        for name, dataset in inputs.items():
+            if name in schemas:
+                check_dataset(dataset, schemas[name])
+        result = function(**inputs)
+        if "return" in schemas:
+            check_dataset(result, schemas["return"])
+            history = [result.attrs.get("history", ""), f"{function.__name__}: {(function.__doc__ or '').rstrip('.')}"]
+            result.attrs["history"] = "\n".join(line for line in history if line)
+        return result
+
+    return checked  # type: ignore[return-value]
+
+
+@stage
+def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recording:
+    """Read the file, convert units, find the pulses."""
+    return Recording(read_recording(file, manifest, settings=settings.ingest, shaft=settings.shaft))
+
+
+@stage
+def shaft(recording: Recording, settings: Settings) -> ShaftAngle:
+    """Turn pulses into crank angle and speed."""
+    return ShaftAngle(shaft_angle(recording, settings=settings.shaft))
+
+
+@stage
+def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRecording:
+    """Limit the recording to the band that the orders and the map need."""
+    fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
+    needed = max(settings.campbell.max_frequency_hz, settings.orders.max_order * fastest_hz)
+    return BandRecording(band_limited(recording, band_hz=needed))
+
+
+@stage
+def frames_by_order(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> OrderFrames:
+    """Resample by crank angle, transform whole cycles."""
+    return OrderFrames(order_frames(band, shaft, settings=settings.orders))
+
+
+@stage
+def frames_by_frequency(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FrequencyFrames:
+    """Transform pieces by time."""
+    return FrequencyFrames(frequency_frames(band, shaft, settings=settings.campbell))
+
+
+@stage
+def map_by_order(frames: AllOrderFrames, settings: Settings) -> OrderMap:
+    """Average the order frames of all recordings at like speed."""
+    return OrderMap(order_map(frames, settings=settings.orders))
+
+
+@stage
+def map_by_frequency(frames: AllFrequencyFrames, settings: Settings) -> CampbellMap:
+    """Average the frequency frames of all recordings at like speed."""
+    return CampbellMap(campbell_map(frames, speed_bin_rpm=settings.orders.speed_bin_rpm))
+
+
+@stage
+def findings(
+    order_map: OrderMap, campbell: CampbellMap, test: TestName, sources: Sources, settings: Settings
+) -> Findings:
+    """Name orders, natural frequencies, bearings and crossings."""
+    return Findings(find(order_map, campbell, test=test, sources=sources, settings=settings))
+
+
+@stage
+def tracks(order_map: OrderMap, findings: Findings, settings: Settings) -> OrderTracks:
+    """Follow the found and the asked-for orders over speed."""
+    resolution = 1.0 / float(order_map.attrs["revs_per_frame"])
+    found = {round(round(record["order"] / resolution) * resolution, 6) for record in findings["orders"]}
+    asked = {float(order) for order in settings.orders.track_orders}
+    return OrderTracks(order_tracks(order_map, sorted(found | asked), settings=settings.orders))
+
+
+OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency)
+OF_TEST = (map_by_order, map_by_frequency, findings, tracks)
+
+
+@dataclass(frozen=True)
+class RecordingResult:
+    """What one recording gives to its test."""
+
+    shaft: ShaftAngle
+    order_frames: OrderFrames
+    frequency_frames: FrequencyFrames
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """What a test gives to its report."""
+
+    __test__ = False
+
+    order_map: OrderMap
+    campbell_map: CampbellMap
+    order_tracks: OrderTracks
+    findings: Findings
+
+
+def analyse_recording(file: Path, manifest: Manifest, settings: Settings) -> RecordingResult:
+    """Shaft angle and frames of the recording in ``file`` as ``manifest`` describes it, with ``settings``.
+
+    Raises InputError, naming the file, where the recording cannot be used.
+    """
+    plan = sciline.Pipeline(OF_RECORDING, params={RecordingFile: file, Manifest: manifest, Settings: settings})
+    made = plan.compute((ShaftAngle, OrderFrames, FrequencyFrames), scheduler=NaiveScheduler())
+    return RecordingResult(made[ShaftAngle], made[OrderFrames], made[FrequencyFrames])
+
+
+def analyse_test(
+    recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings
+) -> TestResult:
+    """Maps, findings and tracks of the test named ``test`` from the results of its ``recordings``.
+
+    ``sources`` says what the machine is made of; ``settings`` are those of all stages.
+    """
+    given = {
+        AllOrderFrames: [item.order_frames for item in recordings],
+        AllFrequencyFrames: [item.frequency_frames for item in recordings],
+        TestName: test,
+        Sources: sources,
+        Settings: settings,
+    }
+    plan = sciline.Pipeline(OF_TEST, params=given)
+    made = plan.compute((OrderMap, CampbellMap, OrderTracks, Findings), scheduler=NaiveScheduler())
+    return TestResult(made[OrderMap], made[CampbellMap], made[OrderTracks], made[Findings])

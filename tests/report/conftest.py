@@ -1,0 +1,294 @@
+"""Synthetic maps, tracks and findings to draw: what a report must show is put in here, so that the tests know it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.quantities import check_dataset
+from crankorder.settings import ReportSettings, load_settings
+
+ORDERS = (1.0, 2.0, 3.0, 4.0, 5.5, 8.0, 10.0)
+MODES_HZ = (60.0, 115.0, 172.0, 187.0, 230.0, 350.0, 457.0, 470.0)
+STRENGTH = {1.0: 0.10, 2.0: 0.22, 3.0: 0.05, 4.0: 0.06, 5.5: 0.08, 8.0: 0.03, 10.0: 0.02}
+DAMPING = 0.012
+
+
+@dataclass(frozen=True)
+class DrawnTest:
+    """One test as the report gets it."""
+
+    campbell: xr.Dataset
+    order_map: xr.Dataset
+    tracks: xr.Dataset
+    findings: dict[str, Any]
+
+
+def _response(frequency_hz: np.ndarray) -> np.ndarray:
+    """Magnitude of a sum of lightly damped modes, about 1 between them."""
+    total = np.full(frequency_hz.shape, 0.3)
+    for number, mode_hz in enumerate(MODES_HZ):
+        ratio = frequency_hz / mode_hz
+        peak = 1 / np.sqrt((1 - ratio**2) ** 2 + (2 * DAMPING * ratio) ** 2)
+        total = total + (0.25 + 0.05 * number) * ratio**2 * peak * np.exp(-np.abs(np.log(ratio + 1e-9)) * 4)
+    return np.asarray(total)
+
+
+def _line(order: float, speeds: np.ndarray, gain: float) -> np.ndarray:
+    """Peak amplitude of one order over speed: a square law for all but 5.5, which keeps its size."""
+    frequency = order * speeds / 60
+    law = np.ones_like(speeds) if order == 5.5 else (speeds / 2000) ** 2
+    late = np.where(speeds > 1500, 1.0, 0.02) if order in (3.0, 4.0, 8.0, 10.0) else 1.0
+    return np.asarray(gain * STRENGTH.get(order, 0.02 / order) * law * late * _response(frequency))
+
+
+def _coords(channels: tuple[str, ...], unit: str, quantity: str) -> dict[str, Any]:
+    return {
+        "channel": ("channel", list(channels), {"units": "1", "long_name": "channel"}),
+        "unit": ("channel", [unit] * len(channels), {"units": "1"}),
+        "quantity": ("channel", [quantity] * len(channels), {"units": "1"}),
+    }
+
+
+def _campbell(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...], gains: np.ndarray) -> xr.Dataset:
+    frequency = np.arange(0, 500.25, 0.5)
+    rng = np.random.default_rng(2)
+    shape = (len(gains), len(speeds), len(frequency))
+    floor = 4e-4 * _response(frequency) * (0.4 + speeds[:, None] / 2000)
+    power = gains[:, None, None] ** 2 * floor**2 * rng.gamma(8, 1 / 8, shape)
+    for order in orders:
+        line = _line(order, speeds, 1.0)
+        lobe = np.sinc((frequency[None, :] - order * speeds[:, None] / 60) / 0.9) ** 4
+        lobe[np.abs(frequency[None, :] - order * speeds[:, None] / 60) > 0.9] = 0
+        power = power + gains[:, None, None] ** 2 * (line[:, None] * np.sqrt(lobe)) ** 2
+    dims = ("channel", "speed", "frequency")
+    return xr.Dataset(
+        {
+            "amplitude": (dims, np.sqrt(power), {"units": "see unit", "long_name": "peak amplitude of a tone"}),
+            "psd": (dims, power / 1.5, {"units": "see unit, squared per Hz", "long_name": "power spectral density"}),
+            "n_frames": ("speed", np.full(len(speeds), 14), {"units": "1"}),
+        },
+        coords | {"speed": ("speed", speeds, {"units": "min-1"}), "frequency": ("frequency", frequency, {"units": "Hz"})},
+        {"window": "hann", "enbw_hz": 0.75, "resolution_hz": 0.5, "amplitude_scaling": "peak"},
+    )
+
+
+def _tracks(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...], gains: np.ndarray) -> xr.Dataset:
+    rng = np.random.default_rng(3)
+    amplitude = gains[:, None, None] * np.stack([_line(order, speeds, 1.0) for order in orders])
+    error = gains[:, None, None] * (4e-4 + 0.01 * np.stack([_line(order, speeds, 1.0) for order in orders]))
+    phase = np.degrees(np.cumsum(rng.normal(0, 0.25, amplitude.shape), axis=-1)) - 60 * np.array(orders)[:, None]
+    phase = (phase + 180) % 360 - 180
+    phase = np.where(amplitude > 3 * error, phase, np.nan)
+    dims = ("channel", "order", "speed")
+    return xr.Dataset(
+        {
+            "amplitude": (dims, np.abs(amplitude + error * rng.normal(0, 1, amplitude.shape)), {"units": "see unit"}),
+            "phase": (dims, phase, {"units": "degree"}),
+            "standard_error": (dims, error, {"units": "see unit"}),
+            "band_rms": (dims, amplitude, {"units": "see unit"}),
+        },
+        coords | {"order": ("order", list(orders), {"units": "1"}), "speed": ("speed", speeds, {"units": "min-1"})},
+        {"band_width_orders": 0.5, "amplitude_scaling": "peak", "phase_reference": "tdc"},
+    )
+
+
+def _order_map(speeds: np.ndarray, coords: dict[str, Any], gains: np.ndarray) -> xr.Dataset:
+    order = np.arange(0, 20.03, 1 / 16)
+    shape = (len(gains), len(speeds), len(order))
+    values = gains[:, None, None] * np.random.default_rng(4).gamma(8, 1e-4, shape)
+    dims = ("channel", "speed", "order")
+    seen = {"units": "see unit"}
+    return xr.Dataset(
+        {
+            "amplitude": (dims, values, seen),
+            "phase": (dims, np.zeros(shape), {"units": "degree"}),
+            "coherent_amplitude": (dims, values / 3, seen),
+            "standard_error": (dims, values / 10, seen),
+            "n_frames": ("speed", np.full(len(speeds), 14), {"units": "1"}),
+        },
+        coords | {"speed": ("speed", speeds, {"units": "min-1"}), "order": ("order", order, {"units": "1"})},
+        {
+            "window": "hann",
+            "enbw_bins": 1.5,
+            "revs_per_frame": 16,
+            "amplitude_scaling": "peak",
+            "phase_reference": "tdc",
+            "overlap": 0.5,
+            "cycle_known": 1,
+        },
+    )
+
+
+def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
+    records = []
+    for channel in tracks.channel.values.tolist():
+        for order in tracks.order.values.tolist():
+            track = tracks.sel(channel=channel, order=order)
+            peak = int(np.argmax(track.amplitude.values))
+            value, error = float(track.amplitude[peak]), float(track.standard_error[peak])
+            exponent = 0.0 if order == 5.5 else 2.0
+            records.append(
+                {
+                    "channel": channel,
+                    "order": order,
+                    "order_ci95": [order - 0.003, order + 0.003],
+                    "amplitude": value,
+                    "amplitude_ci95": [value - 1.96 * error, value + 1.96 * error],
+                    "phase_deg": -42.0,
+                    "phase_deg_ci95": [-44.0, -40.0],
+                    "unit": unit,
+                    "speed_rpm_at_max": float(track.speed[peak]),
+                    "speed_exponent": exponent,
+                    "speed_exponent_ci95": [exponent - 0.2, exponent + 0.2],
+                    "speed_range_rpm": [float(track.speed[0]), float(track.speed[-1])],
+                    "explained_by": "bearing jack shaft N*fs" if order == 5.5 else "engine order",
+                }
+            )
+    return records
+
+
+def _mode_records(channels: tuple[str, ...]) -> list[dict[str, Any]]:
+    modes = [
+        {
+            "frequency_hz": mode_hz,
+            "frequency_hz_ci95": [mode_hz - 0.3, mode_hz + 0.3],
+            "damping_ratio": DAMPING,
+            "damping_ratio_ci95": [DAMPING - 0.003, DAMPING + 0.003],
+            "channels": list(channels),
+            "evidence": "stands 9.1 dB above the broadband floor at every speed",
+            "explained_by": "mode",
+        }
+        for mode_hz in MODES_HZ
+    ]
+    mains = {**modes[0], "frequency_hz": 300.0, "frequency_hz_ci95": [299.9, 300.1], "damping_ratio": None}
+    return [*modes, {**mains, "damping_ratio_ci95": None, "explained_by": "mains", "evidence": "5 x 60 Hz, a pure tone"}]
+
+
+def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity: str, name: str) -> dict[str, Any]:
+    speeds = tracks.speed.values
+    crossings = [
+        {
+            "order": order,
+            "mode_hz": mode_hz,
+            "rpm": 60 * mode_hz / order,
+            "in_range": bool(speeds[0] - 25 <= 60 * mode_hz / order <= speeds[-1] + 25),
+            "excited": (order, mode_hz) in {(4.0, 115.0), (8.0, 230.0), (2.0, 60.0), (5.5, 172.0), (10.0, 187.0)},
+        }
+        for order in tracks.order.values.tolist()
+        for mode_hz in MODES_HZ
+    ]
+    bearing = {
+        "name": "jack shaft",
+        "line": "N*fs",
+        "order": 5.5,
+        "order_ci95": [5.498, 5.502],
+        "order_expected": 5.5,
+        "amplitude": 0.12,
+        "amplitude_ci95": [0.11, 0.13],
+        "channel": channels[-1],
+        "unit": unit,
+        "verdict": "present, the same at all speeds",
+    }
+    return {
+        "schema_version": 1,
+        "test": name,
+        "channels": [{"name": channel, "unit": unit, "quantity": quantity} for channel in channels],
+        "orders": _order_records(tracks, unit),
+        "modes": _mode_records(channels),
+        "crossings": crossings,
+        "bearings": [bearing] if 5.5 in tracks.order.values else [],
+        "lines": [
+            {"channel": channels[0], "frequency_hz": 300.0, "explained_by": "mains", "amplitude": 0.01, "unit": unit},
+            {"channel": channels[0], "order": 2.0, "explained_by": "engine order", "amplitude": 0.8, "unit": unit},
+        ],
+        "unexplained_energy_fraction": 0.031,
+        "balance": {
+            "residual_reciprocating_g": 116.0,
+            "residual_reciprocating_g_ci95": [110.0, 122.0],
+            "residual_rotating_gmm": 420.0,
+            "residual_rotating_gmm_ci95": [210.0, 630.0],
+            "angle_deg": 12.0,
+            "angle_deg_ci95": [-20.0, 44.0],
+        },
+        "quality": [
+            {"recording": "rpm_0450.h5", "flag": "clipped", "severity": "suspect", "detail": "0.4 % of channel X"},
+            {"recording": "rpm_0900.h5", "flag": "encoder_missing_pulse", "severity": "info", "detail": "1 repaired"},
+        ],
+    }
+
+
+def drawn_test(
+    speeds: np.ndarray,
+    *,
+    channels: tuple[str, ...] = ("X", "Y", "Z"),
+    orders: tuple[float, ...] = ORDERS,
+    unit: str = "m/s2",
+    quantity: str = "acceleration",
+    name: str = "second configuration, motoring",
+    gains: tuple[float, ...] = (0.25, 0.5, 1.0),
+) -> DrawnTest:
+    """A test with the given lines and the modes above; gains scale the channels (0 makes an all-zero one)."""
+    speeds = np.asarray(speeds, dtype=float)
+    gain = np.resize(np.array(gains), len(channels))
+    coords = _coords(channels, unit, quantity)
+    tracks = _tracks(speeds, coords, orders, gain)
+    drawn = DrawnTest(
+        _campbell(speeds, coords, orders, gain),
+        _order_map(speeds, coords, gain),
+        tracks,
+        _findings(tracks, channels, unit, quantity, name),
+    )
+    for dataset, noun in ((drawn.campbell, "campbell_map"), (drawn.order_map, "order_map"), (tracks, "order_tracks")):
+        check_dataset(dataset, noun)
+    return drawn
+
+
+HOSTILE = "Ba$$in <script>alert(1)</script>"
+
+
+def hard_tests() -> dict[str, DrawnTest]:
+    """The awkward ones, by name."""
+    rng = np.random.default_rng(7)
+    run_up = np.sort(np.concatenate([rng.uniform(900, 2600, 110), rng.uniform(4000, 4900, 40)]))
+    steps = np.arange(300.0, 2001.0, 50.0)
+    thirty = tuple(float(order) for order in np.arange(0.5, 15.1, 0.5))
+    return {
+        "one speed": drawn_test(np.array([1800.0]), orders=(1.0, 2.0, 5.5)),
+        "two speeds": drawn_test(np.array([600.0, 1800.0]), orders=(1.0, 2.0, 4.0)),
+        "run-up": drawn_test(run_up, orders=(2.0, 4.0, 10.0, 15.0), unit="Pa", quantity="sound_pressure", channels=("mic",)),
+        "hostile": drawn_test(steps, channels=(HOSTILE,), name="$\\frac{ </title><script>" + "x" * 10_000),
+        "all zero": drawn_test(steps[:5], gains=(0.0,)),
+        "thirty orders": drawn_test(steps, orders=thirty),
+        "eight channels": drawn_test(steps, channels=tuple(f"acc_{k}" for k in range(1, 9)), gains=(1.0, 0.3, 3.0)),
+        "counts": drawn_test(steps, channels=("raw",), unit="counts", quantity="other", orders=(1.0,)),
+    }
+
+
+@pytest.fixture(scope="session")
+def campaign() -> DrawnTest:
+    """The reference campaign: 35 steps, three accelerometers."""
+    return drawn_test(np.arange(300.0, 2001.0, 50.0))
+
+
+@pytest.fixture(scope="session")
+def hard() -> dict[str, DrawnTest]:
+    """The awkward tests, by name."""
+    return hard_tests()
+
+
+@pytest.fixture(scope="session")
+def settings() -> ReportSettings:
+    """The shipped settings of the report."""
+    return load_settings().report
+
+
+@pytest.fixture(scope="session")
+def make_test() -> Callable[..., DrawnTest]:
+    """Maker of a drawn test from speeds, channels, orders, unit and gains."""
+    return drawn_test
