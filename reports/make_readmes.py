@@ -46,7 +46,7 @@ SETTING = re.compile(r"^(?P<key>[a-z0-9_]+) = (?P<value>[^#]*?)\s*(?:#\s*(?P<rea
 
 
 def unit_of(key: str) -> str:
-    """Unit that the name of a setting states, such as ``"Hz"`` for the ``key`` ``"max_frequency_hz"``; "" for pure numbers."""
+    """Unit that the name ``key`` of a setting states, ``"Hz"`` for ``"max_frequency_hz"``; ``""`` for a pure number."""
     if "_per_" in key:
         return key.replace("_", " ")
     return next((unit for suffix, unit in UNITS if key.endswith(suffix)), "")

@@ -50,7 +50,8 @@ class ShaftSettings(StageSettings):
     double_pulse_ratio: Fraction
     lost_pulse_ratio: Annotated[float, Field(gt=1)]
     max_repaired_fraction: Annotated[float, Field(ge=0, lt=1)]
-    knots_per_rev: Count
+    kept_order: Positive
+    smoothing_margin: Annotated[float, Field(ge=1)]
     speed_lowpass_rev: Positive
 
 

@@ -99,7 +99,7 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
     """Limit the recording to the band that the orders and the map need."""
     fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
     needed = max(settings.campbell.max_frequency_hz, settings.orders.max_order * fastest_hz)
-    return BandRecording(band_limited(recording, band_hz=needed))
+    return BandRecording(band_limited(recording, band_hz=needed, grid_hz=settings.campbell.resolution_hz))
 
 
 @stage

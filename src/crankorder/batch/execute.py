@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
@@ -67,6 +68,7 @@ def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: 
         key = text_sha256(json_bytes(provenance).decode(), code_sha256(), str(strict))
         if not fresh and not plan.faults and finished_with(plan.out, key):
             outcome.status = "unchanged"
+            outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
         results = _analyse(plan, hashes, jobs, outcome, progress)
         clock.lap("recordings")
@@ -105,7 +107,7 @@ def _finish(
     }
     files = test_files(groups, findings, provenance, settings=plan.settings.report)
     clock.lap("report")
-    publish(plan.out, files, key=key)
+    publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
     clock.lap("publish")
     write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
     outcome.findings = findings

@@ -26,7 +26,7 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     if math.isnan(rate):
         signals, rate = signals[:, :0], 2.0 * settings.max_frequency_hz
     n_fft = round(rate / settings.resolution_hz)
-    window = hann(min(n_fft, max(1, signals.shape[1])))
+    window = hann(min(n_fft, max(2, signals.shape[1])))
     hop = max(1, round(len(window.values) * (1.0 - settings.overlap)))
     starts = frame_starts(signals.shape[1], len(window.values), hop)
     resolution = rate / n_fft

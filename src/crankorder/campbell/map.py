@@ -45,7 +45,7 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     result["n_frames"] = (("speed",), counts, {"units": "1", "long_name": "frames averaged"})
     result.attrs = {
         "window": first.attrs["window"],
-        "enbw_hz": float(enbw_hz.max()),
+        "enbw_hz": max(item.attrs["enbw_bins"] * item.attrs["resolution_hz"] for item in frames),
         "resolution_hz": first.attrs["resolution_hz"],
         "amplitude_scaling": "peak",
         "speed_bin_rpm": speed_bin_rpm,

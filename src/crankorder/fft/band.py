@@ -8,11 +8,11 @@ import xarray as xr
 from crankorder.fft.decimation import decimate, decimation_factor
 
 
-def band_limited(recording: xr.Dataset, *, band_hz: float) -> xr.Dataset:
+def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float) -> xr.Dataset:
     """BandRecording: the signals of ``recording`` without their mean, low-passed to ``band_hz`` and decimated.
 
-    A recording by crank angle has no rate to reduce: it only loses its mean. Encoder data are left out, for the shaft
-    angle has been made from them.
+    The new rate is a multiple of ``grid_hz`` where that costs little. A recording by crank angle has no rate to
+    reduce: it only loses its mean. Encoder data are left out, for the shaft angle has been made from them.
     """
     by_time = recording.attrs["domain"] == "time"
     signals = recording["signal"].values
@@ -20,9 +20,8 @@ def band_limited(recording: xr.Dataset, *, band_hz: float) -> xr.Dataset:
     attrs = dict(recording.attrs)
     if by_time:
         rate = float(attrs["rate_hz"])
-        signals, rate, start = decimate(
-            signals, rate_hz=rate, band_hz=band_hz, factor=decimation_factor(rate, band_hz)
-        )
+        factor = decimation_factor(rate, band_hz, grid_hz=grid_hz)
+        signals, rate, start = decimate(signals, rate_hz=rate, band_hz=band_hz, factor=factor)
         attrs |= {"rate_hz": rate, "start_s": float(attrs.get("start_s", 0.0)) + start}
     else:
         signals = signals.astype(np.float64)

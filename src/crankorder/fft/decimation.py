@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 RIPPLE_DB = 120.0
 """Pass-band ripple and stop-band rejection of every stage: 1e-6, below the resolution of a 20-bit converter."""
 
+DESIGN_DB = RIPPLE_DB + 12.0
+"""Designed for more than is stated: passing a constant exactly moves the whole ripple to one side, and it grows at the edge."""
+
 LARGEST_STAGE = 8
 """A stage of more would need a longer filter than two smaller ones together."""
 
@@ -27,12 +30,22 @@ class DecimationStage:
     taps: NDArray[np.float64]
 
 
-def decimation_factor(rate_hz: float, band_hz: float) -> int:
-    """Largest factor that leaves 2.5 times ``band_hz`` of the sample rate ``rate_hz`` and splits into stages of at most 8."""
-    factor = max(1, int(rate_hz / (2.0 * SPARE_BAND * band_hz)))
-    while _stage_factors(factor) is None:
-        factor -= 1
-    return factor
+ON_GRID_SHARE = 0.7
+"""A factor so much below the largest is taken where it makes the rate a multiple of the frequency resolution."""
+
+
+def decimation_factor(rate_hz: float, band_hz: float, *, grid_hz: float | None = None) -> int:
+    """Largest factor that leaves 2.5 times ``band_hz`` of the sample rate ``rate_hz`` and splits into stages of at most 8.
+
+    A factor down to 0.7 of it is preferred where the rate left is then a multiple of ``grid_hz``, so that the bins of
+    a transform fall on that grid.
+    """
+    most = max(1, int(rate_hz / (2.0 * SPARE_BAND * band_hz)))
+    possible = [factor for factor in range(most, 0, -1) if _stage_factors(factor) is not None]
+    if grid_hz is None:
+        return possible[0]
+    steps = {factor: rate_hz / factor / grid_hz for factor in possible if factor >= ON_GRID_SHARE * most}
+    return next((f for f, n in steps.items() if abs(n - round(n)) < 1e-6), possible[0])
 
 
 def _stage_factors(factor: int) -> list[int] | None:
@@ -58,8 +71,8 @@ def decimation_stages(rate_hz: float, band_hz: float, factor: int) -> tuple[Deci
         low_rate = rate_hz / divisor
         stop_hz = low_rate - band_hz
         width = 2.0 * np.pi * (stop_hz - band_hz) / rate_hz
-        n_taps = int(np.ceil((RIPPLE_DB - 7.95) / (2.285 * width))) | 1
-        beta = 0.1102 * (RIPPLE_DB - 8.7)
+        n_taps = int(np.ceil((DESIGN_DB - 7.95) / (2.285 * width))) | 1
+        beta = 0.1102 * (DESIGN_DB - 8.7)
         k = np.arange(n_taps) - n_taps // 2
         cut = (band_hz + stop_hz) / rate_hz
         taps = cut * np.sinc(cut * k) * np.kaiser(n_taps, beta)

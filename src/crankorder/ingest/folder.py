@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import stat
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ _COMPANIONS = (MANIFEST_NAME, "truth.json", "manifest-sha256.txt")
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """Recordings of one folder in natural order, what is wrong with others that were asked for, and what was passed over."""
+    """Recordings of one folder in natural order, faults of others that were asked for, and what was passed over."""
 
     paths: list[Path]
     faults: list[CrankorderError]
@@ -95,7 +96,9 @@ def check_regular(path: Path, folder: Path | None = None) -> None:
         raise InputError(reason, file=path, found="" if _is_loop(error) else error) from None
     if not stat.S_ISREG(mode):
         raise InputError(
-            f"not a file but {_kind(mode)}", file=path, remedy="Only regular files are read; take it out of [recordings]"
+            f"not a file but {_kind(mode)}",
+            file=path,
+            remedy="Only regular files are read; take it out of [recordings]",
         )
 
 
@@ -104,10 +107,12 @@ def _is_loop(error: Exception) -> bool:
 
 
 def _kind(mode: int) -> str:
-    tests = {
-        "a folder": stat.S_ISDIR, "a named pipe": stat.S_ISFIFO, "a socket": stat.S_ISSOCK,
+    tests: dict[str, Callable[[int], bool]] = {
+        "a folder": stat.S_ISDIR,
+        "a named pipe": stat.S_ISFIFO,
+        "a socket": stat.S_ISSOCK,
         "a device": lambda value: stat.S_ISCHR(value) or stat.S_ISBLK(value),
-    }  # fmt: skip
+    }
     return next((name for name, test in tests.items() if test(mode)), "something else")
 
 

@@ -172,7 +172,12 @@ def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
         _refuse(path, "not HDF5 (HEAD .hdf is a format of its own)", "not supported. Export UFF58, WAV or HDF5")
     if b"\0" in head:
         raise InputError(
-            "content is not known (not HDF5, WAV, XLSX or text)", file=path, found=f"first bytes {head[:8].hex(' ')}", remedy=_EXPORT
+            "content is not known (not HDF5, WAV, XLSX or text)",
+            file=path,
+            found=f"first bytes {head[:8].hex(' ')}",
+            remedy=_EXPORT,
         )
     if suffix in _BINARY_SUFFIXES:
-        raise InputError(f"is text, though its name ends in {suffix}", file=path, remedy="Copy the recording again, or rename it")
+        raise InputError(
+            f"is text, though its name ends in {suffix}", file=path, remedy="Copy the recording again, or rename it"
+        )

@@ -52,7 +52,10 @@ def read_hdf5(path: Path, *, sources: Sequence[Source], settings: IngestSettings
         check_budget(n_bytes, path, max_bytes=settings.max_bytes)
         rates = {name: rate for name in names if (rate := _rate_of(used[columns[name].dataset], path)) is not None}
         values = _read_columns([columns[name] for name in names], used, path)
-        units = {source: _text_attr(used[columns[name].dataset], _UNIT_NAMES) for source, name in zip(sources, names, strict=True)}
+        units = {
+            source: _text_attr(used[columns[name].dataset], _UNIT_NAMES)
+            for source, name in zip(sources, names, strict=True)
+        }
         start = next((value for ds in used.values() if (value := _number_attr(ds, _START_NAMES)) is not None), None)
         return RawFile(
             columns=dict(zip(sources, values, strict=True)),
@@ -92,7 +95,10 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     except _H5PY_ERRORS as error:
         raise InputError(
-            "is a damaged HDF5 file", file=path, found=str(error).split("\n")[0], remedy="Copy it again from where it was recorded"
+            "is a damaged HDF5 file",
+            file=path,
+            found=str(error).split("\n")[0],
+            remedy="Copy it again from where it was recorded",
         ) from None
 
 
@@ -112,14 +118,16 @@ def _check_superblock(path: Path) -> None:
     marked_open = version >= 3 and block[11] & 0b101
     if marked_open:
         raise InputError(
-            "was not closed by its writer", file=path,
-            remedy="Copy it after the recording has ended, or clear the mark on a copy, at your own risk, with `h5clear --status`",
-        )  # fmt: skip
+            "was not closed by its writer",
+            file=path,
+            remedy="Copy it after the recording has ended, or, at your own risk, run `h5clear --status` on a copy",
+        )
     if wide and size < end < 2**62:
         raise InputError(
-            f"truncated: {size} of {end} bytes", file=path,
+            f"truncated: {size} of {end} bytes",
+            file=path,
             remedy="Copy it again; if the original is as short, its writer was stopped before closing it",
-        )  # fmt: skip
+        )
 
 
 def _columns_of(file: Any, path: Path, settings: IngestSettings) -> dict[str, _Column]:
@@ -143,9 +151,11 @@ def _columns_of(file: Any, path: Path, settings: IngestSettings) -> dict[str, _C
             link = group.get(key, getlink=True)
             if isinstance(link, h5py.ExternalLink):
                 raise UnsafeInputError(
-                    "links to another file, which is never followed", file=path, place=f"{group.name.rstrip('/')}/{key}",
+                    "links to another file, which is never followed",
+                    file=path,
+                    place=f"{group.name.rstrip('/')}/{key}",
                     remedy="Write the samples into the file itself",
-                )  # fmt: skip
+                )
             if isinstance(link, h5py.SoftLink):
                 continue
             item = group[key]
@@ -171,29 +181,45 @@ def _columns_in(dataset: Any, settings: IngestSettings) -> dict[str, _Column]:
 
 
 def _check_dataset(dataset: Any, path: Path) -> None:
-    """Refuse storage outside the file, virtual datasets, filters that need a plugin, and blocks that were never written."""
+    """Refuse storage outside the file, virtual datasets, filters that need a plugin, and unwritten blocks."""
     place, create = dataset.name, dataset.id.get_create_plist()
     if create.get_external_count():
         raise UnsafeInputError(
-            "keeps its samples in another file, which is never opened", file=path, place=place, remedy="Write them into the file itself"
+            "keeps its samples in another file, which is never opened",
+            file=path,
+            place=place,
+            remedy="Write them into the file itself",
         )
     if dataset.is_virtual:
         raise UnsafeInputError(
-            "is put together from other files, which are never opened", file=path, place=place, remedy="Write them into the file itself"
+            "is put together from other files, which are never opened",
+            file=path,
+            place=place,
+            remedy="Write them into the file itself",
         )
     for number in range(create.get_nfilters()):
         code = create.get_filter(number)[0]
         if code not in _FILTERS:
             raise InputError(
-                f"needs filter {code}, which is not built in", file=path, place=place, allowed=", ".join(_FILTERS.values()),
+                f"needs filter {code}, which is not built in",
+                file=path,
+                place=place,
+                allowed=", ".join(_FILTERS.values()),
                 remedy="Save the file again with gzip or without compression",
-            )  # fmt: skip
+            )
     if dataset.chunks and dataset.size:
-        expected = int(np.prod([-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True)], dtype=object))
+        expected = int(
+            np.prod(
+                [-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True)], dtype=object
+            )
+        )
         if expected > 10**9 or (written := dataset.id.get_num_chunks()) == expected:
             return
         raise InputError(
-            f"missing data: {written} of {expected} blocks were written", file=path, place=place, remedy="Export the recording again"
+            f"missing data: {written} of {expected} blocks were written",
+            file=path,
+            place=place,
+            remedy="Export the recording again",
         )
 
 
@@ -212,8 +238,11 @@ def _read_columns(columns: list[_Column], used: dict[str, Any], path: Path) -> l
         except _H5PY_ERRORS as error:
             raise InputError(
                 "damaged: the checksum or the compression of the samples is wrong",
-                file=path, place=dataset.name, found=str(error).split("\n")[0], remedy="Copy the file again",
-            ) from None  # fmt: skip
+                file=path,
+                place=dataset.name,
+                found=str(error).split("\n")[0],
+                remedy="Copy the file again",
+            ) from None
         _unpack(row, dataset)
         out.append(row)
     return out
@@ -283,6 +312,6 @@ def _text_attr(dataset: Any, names: Sequence[str]) -> str:
 
 def _attr(item: Any, name: str) -> Any:
     try:
-        return item.attrs[name] if name in item.attrs else None
+        return item.attrs.get(name)
     except _H5PY_ERRORS:
         return None

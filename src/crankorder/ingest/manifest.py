@@ -175,7 +175,7 @@ class Manifest(_Table):
 def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     """Manifest of the test-run folder ``folder``, read from its ``run.toml`` or from the file ``manifest``.
 
-    Raises ManyErrors listing every fault with key and line, or RequestError where there is no such file or its TOML is wrong.
+    Raises ManyErrors listing every fault with key and line, or RequestError where there is no file or no valid TOML.
     """
     path = folder / MANIFEST_NAME if manifest is None else manifest
     text = _text_of(path, folder)
@@ -191,15 +191,19 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     version = table.get("schema_version")
     if isinstance(version, int) and version > SCHEMA_VERSION:
         raise RequestError(
-            "written for a newer crankorder", file=path, place="schema_version", found=version, allowed=str(SCHEMA_VERSION),
+            "written for a newer crankorder",
+            file=path,
+            place="schema_version",
+            found=version,
+            allowed=str(SCHEMA_VERSION),
             remedy="Update crankorder",
-        )  # fmt: skip
+        )
     lines = key_lines(text)
     try:
         found = Manifest.model_validate(table)
     except ValidationError as error:
         raise ManyErrors([_fault(fault, path, lines) for fault in error.errors()]) from None
-    faults = [_located(fault, path, lines) for fault in _cross_faults(found)]
+    faults: list[CrankorderError] = [_located(fault, path, lines) for fault in _cross_faults(found)]
     if faults:
         raise ManyErrors(faults)
     return found
@@ -218,7 +222,9 @@ def _text_of(path: Path, folder: Path) -> str:
         problem = "there is no manifest" if folder.is_dir() else "there is no such folder"
         raise RequestError(problem, file=path, remedy=init) from None
     except UnicodeDecodeError as error:
-        raise RequestError("not UTF-8 text", file=path, place=f"byte {error.start}", remedy="Save it as UTF-8") from None
+        raise RequestError(
+            "not UTF-8 text", file=path, place=f"byte {error.start}", remedy="Save it as UTF-8"
+        ) from None
     except (OSError, ValueError) as error:
         if isinstance(error, CrankorderError):
             raise
@@ -272,7 +278,9 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     sampling = manifest.sampling
     if sampling.domain == "crank_angle" and sampling.samples_per_rev is None:
         faults.append(
-            RequestError("samples by crank angle need samples_per_rev", place="sampling.samples_per_rev", remedy="Add it")
+            RequestError(
+                "samples by crank angle need samples_per_rev", place="sampling.samples_per_rev", remedy="Add it"
+            )
         )
     seen: dict[str, int] = {}
     for number, channel in enumerate(manifest.channels):
@@ -336,7 +344,9 @@ def _encoder_faults(manifest: Manifest) -> list[RequestError]:
     for key, value in needs.items():
         if value is None:
             faults.append(
-                RequestError(f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it")
+                RequestError(
+                    f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
+                )
             )
     if encoder.pulses_per_rev is not None and encoder.missing_teeth >= encoder.pulses_per_rev:
         faults.append(
@@ -354,7 +364,7 @@ def _encoder_faults(manifest: Manifest) -> list[RequestError]:
                 place="encoder.kind",
                 found=encoder.kind,
                 allowed="none, constant",
-                remedy="Remove [encoder], or state domain = \"time\"",
+                remedy='Remove [encoder], or state domain = "time"',
             )
         )
     return faults

@@ -82,7 +82,7 @@ def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> 
         first = first or (name, rate_hz)
         if abs(rate_hz - first[1]) > tolerance * first[1]:
             raise InputError(
-                f"channels were sampled at different rates: {first[0]} at {first[1]:.12g} Hz, {name} at {rate_hz:.12g} Hz",
+                f"channels differ in rate: {first[0]} has {first[1]:.12g} Hz, {name} has {rate_hz:.12g} Hz",
                 file=path,
                 remedy="Export all channels at one rate",
             )

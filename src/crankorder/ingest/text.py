@@ -1,4 +1,4 @@
-"""Text tables: comma, semicolon, tab or blanks between the columns, decimal point or comma, comments and names above."""
+"""Text tables: comma, semicolon, tab or blanks between columns, decimal point or comma, comments and names above."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import numpy as np
 from crankorder.errors import InputError, printable
 from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named
 from crankorder.ingest.units import known_unit, unit_in_label
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import QualityFlag, Severity
 from crankorder.settings import IngestSettings
 
 _HEAD_BYTES = 65_536
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
+)
 _NAN_WORDS = ("nan", "NaN", "NAN", "Nan")
 _RATE = re.compile(
     r"\b(?:sample_?freq|sampling_frequency|sample_?rate|sampling_?rate|rate_hz|fs)(?:_hz)?[\"']?\s*[:=]\s*([0-9.eE+]{1,20})\s*(k?Hz)?",
@@ -39,7 +41,7 @@ class _Layout:
 def read_text(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the text table at ``path``.
 
-    ``settings`` give the byte limit. Raises InputError with line and cell for ragged lines and cells that are no number.
+    ``settings`` give the byte limit. Raises InputError with line and cell where lines are ragged or cells no number.
     """
     check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
     layout = _layout_of(path)
@@ -90,9 +92,11 @@ def _layout_of(path: Path) -> _Layout:
             return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
     shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
     raise InputError(
-        "no line of numbers in the first 64 kB: this is no table of samples", file=path, found=repr(printable(shown, 60)),
+        "no line of numbers in the first 64 kB: no table of samples",
+        file=path,
+        found=repr(printable(shown, 60)),
         remedy="Export the recording as columns of numbers",
-    )  # fmt: skip
+    )
 
 
 def _is_comment(line: str) -> bool:
@@ -107,15 +111,16 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _separation(line: str) -> tuple[str, bool] | None:
-    """Separator of a line that holds numbers only, and whether its decimals stand after a comma; None for other lines."""
+    """Separator of a line of numbers, and whether its decimals stand after a comma; None for other lines."""
     for separator in _SEPARATORS:
         fields = _fields(line, separator)
         if all(_NUMBER.fullmatch(field) for field in fields):
             return separator, False
-        if separator != "," and all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
-            # "1,2" alone is two columns by comma; with another separator in the line it is a decimal comma
-            if separator != " " or len(fields) > 1:
-                return separator, True
+        # "1,2" alone is two columns by comma; with another separator in the line it is a decimal comma
+        if separator == "," or len(fields) < 2:
+            continue
+        if all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
+            return separator, True
     return None
 
 
@@ -132,7 +137,9 @@ def _header(lines: list[str], separator: str, n_columns: int, path: Path) -> tup
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("two columns have the same name", file=path, place=f"line {len(lines)}", found=repr(twice))
-    stated = [unit_in_label(name) for name in names] if units_row is None else [cell.strip("[]()") for cell in units_row]
+    stated = (
+        [unit_in_label(name) for name in names] if units_row is None else [cell.strip("[]()") for cell in units_row]
+    )
     return names, {name: unit for name, unit in zip(names, stated, strict=True) if unit}
 
 
@@ -156,7 +163,7 @@ def _rate_in(comments: str) -> float | None:
 
 
 def _parsed(path: Path, layout: _Layout) -> FloatArray:
-    """The whole table (sample, column); an empty, missing or unreadable cell is an error, ``nan`` is a missing sample."""
+    """The whole table (sample, column); an empty or unreadable cell is an error, ``nan`` a missing sample."""
     import pandas as pd
 
     try:
@@ -173,7 +180,6 @@ def _parsed(path: Path, layout: _Layout) -> FloatArray:
             keep_default_na=False,
             na_values=list(_NAN_WORDS),
             skip_blank_lines=True,
-            float_precision="round_trip",
         )
     except (ValueError, OverflowError, pd.errors.ParserError) as error:
         _find_bad_cell(path, layout)
@@ -188,7 +194,7 @@ def _parsed(path: Path, layout: _Layout) -> FloatArray:
 
 
 def _find_bad_cell(path: Path, layout: _Layout) -> None:
-    """Raise InputError naming the first line and cell that is not as the first line of numbers; slow, for errors only."""
+    """Raise InputError naming the first line and cell that is not as the first line; slow, for errors only."""
     n_columns = len(layout.names)
     with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
         for number, line in enumerate(stream, start=1):
@@ -198,17 +204,22 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
             if len(fields) != n_columns:
                 last = "" if line.endswith("\n") else "; the file seems to be truncated"
                 raise InputError(
-                    f"{len(fields)} cells where the lines above have {n_columns}{last}", file=path, place=f"line {number}",
-                    found=repr(printable(line.strip(), 60)), remedy="Mend the line, or copy the file again",
-                )  # fmt: skip
+                    f"{len(fields)} cells where the lines above have {n_columns}{last}",
+                    file=path,
+                    place=f"line {number}",
+                    found=repr(printable(line.strip(), 60)),
+                    remedy="Mend the line, or copy the file again",
+                )
             for position, cell in enumerate(fields):
                 plain = cell.replace(",", ".", 1) if layout.decimal_comma else cell
                 if not _NUMBER.fullmatch(plain):
                     raise InputError(
-                        "not a number" if cell else "an empty cell", file=path,
+                        "not a number" if cell else "an empty cell",
+                        file=path,
                         place=f"line {number}, column {position} ({printable(layout.names[position], 40)})",
-                        found=repr(printable(cell, 40)), remedy="Mend the cell, or leave the recording out",
-                    )  # fmt: skip
+                        found=repr(printable(cell, 40)),
+                        remedy="Mend the cell, or leave the recording out",
+                    )
 
 
 def _flags(path: Path, layout: _Layout) -> list[QualityFlag]:
@@ -221,8 +232,6 @@ def _flags(path: Path, layout: _Layout) -> list[QualityFlag]:
     if lines[-1].strip():
         # a copy that was cut inside the last number still parses
         shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
-        severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
-        flags.append(
-            flag(path, "last_line_open", "suspect" if severity == "suspect" else "info", "the last line has no end: it may be truncated")
-        )
+        severity: Severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
+        flags.append(flag(path, "last_line_open", severity, "the last line has no end: it may be truncated"))
     return flags

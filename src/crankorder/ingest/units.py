@@ -39,7 +39,12 @@ class Sensitivity:
 
 # name, quantity, SI base units per unit, further spellings (after Unicode NFKC, which turns "²" into "2")
 _TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
-    ("m/s2", "acceleration", 1.0, ("m/s^2", "m/s**2", "m s-2", "m s^-2", "m*s-2", "m/s/s", "ms-2", "m/sec2", "m/sec^2")),
+    (
+        "m/s2",
+        "acceleration",
+        1.0,
+        ("m/s^2", "m/s**2", "m s-2", "m s^-2", "m*s-2", "m/s/s", "ms-2", "m/sec2", "m/sec^2"),
+    ),
     ("mm/s2", "acceleration", 1e-3, ("mm/s^2", "mm/s**2", "mm s-2")),
     ("g", "acceleration", STANDARD_GRAVITY_M_S2, ("gn", "g_n", "g0")),
     ("m/s", "velocity", 1.0, ("m s-1", "m s^-1", "m/sec")),
@@ -112,6 +117,11 @@ def unit_of(text: str) -> Unit:
     return unit
 
 
+def base_unit(unit: Unit) -> Unit:
+    """SI base unit of the quantity that ``unit`` measures, such as V for mV."""
+    return next(base for base in _UNITS.values() if base.quantity == unit.quantity and base.factor == 1.0)
+
+
 def conversion_factor(source: Unit, target: Unit) -> float:
     """Factor from values in ``source`` to values in ``target``.
 
@@ -155,7 +165,9 @@ def parse_sensitivity(text: str) -> Sensitivity:
     output, unit = unit_of(match[2]), unit_of(measured)
     if output.quantity not in ("voltage", "current", "counts", "full scale"):
         raise RequestError(
-            "the sensitivity does not start with an electrical unit", found=repr(text), allowed="V, mV, A, mA, counts, FS"
+            "the sensitivity does not start with an electrical unit",
+            found=repr(text),
+            allowed="V, mV, A, mA, counts, FS",
         )
     if not (value > 0 and math.isfinite(value)):
         raise RequestError(

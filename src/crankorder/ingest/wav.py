@@ -1,7 +1,7 @@
 """WAV files, with the calibration that an ``LEA`` chunk states.
 
-The chunks are walked here and not by a library: a truncated file must be told from a whole one, the chunk after the samples
-holds the calibration, and scipy's reader speaks of it through ``warnings``, which is not safe in threads.
+The chunks are walked here and not by a library: a truncated file must be told from a whole one, the chunk after the
+samples holds the calibration, and scipy's reader speaks of it through ``warnings``, which is not safe in threads.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class _Header:
 def read_wav(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Channels that ``sources`` ask for (number from 0, or calibration name) from the WAV file at ``path``.
 
-    Integer samples become fractions of full scale (-1 to 1), times the calibration where the file has one; ``settings`` give
-    the byte limit. Raises InputError for a truncated or damaged file.
+    Integer samples become fractions of full scale (-1 to 1), times the calibration where the file has one; ``settings``
+    give the byte limit. Raises InputError for a truncated or damaged file.
     """
     header = _header_of(path)
     numbers = [header.names.index(named(source, header.names, path)) for source in sources]
@@ -116,7 +116,9 @@ def _header_of(path: Path) -> _Header:
             if name == b"data":
                 data_start, data_bytes = position + 8, length
             elif position + 8 + length > size:
-                raise InputError(f"truncated: {size} of {position + 8 + length} bytes", file=path, remedy="Copy it again")
+                raise InputError(
+                    f"truncated: {size} of {position + 8 + length} bytes", file=path, remedy="Copy it again"
+                )
             elif name == b"fmt ":
                 layout = stream.read(min(length, 64))
             elif name == b"LEA ":
@@ -143,24 +145,37 @@ def _checked(
     allowed = {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}.get(code, ())
     if n_bits not in allowed:
         raise InputError(
-            "the sample format is not supported", file=path, found=f"format code {code} with {n_bits} bits",
-            allowed="8, 16, 24 or 32-bit integers, 32 or 64-bit floats", remedy="Export as 16-bit or float WAV",
-        )  # fmt: skip
+            "the sample format is not supported",
+            file=path,
+            found=f"format code {code} with {n_bits} bits",
+            allowed="8, 16, 24 or 32-bit integers, 32 or 64-bit floats",
+            remedy="Export as 16-bit or float WAV",
+        )
     if not (n_channels and rate_hz and frame_bytes == n_channels * n_bits // 8):
         raise InputError(
-            "the header contradicts itself", file=path,
+            "the header contradicts itself",
+            file=path,
             found=f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes",
-        )  # fmt: skip
+        )
     if present < _MIN_PRESENT * declared:
         raise InputError(
-            f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples", file=path, remedy="Copy it again"
+            f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples",
+            file=path,
+            remedy="Copy it again",
         )
     if calibrations and len(calibrations) != n_channels:
         raise InputError(
             f"the calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}", file=path
         )
     return _Header(
-        rate_hz, n_channels, n_bits, code == _FLOAT, data_start, declared // frame_bytes, present // frame_bytes, calibrations
+        rate_hz,
+        n_channels,
+        n_bits,
+        code == _FLOAT,
+        data_start,
+        declared // frame_bytes,
+        present // frame_bytes,
+        calibrations,
     )
 
 
@@ -183,10 +198,12 @@ def _calibrations(chunk: bytes, path: Path) -> tuple[_Calibration, ...]:
             scale = float(np.float64(full_scale) * np.float64(factor))
             if offset != 0.0 or not (np.isfinite(scale) and scale > 0):
                 raise InputError(
-                    "the calibration (LEA chunk) is not understood", file=path, place=f"channel {len(found)}",
+                    "the calibration (LEA chunk) is not understood",
+                    file=path,
+                    place=f"channel {len(found)}",
                     found=f"full scale {full_scale:g}, offset {offset:g}, factor {factor:g}",
                     remedy="Export the recording as float WAV, and state a sensitivity",
-                )  # fmt: skip
+                )
             found.append(_Calibration(name.decode("latin-1"), unit.decode("latin-1"), scale))
             position += 8 + length
     except struct.error:
@@ -219,5 +236,3 @@ def _flags(header: _Header, path: Path) -> list[QualityFlag]:
         return []
     detail = f"truncated: {header.n_present} of {header.n_declared} samples"
     return [flag(path, "missing_data", "suspect", detail)]
-
-

@@ -17,7 +17,7 @@ from crankorder.settings import IngestSettings
 
 
 def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
-    """Columns (float64) that ``sources`` ask for, by name or number from 0, from the first sheet of the workbook at ``path``.
+    """Columns (float64) that ``sources`` ask for, by name or number from 0, from the first sheet of ``path``.
 
     ``settings`` give the byte limit. Raises InputError naming row and cell for a cell that is no number, and
     EnvironmentFailure where the package openpyxl is missing.
@@ -78,7 +78,9 @@ def _first_sheet(path: Path, settings: IngestSettings) -> Iterator[Any]:
     except (CrankorderError, MemoryError):
         raise
     except Exception as error:  # openpyxl lets through whatever zip, XML and its own parsers raise
-        raise InputError("is a damaged XLSX workbook", file=path, found=error, remedy="Copy it again, or save it as text") from None
+        raise InputError(
+            "is a damaged XLSX workbook", file=path, found=error, remedy="Copy it again, or save it as text"
+        ) from None
 
 
 def _names(row: Sequence[object], path: Path) -> tuple[str, ...]:
@@ -86,7 +88,9 @@ def _names(row: Sequence[object], path: Path) -> tuple[str, ...]:
     while names and not names[-1]:
         names.pop()
     if not names:
-        raise InputError("the first row is empty", file=path, place="row 1", remedy="Put the names of the columns there")
+        raise InputError(
+            "the first row is empty", file=path, place="row 1", remedy="Put the names of the columns there"
+        )
     named_all = tuple(name or str(number) for number, name in enumerate(names))
     if len(set(named_all)) < len(named_all):
         twice = next(name for name in named_all if named_all.count(name) > 1)

@@ -33,19 +33,19 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     groups = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
     comparable = _comparable(used, order)
     parts = [_average(spectrum[:, group], owner[group], comparable) for group in groups]
-    energy, coherent, n_coherent = (np.stack(items, axis=1) for items in zip(*parts, strict=True))
+    energy, coherent = (np.stack([part[k] for part in parts], axis=1) for k in (0, 1))
+    n_coherent = np.stack([part[2] for part in parts])[None]
     factor = max(float(item.attrs["mean_variance_factor"]) for item in used)
     line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
     bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
-    floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=n_coherent[None, :, :])
+    floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=n_coherent)
     result = _dataset(used[0], order, np.array([np.mean(speed[group]) for group in groups]), settings)
     dims = ("channel", "speed", "order")
     _put(result, "amplitude", dims, np.sqrt(energy), "peak amplitude, energy average")
     _put(result, "coherent_amplitude", dims, np.abs(coherent), "peak amplitude, coherent average")
-    _put(result, "phase", dims, np.degrees(np.angle(coherent)), "phase from top dead centre", "degree")
-    result["phase"] = result["phase"].where(n_coherent[None, :, :] == 1)
+    phase = np.where(n_coherent == 1, np.degrees(np.angle(coherent)), np.nan)
+    _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
     _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
-    result["phase"].attrs |= {"units": "degree", "long_name": "phase from top dead centre"}
     count = np.array([len(group) for group in groups], dtype=np.int64)
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
     result.attrs["mean_variance_factor"] = factor

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from crankorder.settings import OrderSettings
 
+MAIN_LOBE_BINS = 4.0
+"""Width of the main lobe of a Hann window: what lies within it is the line's."""
+
 
 def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderSettings) -> xr.Dataset:
     """OrderTracks of ``orders`` (cycles per crank revolution) from the OrderMap ``order_map``.
@@ -23,7 +26,7 @@ def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderS
     outside = np.asarray(orders) > axis[-1] + 0.5 * resolution
     enbw = float(order_map.attrs["enbw_bins"])
     power = order_map["amplitude"].values ** 2
-    lobe = _band_sum(power, np.asarray(orders) / resolution, 2.0) / enbw
+    lobe = _band_sum(power, np.asarray(orders) / resolution, MAIN_LOBE_BINS) / enbw
     amplitude = np.where(on_bin, order_map["coherent_amplitude"].values[..., nearest], np.sqrt(lobe))
     phase = np.where(on_bin, order_map["phase"].values[..., nearest], np.nan)
     error = order_map["standard_error"].values[..., nearest]

@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from crankorder.report.labels import EdgeLabel, fitting, label_right, label_top
+from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
+from crankorder.report.labels import EdgeLabel, fitted, label_right, label_top
 from crankorder.report.notation import frequency_text, is_number, level_reference, order_text
 from crankorder.report.sentences import strongest_sentence
 from crankorder.report.style import (
-    FAINT,
     INK,
     LARGE,
     MAINS,
@@ -24,16 +24,21 @@ from crankorder.report.style import (
     MAP,
     MODE,
     MODE_ON_MAP,
+    NOTE,
+    NOT_MEASURED,
     SMALL,
     axes_at,
     drawable,
     house_style,
     new_figure,
+    quality_note,
+    shortened,
+    title_lines,
     write,
 )
 from crankorder.settings import ReportSettings
 
-_LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.98, 1.75, 1.22  # margins of the diagram in inches
+_LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
 _COMMON_SCALE_DB = 20.0  # channels of one unit share a colour scale unless one is so much weaker than the strongest
 
 
@@ -52,8 +57,7 @@ def campbell_figure(campbell: xr.Dataset, channel: str, findings: dict[str, Any]
         box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
         axes = axes_at(figure, *box)
         one = campbell.sel(channel=channel).dropna("speed", how="all", subset=["amplitude"]).sortby("speed")
-        edges = cell_edges(one["speed"].values)
-        _draw_map(axes, one, edges, _level_limits(campbell, channel, settings=settings), box, settings=settings)
+        _draw_map(axes, one, _level_limits(campbell, channel, settings=settings), box, settings=settings)
         orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
         modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
         _draw_orders(axes, orders)
@@ -63,31 +67,6 @@ def campbell_figure(campbell: xr.Dataset, channel: str, findings: dict[str, Any]
         _legend(figure, orders=bool(orders), modes=modes, circles=circles)
         _title(figure, findings, channel, settings=settings)
         return figure
-
-
-def cell_edges(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Edges [rpm] of the cells of a map: half-way between neighbouring speeds, as far out at both ends.
-
-    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %.
-    """
-    speeds = np.asarray(speeds_rpm, dtype=float)
-    if len(speeds) == 1:
-        half = max(0.025 * abs(float(speeds[0])), 1.0)
-        return np.array([speeds[0] - half, speeds[0] + half])
-    middle = (speeds[1:] + speeds[:-1]) / 2
-    return np.concatenate([[speeds[0] * 2 - middle[0]], middle, [speeds[-1] * 2 - middle[-1]]])
-
-
-def pixel_maximum(values: NDArray[Any], edges: NDArray[np.float64], ends: tuple[float, float], n: int, axis: int) -> NDArray[Any]:
-    """Largest value under each of ``n`` equal pixels along ``axis``: thin lines survive, narrow pixels repeat a cell.
-
-    ``values`` of cells with ascending ``edges`` (one more than cells); ``ends`` first and last place that is shown.
-    """
-    places = np.linspace(ends[0], ends[1], n, endpoint=False)
-    first = np.clip(np.searchsorted(edges, places, side="right") - 1, 0, values.shape[axis] - 1)
-    last = int(np.clip(np.searchsorted(edges, ends[1], side="left"), first[-1] + 1, values.shape[axis]))
-    kept = np.take(values, np.arange(last), axis=axis)
-    return np.asarray(np.maximum.reduceat(kept, first, axis=axis))
 
 
 def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dict[str, Any]]:
@@ -119,7 +98,6 @@ def _level_limits(campbell: xr.Dataset, channel: str, *, settings: ReportSetting
 def _draw_map(
     axes: Axes,
     one: xr.Dataset,
-    edges: NDArray[np.float64],
     limits: tuple[float, float],
     box: tuple[float, float, float, float],
     *,
@@ -131,16 +109,22 @@ def _draw_map(
     columns, rows = round(box[2] * settings.dpi), round(box[3] * settings.dpi)
     left, right = float(frequency[0]), float(frequency[-1])
     values = np.nan_to_num(one["amplitude"].transpose("speed", "frequency").values)
+    cells = speed_cells(one["speed"].values)
+    values, edges = cells_with_gaps(values, cells)
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
-    pooled = pixel_maximum(values, bins, (left, right), min(columns, 4 * len(frequency)), 1)
-    pooled = pixel_maximum(pooled, edges, (float(edges[0]), float(edges[-1])), rows, 0)
-    level = 20 * np.log10(np.maximum(pooled / reference, 1e-300))
+    pooled = pixel_maximum(values, bins, (left, right), n=min(columns, 4 * len(frequency)), axis=1)
+    pooled = pixel_maximum(pooled, edges, (float(edges[0]), float(edges[-1])), n=rows, axis=0)
+    level = np.ma.masked_where(pooled < 0, 20 * np.log10(np.maximum(pooled / reference, 1e-300)))
     image = axes.imshow(
         level, origin="lower", aspect="auto", interpolation="nearest", cmap=MAP, vmin=limits[0], vmax=limits[1],
         extent=(left, right, float(edges[0]), float(edges[-1])),
     )  # fmt: skip
     if not np.any(pooled > 0):
-        axes.text(0.5, 0.5, "no signal: every value is zero", transform=axes.transAxes, ha="center", color="white", fontsize=LARGE)
+        axes.text(0.5, 0.5, "no signal: every value is zero", transform=axes.transAxes, **NOTE)
+    axes.set_facecolor(NOT_MEASURED)
+    for low, high in gaps_between(cells):
+        if (high - low) * box[3] > 0.3 * (edges[-1] - edges[0]):
+            axes.text((left + right) / 2, (low + high) / 2, "not measured", **NOTE)
     axes.set_xlabel("Frequency, Hz")
     axes.set_ylabel("Speed, rpm")
     axes.tick_params(length=3)
@@ -163,8 +147,8 @@ def _draw_orders(axes: Axes, orders: list[dict[str, Any]]) -> None:
         seen = np.clip(np.array([span[0], span[1]], dtype=float), low, high)
         everywhere = np.array([low, high])
         look: dict[str, Any] = {"color": "white", "linewidth": 0.7, "gid": f"order-{order_text(order)}"}
-        axes.plot(order * everywhere / 60, everywhere, alpha=0.28, **look)
-        axes.plot(order * seen / 60, seen, alpha=0.55, **look)
+        axes.plot(order * everywhere / 60, everywhere, alpha=0.22, **look)
+        axes.plot(order * seen / 60, seen, alpha=0.45, **look)
 
 
 def is_mains(mode: dict[str, Any]) -> bool:
@@ -215,11 +199,9 @@ def _label_edges(
                   MAINS if is_mains(mode) else MODE, number)
         for number, mode in enumerate(modes) if f_low <= float(mode["frequency_hz"]) <= f_high
     ]  # fmt: skip
-    if not fitting(named, width):
-        named = [EdgeLabel(label.target_in, label.text.removesuffix(" Hz"), label.color, label.key) for label in named]
     figure = axes.figure
     assert isinstance(figure, Figure)
-    lines = label_top(figure, box, [top, named])
+    lines = label_top(figure, box, [fitted(top, width), fitted(named, width)])
     label_right(figure, box, side)
     if top:
         write(figure, left - 0.3, lines[0], "order", ha="right", va="bottom", fontsize=SMALL, color=INK)
@@ -248,14 +230,7 @@ def _legend(figure: Figure, *, orders: bool, modes: list[dict[str, Any]], circle
 
 
 def _title(figure: Figure, findings: dict[str, Any], channel: str, *, settings: ReportSettings) -> None:
-    top = settings.height_in
     name = drawable(findings.get("test", ""), settings.max_name_characters)
-    write(figure, _LEFT, top - 0.34, f"{name} · channel {drawable(channel, settings.max_name_characters)}", fontsize=LARGE,
-          fontweight="bold")  # fmt: skip
-    sentence = strongest_sentence(findings, channel)
-    if sentence:
-        write(figure, _LEFT, top - 0.56, drawable(sentence, 160), color=FAINT)
-    doubtful = sum(flag.get("severity") in ("suspect", "bad") for flag in findings.get("quality", []))
-    if doubtful:
-        text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
-        write(figure, settings.width_in - 0.2, 0.14, text, ha="right", color=MAINS, fontsize=SMALL + 0.5)
+    title = f"{shortened(name, LARGE * 1.1, 0.62 * settings.width_in)} · channel {drawable(channel, settings.max_name_characters)}"
+    title_lines(figure, _LEFT, title, drawable(strongest_sentence(findings, channel), 300))
+    quality_note(figure, findings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,9 +50,22 @@ def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, hig
     return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
 
 
-def fitting(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL) -> bool:
-    """True where all ``labels`` at ``size`` points fit side by side into ``length_in`` inches."""
-    return sum(text_width_in(label.text, size) + GAP_IN for label in labels) < length_in
+def fitted(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL) -> list[EdgeLabel]:
+    """Those of ``labels`` that fit side by side into ``length_in`` inches at ``size`` points.
+
+    First the unit is left out of the texts, then labels one by one where they stand closest together.
+    """
+    kept = sorted(labels, key=lambda label: label.target_in)
+
+    def needed() -> float:
+        return sum(text_width_in(label.text, size) + GAP_IN for label in kept)
+
+    if needed() > length_in:
+        kept = [replace(label, text=label.text.removesuffix(" Hz")) for label in kept]
+    while len(kept) > 1 and needed() > length_in:
+        closest = int(np.argmin(np.diff([label.target_in for label in kept])))
+        del kept[closest + 1]
+    return kept
 
 
 def _leader(figure: Figure, points_in: Sequence[tuple[float, float]], color: str, dashes: Any) -> None:

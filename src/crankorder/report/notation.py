@@ -49,9 +49,9 @@ def number_text(value: float, *, digits: int = 3) -> str:
 
 
 def _decimals(width: float, value: float) -> int:
-    """Decimals that show an interval of ``width`` with two digits, and never more than six digits of ``value``."""
+    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
     size = math.floor(math.log10(max(abs(value), width, 1e-300)))
-    wanted = 1 - math.floor(math.log10(width)) if width > 0 else 2 - size
+    wanted = -math.floor(math.log10(width / 4)) if width > 0 else 2 - size
     return min(wanted, 5 - size)
 
 

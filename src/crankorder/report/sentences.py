@@ -58,9 +58,9 @@ def strongest_sentence(findings: dict[str, Any], channel: str) -> str:
     ``findings`` of the test; ``channel`` whose strongest order is asked for; empty where it has none.
     """
     records = [record for record in findings.get("orders", []) if record.get("channel") == channel and is_number(record.get("amplitude"))]
-    if not records:
+    record = max(records, key=lambda one: float(one["amplitude"]), default=None)
+    if record is None or record["amplitude"] <= 0:
         return ""
-    record = max(records, key=lambda one: float(one["amplitude"]))
     value, _, interval = estimate_text(record, "amplitude").partition(" ")
     text = f"Order {order_text(record['order'])} is the strongest in {named(channel, limit=NAME_CHARACTERS)}: "
     text += " ".join(part for part in (value, unit_text(str(record.get("unit", ""))), interval) if part)
@@ -81,7 +81,7 @@ def _met_mode(findings: dict[str, Any], order: float, rpm: float) -> float | Non
 
 
 def _what(findings: dict[str, Any]) -> list[str]:
-    records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude"))]
+    records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude")) and record["amplitude"] > 0]
     if not records:
         return ["No order stands above the noise."]
     top: dict[str, float] = {}

@@ -22,6 +22,7 @@ from crankorder.errors import printable
 INK = "#1f2933"
 FAINT = "#7b8794"
 GRID = "#e4e7eb"
+NOT_MEASURED = "#dfe3e8"
 MODE = "#00718f"
 MODE_ON_MAP = "#7fe3ff"
 MAINS = "#a03c78"
@@ -30,6 +31,8 @@ MAP = "inferno"
 BAND_FACTOR = 1.959964  # half a 95 % interval in standard errors of a normal estimate
 LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.4)), (0, (1, 1.2)))
+NOTE: dict[str, Any] = {"ha": "center", "va": "center", "color": FAINT, "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 2}}
+MARKERS = ("o", "s", "^")
 SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
 
 _FONT = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"  # ships with matplotlib: same bytes anywhere
@@ -57,6 +60,24 @@ def house_style() -> Iterator[None]:
     """The house's settings for the time of a ``with`` block, whatever the user's matplotlibrc says; one thread at a time."""
     with _LOCK, matplotlib.rc_context(_look()):
         yield
+
+
+def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> None:
+    """Bold ``title`` and a ``sentence`` under it at the top of ``figure``, from ``left_in`` inches, cut at its width."""
+    width, height = figure.get_size_inches()
+    room = width - left_in - 0.2
+    write(figure, left_in, height - 0.34, shortened(title, LARGE * 1.1, room), fontsize=LARGE, fontweight="bold")
+    if sentence:
+        write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
+
+
+def quality_note(figure: Figure, findings: dict[str, Any]) -> None:
+    """Note at the foot of ``figure`` when the ``findings`` carry suspect or bad data."""
+    doubtful = sum(flag.get("severity") in ("suspect", "bad") for flag in findings.get("quality", []))
+    if doubtful:
+        text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
+        place = figure.get_size_inches()[0] - 0.2
+        write(figure, place, 0.14, text, ha="right", color=MAINS, fontsize=SMALL + 0.5)
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -99,6 +120,13 @@ def text_width_in(text: str, size: float) -> float:
     return float(font.get_width_height()[0]) / 64 / 72
 
 
+def shortened(text: str, size: float, width_in: float) -> str:
+    """``text`` cut with an ellipsis where it is wider than ``width_in`` inches at ``size`` points."""
+    while len(text) > 1 and text_width_in(text, size) > width_in:
+        text = text[: -max(2, len(text) // 12)] + "…"
+    return text
+
+
 def quiet_frame(axes: Axes) -> None:
     """Leave ``axes`` only its left and bottom edges and a faint grid."""
     axes.spines[["top", "right"]].set_visible(False)
@@ -107,8 +135,9 @@ def quiet_frame(axes: Axes) -> None:
 
 
 def line_look(number: int) -> dict[str, Any]:
-    """Colour and dash of the ``number``-th line (0…): colour first, then dashes, so that 30 lines differ."""
-    return {"color": LINES[number % len(LINES)], "linestyle": DASHES[number // len(LINES) % len(DASHES)]}
+    """Colour, dash and marker of the ``number``-th line (0…): colours first, so that 30 lines differ."""
+    turn = number // len(LINES) % len(DASHES)
+    return {"color": LINES[number % len(LINES)], "linestyle": DASHES[turn], "marker": MARKERS[turn]}
 
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -1,16 +1,8 @@
-"""Crank angle and speed on time knots from numbered pulses, with the standard error of the angle.
-
-Teeth are evenly spaced in angle, so the noise of the pulse times is even too, and time as a function of tooth number is
-smoothed by penalised least squares on the third difference: minimise sum w (z - t)^2 + penalty sum (third difference
-of z)^2 (Whittaker 1923; Eilers 2003). Its gain at ``f`` cycles per tooth is 1 / (1 + (sin(pi f) / sin(pi cut_off))^6).
-The cut-off follows from the pulse noise by the discrepancy principle (Morozov 1966): the residual may be no larger
-than the noise explains, in the roughest block of the record.
-"""
+"""Crank angle and speed on time knots from numbered pulses, and between the knots, with the standard error."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,19 +10,21 @@ from numba import njit
 
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.pulses import FloatArray
+from crankorder.shaft.smoother import (
+    HIGHEST_CUT_OFF,
+    LOWEST_CUT_OFF,
+    cut_off_of,
+    leverage,
+    noise_from_differences,
+    penalty_of,
+    smoothed,
+)
 from crankorder.shaft.wheel import IntArray
 
-# Teeth in a block on which the cut-off is sought, and the most blocks that are looked at.
-BLOCK_TEETH, MAX_BLOCKS = 2048, 12
-# Cut-offs, in cycles per tooth: below the first a record is too short or the normal equations too stiff to tell;
-# above the second smoothing does nothing worth having and the pulses are interpolated.
-LOWEST_CUT_OFF, HIGHEST_CUT_OFF = 0.003, 0.35
-# Steps of the search: a cut-off is found within the sixth root of 2.
-SEARCH_FACTOR = 2.0 ** (1.0 / 6.0)
 # Interpolation between knots may err by this share of the standard error, or by ROUND_OFF_REV if that is more.
 KNOT_ERROR_SHARE, ROUND_OFF_REV = 0.1, 1e-10
-# Up to so many teeth the standard error is exact; above, its profile at the ends is that of an even record.
-EXACT_ERROR_TEETH = 256
+# Cycles per tooth that no wheel carries well: motion above this share is never promised.
+CARRIED_CUT_OFF = 0.05
 
 
 @dataclass(frozen=True)
@@ -73,13 +67,13 @@ def angle_knots(
     """
     start = time_s[0]
     grid, weight = _on_grid(time_s - start, tooth)
-    noise = _noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s
+    noise = noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s
     noise = max(noise, float(np.spacing(max(abs(start), grid[-1]))))
-    floor = max(LOWEST_CUT_OFF, min(settings.kept_order / teeth_per_rev, 0.05))
-    cut_off = _cut_off(grid, weight, noise, floor, settings.smoothing_margin)
-    smooth = _smoothed(grid, weight, _penalty(cut_off))
+    floor = max(LOWEST_CUT_OFF, min(settings.kept_order / teeth_per_rev, CARRIED_CUT_OFF))
+    cut_off = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
+    smooth = smoothed(grid, weight, penalty_of(cut_off))
     slope = _spline_slopes(smooth)
-    error_s = noise * np.sqrt(_leverage(weight, cut_off))
+    error_s = noise * np.sqrt(leverage(weight, cut_off))
     # one tooth more at either end, along the tangent
     smooth = np.concatenate(([smooth[0] - slope[0]], smooth, [smooth[-1] + slope[-1]]))
     slope = np.concatenate((slope[:1], slope, slope[-1:]))
@@ -100,109 +94,167 @@ def _on_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, FloatArra
     return grid, weight
 
 
-def _noise_from_differences(time_s: FloatArray) -> float:
-    """Standard deviation of pulse times from their fourth differences (weights 1 4 6 4 1), by the median."""
-    if time_s.size < 8:
-        return 0.0
-    return float(np.median(np.abs(np.diff(time_s, n=4)))) / (0.6745 * np.sqrt(70.0))
+@njit(cache=True, nogil=True)
+def _spline_slopes(value):  # type: ignore[no-untyped-def]
+    """Slopes per step of the cubic spline through evenly spaced values; end slopes from the four outermost values."""
+    n = value.size
+    slope, share = np.empty(n), np.empty(n)
+    if n < 4:
+        for i in range(n):
+            low, high = max(i - 1, 0), min(i + 1, n - 1)
+            slope[i] = (value[high] - value[low]) / (high - low)
+        return slope
+    slope[0] = (-11.0 * value[0] + 18.0 * value[1] - 9.0 * value[2] + 2.0 * value[3]) / 6.0
+    end = (11.0 * value[n - 1] - 18.0 * value[n - 2] + 9.0 * value[n - 3] - 2.0 * value[n - 4]) / 6.0
+    share[0] = 0.0
+    for i in range(1, n - 1):
+        pivot = 4.0 - share[i - 1]
+        share[i] = 1.0 / pivot
+        slope[i] = (3.0 * (value[i + 1] - value[i - 1]) - slope[i - 1]) / pivot
+    slope[n - 1] = end
+    for i in range(n - 2, 0, -1):
+        slope[i] -= share[i] * slope[i + 1]
+    return slope
 
 
-def _penalty(cut_off: float) -> float:
-    """Penalty on squared third differences whose half-gain frequency is ``cut_off`` cycles per tooth; 0: interpolate."""
-    return 1e-9 if cut_off > HIGHEST_CUT_OFF else float((2.0 * np.sin(np.pi * cut_off)) ** -6.0)
+def _monotone(time_s: FloatArray, angle_rev: FloatArray, rate: FloatArray) -> FloatArray:
+    """``rate`` [rev/s] limited so that the cubic between any two knots grows (Fritsch and Carlson 1980, their box)."""
+    secant = np.diff(angle_rev) / np.diff(time_s)
+    limit = 3.0 * np.minimum(np.append(secant, np.inf), np.append(np.inf, secant))
+    return np.clip(rate, 0.0, limit)
 
 
-def _gain_moments(penalty: float) -> tuple[float, float]:
-    """Mean over frequency of the smoother's gain and of its square: its leverages in an even record."""
-    gain = 1.0 / (1.0 + penalty * (2.0 * np.sin(np.pi * (np.arange(4096) + 0.5) / 8192.0)) ** 6)
-    return float(gain.mean()), float((gain**2).mean())
+def _sparse(
+    time_s: FloatArray, angle_rev: FloatArray, rate: FloatArray, allowed_rev: float, cut_off: float
+) -> IntArray:
+    """Which knots to keep so that cubics over the others err by no more than ``allowed_rev``."""
+    last = time_s.size - 1
+
+    def every(stride: int) -> IntArray:
+        return np.unique(np.append(np.arange(0, last, stride), last))
+
+    def fits(at: IntArray) -> bool:
+        between = angle_at(time_s, time_s[at], angle_rev[at], 60.0 * rate[at])
+        return bool(np.max(np.abs(between - angle_rev)) <= allowed_rev)
+
+    stride = 1 << max(0, int(np.log2(max(1.0, 0.1 / min(cut_off, 0.5)))))
+    while stride > 1 and not fits(every(stride)):
+        stride //= 2
+    while 8 * stride < last and fits(every(2 * stride)):
+        stride *= 2
+    return every(stride)
 
 
-def _cut_off(grid: FloatArray, weight: FloatArray, noise_s: float, floor: float, margin: float) -> float:
-    """Cut-off [cycles per tooth] at which the residual of every block is what the noise explains, times ``margin``."""
-    n_blocks = min(MAX_BLOCKS, max(1, grid.size // BLOCK_TEETH))
-    length = min(grid.size, BLOCK_TEETH)
-    starts = np.linspace(0, grid.size - length, n_blocks).astype(int)
-    cut_off = floor
-    for start in starts:
-        times, weights = grid[start : start + length] - grid[start], weight[start : start + length]
-        count = weights.sum()
-        allowed = noise_s**2 * (1.0 + 3.0 / np.sqrt(count))
-        while cut_off <= HIGHEST_CUT_OFF:
-            penalty = _penalty(cut_off)
-            mean, square = _gain_moments(penalty)
-            residual = weights * (times - _smoothed(times, weights, penalty))
-            if float(residual @ residual) <= count * allowed * max(1.0 - 2.0 * mean + square, 1.0 / count):
-                break
-            cut_off *= SEARCH_FACTOR
-    return cut_off if cut_off == floor else margin * cut_off
+def angle_at(
+    time_s: npt.ArrayLike, knot_time_s: FloatArray, knot_angle_rev: FloatArray, knot_speed_rpm: FloatArray
+) -> FloatArray:
+    """Crank angle [rev] at given times, NaN outside the knots; fastest for times that grow.
+
+    Parameters
+    ----------
+    time_s : (times,), s
+    knot_time_s : (knots,), s, increasing
+    knot_angle_rev : (knots,), rev, increasing
+    knot_speed_rpm : (knots,), rpm, 0 or more: the slopes of the cubics
+    """
+    wanted = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
+    result: FloatArray = _hermite(wanted, knot_time_s, knot_angle_rev, knot_speed_rpm / 60.0)
+    return result
+
+
+def time_at(
+    crank_angle_rev: npt.ArrayLike, knot_time_s: FloatArray, knot_angle_rev: FloatArray, knot_speed_rpm: FloatArray
+) -> FloatArray:
+    """Time [s] at which given crank angles are passed: the exact inverse of :func:`angle_at`, NaN outside the knots.
+
+    Parameters
+    ----------
+    crank_angle_rev : (angles,), rev; fastest where they grow
+    knot_time_s : (knots,), s, increasing
+    knot_angle_rev : (knots,), rev, increasing
+    knot_speed_rpm : (knots,), rpm, 0 or more: the slopes of the cubics
+    """
+    wanted = np.atleast_1d(np.asarray(crank_angle_rev, dtype=np.float64))
+    result: FloatArray = _hermite_inverse(wanted, knot_time_s, knot_angle_rev, knot_speed_rpm / 60.0)
+    return result
 
 
 @njit(cache=True, nogil=True)
-def _smoothed(value, weight, penalty):  # type: ignore[no-untyped-def]
-    """Solution z of (W + penalty D'D) z = W value, D the third difference, by banded LDL'; O(n).
+def _interval(knots, wanted, k):  # type: ignore[no-untyped-def]
+    """Number of the knot interval that holds ``wanted``, sought from ``k`` upwards, then by bisection."""
+    if knots[k] <= wanted:
+        for near in range(k, min(k + 4, knots.size - 1)):
+            if wanted <= knots[near + 1]:
+                return near
+    low, high = 0, knots.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if knots[middle] <= wanted:
+            low = middle
+        else:
+            high = middle
+    return low
 
-    The straight line through the ends is taken out first: D does not see it, and round-off then scales with what is left.
-    """
-    n = value.size
-    out = np.empty(n)
-    first, last = 0, n - 1
-    slope = (value[last] - value[first]) / max(1, last - first)
-    d, a, b, c, z = np.empty(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty(n)
-    steady = 0
-    for i in range(n):
-        # row i of D'D: bands of the products of (-1, 3, -3, 1) that fit into the record
-        inside = 3 <= i < n - 3
-        if inside:
-            p0, p1, p2, p3 = 20.0, -15.0, 6.0, -1.0
-        else:
-            p0, p1, p2, p3 = _penalty_row(i, n)
-        w = weight[i]
-        z[i] = w * (value[i] - value[first] - slope * i)
-        if inside and steady > 4 and w == weight[i - 1] and i > 9:
-            d[i], a[i], b[i], c[i] = d[i - 1], a[i - 1], b[i - 1], c[i - 1]
-        else:
-            # a[i] = L[i+1, i], b[i] = L[i+2, i], c[i] = L[i+3, i]
-            pivot, low1, low2, low3 = w + penalty * p0, penalty * p1, penalty * p2, penalty * p3
-            if i >= 1:
-                pivot -= a[i - 1] ** 2 * d[i - 1]
-                low1 -= a[i - 1] * b[i - 1] * d[i - 1]
-                low2 -= a[i - 1] * c[i - 1] * d[i - 1]
-            if i >= 2:
-                pivot -= b[i - 2] ** 2 * d[i - 2]
-                low1 -= b[i - 2] * c[i - 2] * d[i - 2]
-            if i >= 3:
-                pivot -= c[i - 3] ** 2 * d[i - 3]
-            d[i], a[i], b[i], c[i] = pivot, low1 / pivot, low2 / pivot, low3 / pivot
-            same = i > 0 and abs(d[i] - d[i - 1]) <= 1e-15 * d[i] and w == weight[i - 1]
-            steady = steady + 1 if same else 0
-        if i >= 1:
-            z[i] -= a[i - 1] * z[i - 1]
-        if i >= 2:
-            z[i] -= b[i - 2] * z[i - 2]
-        if i >= 3:
-            z[i] -= c[i - 3] * z[i - 3]
-    for i in range(n - 1, -1, -1):
-        total = z[i] / d[i]
-        if i + 1 < n:
-            total -= a[i] * z[i + 1]
-        if i + 2 < n:
-            total -= b[i] * z[i + 2]
-        if i + 3 < n:
-            total -= c[i] * z[i + 3]
-        z[i] = total
-        out[i] = total + value[first] + slope * i
+
+@njit(cache=True, nogil=True)
+def _hermite(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
+    out = np.empty(wanted.size)
+    k, current = 0, -1
+    c0 = c1 = c2 = c3 = start = 0.0
+    for i in range(wanted.size):
+        t = wanted[i]
+        if not (time[0] <= t <= time[-1]):
+            out[i] = np.nan
+            continue
+        k = _interval(time, t, k)
+        if k != current:
+            current, start = k, time[k]
+            step = time[k + 1] - start
+            rise = (angle[k + 1] - angle[k]) / step
+            c0, c1 = angle[k], rate[k]
+            c2 = (3.0 * rise - 2.0 * rate[k] - rate[k + 1]) / step
+            c3 = (rate[k] + rate[k + 1] - 2.0 * rise) / (step * step)
+        x = t - start
+        out[i] = c0 + x * (c1 + x * (c2 + x * c3))
     return out
 
 
 @njit(cache=True, nogil=True)
-def _penalty_row(i, n):  # type: ignore[no-untyped-def]
-    """Entries (i, i) to (i, i + 3) of D'D for the third difference of ``n`` values."""
-    stencil = (-1.0, 3.0, -3.0, 1.0)
-    row = np.zeros(4)
-    for first in range(max(0, i - 3), min(i, n - 4) + 1):
-        for k in range(4):
-            j = i + k - first
-            if j < 4:
-                row[k] += stencil[i - first] * stencil[j]
-    return row[0], row[1], row[2], row[3]
+def _hermite_inverse(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
+    """Newton's method kept within the interval by bisection; two steps from a first guess by fixed point or series."""
+    out = np.empty(wanted.size)
+    k, current = 0, -1
+    c1 = c2 = c3 = step = rise = 0.0
+    for i in range(wanted.size):
+        a = wanted[i]
+        if not (angle[0] <= a <= angle[-1]):
+            out[i] = np.nan
+            continue
+        k = _interval(angle, a, k)
+        if k != current:
+            current = k
+            step, rise = time[k + 1] - time[k], angle[k + 1] - angle[k]
+            # on the unit interval: share of the rise as a cubic of the share of the step
+            c1 = rate[k] * step / rise
+            c2 = 3.0 - 2.0 * c1 - rate[k + 1] * step / rise
+            c3 = c1 + rate[k + 1] * step / rise - 2.0
+        y = (a - angle[k]) / rise
+        low, high, x = 0.0, 1.0, y
+        if c1 > 0.1:
+            x = y / c1 * (1.0 - c2 * y / (c1 * c1)) if y < 0.1 else y - (x * (c1 + x * (c2 + x * c3)) - y)
+        for _ in range(60):
+            if not (low <= x <= high):
+                x = 0.5 * (low + high)
+            miss = x * (c1 + x * (c2 + x * c3)) - y
+            if miss > 0.0:
+                high = x
+            else:
+                low = x
+            slope = c1 + x * (2.0 * c2 + 3.0 * x * c3)
+            change = miss / slope if slope > 0.0 else np.inf
+            x -= change
+            # the next step of Newton's method would change x by the square of this one
+            if abs(change) < 1e-8 or high - low < 1e-16:
+                break
+        out[i] = time[k] + min(max(x, 0.0), 1.0) * step
+    return out

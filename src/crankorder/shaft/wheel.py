@@ -14,8 +14,10 @@ from crankorder.shaft.pulses import FloatArray, Remark
 
 IntArray = npt.NDArray[np.int64]
 
-# A short interval that completes, with its neighbour, one tooth within this share of it was cut in two by a false pulse.
+# A short interval that completes one tooth with its neighbour, within this share of it, was cut by a false pulse.
 SPLIT_SHARE = 0.25
+# A tooth beside the gap that sits this share of a tooth off the line of its neighbours says nothing of the angle.
+DISPLACED_SHARE = 0.05
 # A tooth lost at the same place in this share of the revolutions is damage, not chance.
 DAMAGE_SHARE = 0.5
 
@@ -56,7 +58,7 @@ def number_teeth(
     missing_teeth : teeth left out of the full wheel in one gap, 0 or more
     index_time_s : (marks,), s, times of the once-per-revolution mark, or None
     ratio : encoder revolutions per crank revolution; the index may sit on either shaft
-    noise_s : standard deviation of one pulse time, s; widens what counts as a plausible interval at few samples per pulse
+    noise_s : standard deviation of one pulse time, s; at few samples per pulse it widens what is plausible
 
     Returns
     -------
@@ -68,9 +70,10 @@ def number_teeth(
     configured, or more repairs than ``max_repaired_fraction`` of the pulses.
     """
     _check_times(time_s)
+    window = max(2, min(8, pulses_per_rev // 8))
     kept, step = _steps(
         time_s,
-        max(2, min(8, pulses_per_rev // 8)),
+        np.full(window, np.median(np.diff(time_s[: 4 * window + 8]))),
         missing_teeth + 1,
         settings.gap_ratio_tolerance,
         settings.double_pulse_ratio,
@@ -82,13 +85,12 @@ def number_teeth(
     n_false = time_s.size - kept_time.size
     if n_false:
         flags.append(("encoder_double_pulse", "suspect", f"{n_false} false pulses removed"))
-    index_tooth = 0.0 if pulses_per_rev == 1 else np.nan
+    index_tooth = 0.0 if pulses_per_rev == 1 or missing_teeth else np.nan
     if missing_teeth:
         tooth = _at_gaps(tooth, step, pulses_per_rev, missing_teeth, flags)
-        index_tooth = 0.0
     if index_time_s is not None and index_time_s.size:
         tooth, index_tooth = _at_index(kept_time, tooth, index_time_s, (pulses_per_rev, pulses_per_rev * ratio), flags)
-    lost = _lost_teeth(tooth, pulses_per_rev, missing_teeth, index_tooth)
+    lost = _lost_teeth(tooth, pulses_per_rev, missing_teeth)
     _flag_lost(lost, pulses_per_rev, index_tooth, (tooth[-1] - tooth[0]) / pulses_per_rev, flags)
     if n_false + lost.size > settings.max_repaired_fraction * time_s.size:
         raise InputError(
@@ -97,6 +99,9 @@ def number_teeth(
             allowed=f"{settings.max_repaired_fraction:.0%} repaired",
             remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
         )
+    if missing_teeth:
+        true = ~_displaced(kept_time, tooth, pulses_per_rev, pulses_per_rev - missing_teeth, flags)
+        kept_time, tooth = kept_time[true], tooth[true]
     return NumberedTeeth(kept_time, tooth, index_tooth, n_false + int(lost.size), flags)
 
 
@@ -115,14 +120,13 @@ def _check_times(time_s: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _steps(time_s, window, gap, gap_tolerance, double_ratio, lost_ratio, slack_s):  # type: ignore[no-untyped-def]
+def _steps(time_s, recent, gap, gap_tolerance, double_ratio, lost_ratio, slack_s):  # type: ignore[no-untyped-def]
     """Which pulses are true, and by how many teeth each one of them advances.
 
-    The time of one tooth is followed as the mean over the last ``window`` intervals.
+    The time of one tooth is followed as the mean over ``recent``, the last few intervals.
     """
-    n = time_s.size
+    n, window = time_s.size, recent.size
     kept, step = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    recent = np.full(window, np.median(np.diff(time_s[: 4 * window + 8])))
     kept[0], step[0], m, total, slot = 0, 0, 1, recent.sum(), 0
     for i in range(1, n):
         last, tooth_s = time_s[kept[m - 1]], total / window
@@ -156,12 +160,14 @@ def _wrapped(value: FloatArray, period: float) -> FloatArray:
 
 
 def _slips(place: FloatArray, period: float) -> tuple[float, FloatArray]:
-    """Place of the first marks within a period, and by how many teeth each mark differs from it."""
+    """Place of the marks within a period, and by how many whole teeth each mark differs from it."""
     first = place[: max(3, place.size // 10)]
     values, counts = np.unique(np.round(first % period), return_counts=True)
-    anchor = values[np.argmax(counts)]
-    anchor += np.median(_wrapped(first - anchor, period))
-    return float(anchor), np.round(_wrapped(place - anchor, period))
+    anchor = float(values[np.argmax(counts)])
+    anchor += float(np.median(_wrapped(first - anchor, period)))
+    off = _wrapped(place - anchor, period)
+    slip = np.round(off)
+    return anchor + float(np.mean((off - slip)[np.abs(slip) < 0.5 * period])), slip
 
 
 def _unslipped(tooth: IntArray, mark_pulse: IntArray, slip: FloatArray) -> tuple[IntArray, int, int]:
@@ -209,6 +215,30 @@ def _at_gaps(tooth: IntArray, step: IntArray, pulses_per_rev: int, missing_teeth
     return renumbered
 
 
+def _displaced(
+    time_s: FloatArray, tooth: IntArray, pulses_per_rev: int, teeth: int, flags: list[Remark]
+) -> npt.NDArray[np.bool_]:
+    """Which pulses are of a tooth beside the gap that stands off the line of the next three (a pickup bends there)."""
+    displaced = np.zeros(tooth.size, dtype=np.bool_)
+    if teeth < 8:
+        return displaced
+    off = {}
+    for place, way in ((0, 1), (teeth - 1, -1)):
+        at = np.flatnonzero(tooth % pulses_per_rev == place)
+        at = at[(at + 3 * way >= 0) & (at + 3 * way < tooth.size)]
+        at = at[tooth[at + 3 * way] == tooth[at] + 3 * way]
+        if at.size == 0:
+            continue
+        near, next_near, far = (time_s[at + k * way] for k in (1, 2, 3))
+        off[place] = float(np.median((time_s[at] - 3.0 * near + 3.0 * next_near - far) / np.abs(next_near - near)))
+        if abs(off[place]) > DISPLACED_SHARE:
+            displaced |= tooth % pulses_per_rev == place
+    if displaced.any():
+        detail = ", ".join(f"tooth {place + 1} by {share:+.2f} tooth" for place, share in off.items())
+        flags.append(("encoder_teeth_displaced", "info", f"edges beside the gap are displaced and left out: {detail}"))
+    return displaced
+
+
 def _at_index(
     time_s: FloatArray, tooth: IntArray, index_time_s: FloatArray, wanted: tuple[float, float], flags: list[Remark]
 ) -> tuple[IntArray, float]:
@@ -243,13 +273,12 @@ def _at_index(
     return renumbered, anchor
 
 
-def _lost_teeth(tooth: IntArray, pulses_per_rev: int, missing_teeth: int, index_tooth: float) -> IntArray:
+def _lost_teeth(tooth: IntArray, pulses_per_rev: int, missing_teeth: int) -> IntArray:
     """Numbers of the teeth without a pulse, those of the wheel's own gap left out."""
     holes = np.flatnonzero(np.diff(tooth) > 1)
     if holes.size == 0:
         return np.empty(0, dtype=np.int64)
     lost = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
-    del index_tooth
     return lost[lost % pulses_per_rev < pulses_per_rev - missing_teeth] if missing_teeth else lost
 
 
@@ -265,4 +294,6 @@ def _flag_lost(lost: IntArray, pulses_per_rev: int, index_tooth: float, revs: fl
         angle = (damaged - (index_tooth if known else 0.0)) * 360.0 / pulses_per_rev % 360.0
         listed = ", ".join(f"{value:.2f}" for value in angle[:5])
         after = "the index" if known else "the first pulse"
-        flags.append(("encoder_damaged_line", "suspect", f"pulse lost in most revolutions at {listed} degrees after {after}"))
+        flags.append(
+            ("encoder_damaged_line", "suspect", f"pulse lost in most revolutions at {listed} degrees after {after}")
+        )

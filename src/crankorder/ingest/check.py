@@ -1,0 +1,124 @@
+"""Every fault of a test-run folder at once, found without reading samples and without changing anything."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
+from crankorder.ingest.manifest import TRACE_KINDS, Manifest, load_manifest
+from crankorder.settings import IngestSettings
+
+
+def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: IngestSettings) -> list[CrankorderError]:
+    """All faults of the test-run folder ``folder``: of its manifest, and then of every file that the manifest names.
+
+    ``manifest_path`` names a manifest that lives elsewhere; ``settings`` limit what is opened. An empty list is a folder
+    that can be analysed, as far as names, sizes, rates and units tell; samples are not read. Raises nothing of its own.
+    """
+    try:
+        manifest = load_manifest(folder, manifest_path)
+    except ManyErrors as error:
+        return error.faults
+    except CrankorderError as error:
+        return [error]
+    # only a right manifest is worth the time of the heavy imports below
+    from crankorder.ingest.folder import recordings_of
+
+    try:
+        found = recordings_of(folder, manifest)
+    except CrankorderError as error:
+        return [error]
+    faults = [*found.faults, *_unused_speeds(manifest, found.paths, folder)]
+    for path in found.paths:
+        faults += check_recording(path, manifest, settings=settings)
+    return faults
+
+
+def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:
+    """All faults of the recording at ``path`` that show without reading its samples, against ``manifest``.
+
+    ``settings`` limit what is opened.
+    """
+    from crankorder.ingest.formats import contents_of
+    from crankorder.ingest.rawfile import Contents, common_rate, named
+    from crankorder.ingest.sampling import agreed_rate
+
+    try:
+        contents: Contents = contents_of(path, settings=settings)
+    except CrankorderError as error:
+        return [error]
+    faults: list[CrankorderError] = []
+    names: dict[str, str] = {}
+    for role, source in _roles(manifest).items():
+        try:
+            names[role] = named(source, contents.names, path)
+        except CrankorderError as error:
+            faults.append(error)
+    faults += _unit_faults(path, manifest, names, dict(contents.units))
+    sampled = {role: name for role, name in names.items() if role != "the time" and _is_sampled(role, manifest)}
+    faults += _length_faults(
+        path, {role: contents.samples[name] for role, name in sampled.items() if name in contents.samples}
+    )
+    if manifest.sampling.domain == "time" and manifest.sampling.time_source is None:
+        try:
+            rates = {name: contents.rates_hz[name] for name in sampled.values() if name in contents.rates_hz}
+            file_hz = common_rate(rates, path, tolerance=settings.rate_tolerance)
+            agreed_rate(
+                file_hz=file_hz, times=None, manifest_hz=manifest.sampling.rate_hz, path=path, settings=settings
+            )
+        except CrankorderError as error:
+            faults.append(error)
+    return faults
+
+
+def _roles(manifest: Manifest) -> dict[str, str | int]:
+    """Sources that the manifest asks for, by what they are for."""
+    roles: dict[str, str | int | None] = {channel.name: channel.file_source for channel in manifest.channels}
+    if manifest.encoder.kind not in ("none", "constant"):
+        roles |= {"the encoder": manifest.encoder.source, "the index": manifest.encoder.index}
+    if manifest.sampling.domain == "time":
+        roles["the time"] = manifest.sampling.time_source
+    return {role: source for role, source in roles.items() if source is not None}
+
+
+def _is_sampled(role: str, manifest: Manifest) -> bool:
+    if role in ("the encoder", "the index"):
+        return manifest.encoder.kind in (*TRACE_KINDS, "speed")
+    return True
+
+
+def _length_faults(path: Path, lengths: dict[str, int]) -> list[CrankorderError]:
+    faults: list[CrankorderError] = []
+    first = next(iter(lengths.items()), ("", 0))
+    for role, length in lengths.items():
+        if length != first[1]:
+            problem = f"lengths differ: {first[0]} has {first[1]} samples, {role} has {length}"
+            faults.append(InputError(problem, file=path, remedy="Export all channels over the same time at one rate"))
+    return faults
+
+
+def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:
+    from crankorder.ingest.channel_units import file_to_analysed
+
+    faults: list[CrankorderError] = []
+    for channel in manifest.channels:
+        if channel.name in names:
+            try:
+                file_to_analysed(channel, units.get(names[channel.name], ""), path)
+            except CrankorderError as error:
+                faults.append(error)
+    return faults
+
+
+def _unused_speeds(manifest: Manifest, paths: list[Path], folder: Path) -> list[CrankorderError]:
+    """Speeds that the manifest states for files that are not there: likely a misspelt name."""
+    known = {path.relative_to(folder).as_posix() for path in paths} | {path.name for path in paths}
+    faults: list[CrankorderError] = []
+    for name in manifest.recordings.speed_rpm:
+        if name not in known:
+            close = difflib.get_close_matches(name, sorted(known), n=1)
+            remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
+            place = f"recordings.speed_rpm.{name}"
+            faults.append(RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy))
+    return faults

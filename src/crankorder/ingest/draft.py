@@ -1,0 +1,143 @@
+"""A first ``run.toml`` from what the files of a folder say; what they do not say is marked for the engineer to state."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError
+from crankorder.ingest.folder import is_leftover, natural_key
+from crankorder.ingest.formats import contents_of
+from crankorder.ingest.rawfile import Contents
+from crankorder.ingest.units import known_unit
+from crankorder.settings import load_settings
+
+_TIME = re.compile(r"(time|zeit|t)\b.*", re.IGNORECASE)
+_INDEX = re.compile(r"\b(index|tdc|trigger|z.?pulse|once.?per.?rev|ref)\b", re.IGNORECASE)
+_ENCODER = re.compile(r"enc|tach|pulse|crank|tooth|teeth|\bir\b|kurbel", re.IGNORECASE)
+_SPEED = re.compile(r"rpm|speed|drehzahl", re.IGNORECASE)
+
+
+def draft_manifest(folder: Path) -> str:
+    """TOML text of a draft manifest for the recordings in ``folder``, taken from what their headers state.
+
+    Lines that end in ``# state: …`` hold guesses to be checked. Raises RequestError where ``folder`` is no folder, and
+    NoUsableRecordingError, naming what each file is, where none can be read.
+    """
+    pattern, contents = _recordings(folder)
+    roles = _roles(contents)
+    lines = [
+        "# Draft by `crankorder init`: check every line that says `state`.",
+        "schema_version = 1",
+        "",
+        "[test]",
+        f"name = {_text(folder.resolve().name)}",
+        'cycle = "four-stroke"             # state: four-stroke, two-stroke or rotor',
+        '# engine = "…"                    # state: a shipped engine, or a TOML file in this folder',
+        "",
+        "[recordings]",
+        f"files = [{_text(pattern)}]",
+        "",
+        *_sampling(contents, roles),
+    ]
+    for name, role in roles.items():
+        if role == "channel":
+            lines += _channel(name, contents.units.get(name, ""))
+    lines += _encoder(roles)
+    return "\n".join(lines) + "\n"
+
+
+def _recordings(folder: Path) -> tuple[str, Contents]:
+    """Pattern of the largest group of readable files with one suffix, and the contents of its first file."""
+    if not folder.is_dir():
+        raise RequestError("there is no such folder", file=folder)
+    settings = load_settings().ingest
+    groups: dict[str, list[Contents]] = {}
+    faults: list[CrankorderError] = []
+    for path in sorted(folder.iterdir(), key=natural_key):
+        if is_leftover(path.name) or path.suffix.lower() in (".toml", ".md", ".json") or path.is_dir():
+            continue
+        try:
+            groups.setdefault(path.suffix, []).append(contents_of(path, settings=settings))
+        except CrankorderError as error:
+            faults.append(error)
+    if not groups:
+        raise NoUsableRecordingError(
+            "no recording found; looked for HDF5, WAV, XLSX and text files",
+            file=folder,
+            found="; ".join(str(fault) for fault in faults[:3]) or "an empty folder",
+        )
+    suffix = max(groups, key=lambda name: len(groups[name]))
+    return f"*{suffix}", groups[suffix][0]
+
+
+def _roles(contents: Contents) -> dict[str, str]:
+    """What each column is likely for: time, index, encoder, speed or channel; each of the first four once."""
+    roles: dict[str, str] = {}
+    for name in contents.names:
+        unit = known_unit(contents.units.get(name, ""))
+        quantity = "" if unit is None else unit.quantity
+        guess = "channel"
+        if quantity == "time" or _TIME.fullmatch(name):
+            guess = "time"
+        elif quantity == "rotational speed" or _SPEED.search(name):
+            guess = "speed"
+        elif _INDEX.search(name):
+            guess = "index"
+        elif _ENCODER.search(name):
+            guess = "encoder"
+        roles[name] = "channel" if guess in roles.values() else guess
+    if "channel" not in roles.values():
+        # a manifest needs one; a file of an encoder alone is rare
+        last = next(reversed(roles))
+        roles[last] = "channel"
+    return roles
+
+
+def _sampling(contents: Contents, roles: dict[str, str]) -> list[str]:
+    time = next((name for name, role in roles.items() if role == "time"), None)
+    lines = ["[sampling]", 'domain = "time"                   # state: time or crank_angle']
+    if time is not None:
+        lines.append(f"time_source = {_text(time)}")
+    elif not contents.rates_hz:
+        lines.append("rate_hz = 1.0                     # state: samples per second, which the file does not say")
+    return [*lines, ""]
+
+
+def _channel(name: str, file_unit: str) -> list[str]:
+    unit = known_unit(file_unit)
+    lines = ["[[channels]]", f"name = {_text(name)}", f"source = {_text(name)}"]
+    if unit is None:
+        lines.append('unit = "V"                        # state: unit of the analysed signal')
+    else:
+        lines.append(f"unit = {_text(unit.name)}")
+    if unit is None or unit.quantity == "voltage":
+        lines.append(
+            '# sensitivity = "100 mV/g"        # state: where the file holds volts (and the unit above is then m/s2)'
+        )
+    return [*lines, 'direction = ""                    # state: such as +Z', ""]
+
+
+def _encoder(roles: dict[str, str]) -> list[str]:
+    by_role = {role: name for name, role in roles.items()}
+    if "encoder" in by_role:
+        lines = [
+            "[encoder]",
+            f"source = {_text(by_role['encoder'])}",
+            'kind = "square"                   # state: square, analogue, pulse_times or edge_list',
+            "pulses_per_rev = 1                # state: pulses of the full wheel per revolution",
+            "missing_teeth = 0",
+        ]
+        return [*lines, *([f"index = {_text(by_role['index'])}"] if "index" in by_role else [])]
+    if "index" in by_role:
+        return ["[encoder]", f"source = {_text(by_role['index'])}", 'kind = "square"', "pulses_per_rev = 1"]
+    if "speed" in by_role:
+        return ["[encoder]", f"source = {_text(by_role['speed'])}", 'kind = "speed"']
+    return ["[encoder]", 'kind = "none"                     # state: no column looks like an encoder']
+
+
+def _text(value: str) -> str:
+    """``value`` as a TOML basic string."""
+    safe = value.encode("utf-8", "backslashreplace").decode("utf-8")
+    return json.dumps(safe, ensure_ascii=False).replace("\x7f", "\\u007f")

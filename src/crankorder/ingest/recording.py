@@ -1,0 +1,309 @@
+"""One file becomes one Recording: signals in their analysed units, pulse times, one time axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from crankorder.errors import CrankorderError, InputError
+from crankorder.ingest.channel_units import STATES_NO_UNIT, file_to_analysed
+from crankorder.ingest.formats import read_file
+from crankorder.ingest.manifest import TIME_KINDS, TRACE_KINDS, Channel, Encoder, Manifest
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
+from crankorder.ingest.sampling import agreed_rate, read_time_column
+from crankorder.ingest.signal_faults import mend_signal
+from crankorder.ingest.units import conversion_factor, known_unit, unit_of
+from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
+from crankorder.settings import IngestSettings, ShaftSettings
+from crankorder.shaft.pulses import find_pulses
+
+_REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
+_MIN_SAMPLES = 3
+
+
+def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:
+    """The Recording that the file at ``path`` holds, as ``manifest`` describes it (``data_schema/recording.json``).
+
+    ``settings`` limit what is read and say what is a fault of a signal; ``shaft`` says how a trace becomes pulses.
+    Raises InputError where the file is damaged, lacks a channel, contradicts the manifest, or has samples missing;
+    what can be mended is mended and flagged in ``attrs["quality"]``.
+    """
+    raw = read_file(path, sources=_wanted(manifest), settings=settings)
+    flags = list(raw.flags)
+    recording, rate_hz, start_s = _axis(raw, manifest, path, settings, flags)
+    n_samples = _common_length(raw, manifest, path)
+    _add_encoder(recording, raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
+    signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
+    for channel, row in zip(manifest.channels, signals, strict=True):
+        _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
+        flags += mend_signal(row, channel.name, path, settings=settings)
+    _add_signals(recording, signals, manifest)
+    recording.attrs["history"] = f"ingest: {len(manifest.channels)} channels of {n_samples} samples from {path.name!r}"
+    return Recording(with_flags(recording, flags))
+
+
+def _wanted(manifest: Manifest) -> list[Source]:
+    """Sources to read, each once: channels first, so that they are neighbours in memory."""
+    encoder = manifest.encoder
+    sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
+    if encoder.kind not in ("none", "constant"):
+        sources += [encoder.source, encoder.index]
+    if manifest.sampling.domain == "time":
+        sources.append(manifest.sampling.time_source)
+    return list(dict.fromkeys(source for source in sources if source is not None))
+
+
+def _axis(
+    raw: RawFile, manifest: Manifest, path: Path, settings: IngestSettings, flags: list[QualityFlag]
+) -> tuple[xr.Dataset, float, float]:
+    """An empty dataset with the attributes of the sampling, its rate in Hz (NaN by crank angle), and its start."""
+    sampling = manifest.sampling
+    attrs: dict[str, object] = {"recording": path.name, "domain": sampling.domain}
+    attrs["revs_per_cycle"] = _REVS_PER_CYCLE[manifest.test.cycle]
+    if sampling.domain == "crank_angle":
+        attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
+        return xr.Dataset(attrs=attrs), math.nan, 0.0
+    edge_rows = manifest.encoder.kind == "edge_list"
+    times = None
+    if sampling.time_source is not None and not edge_rows:
+        times = read_time_column(_in_seconds(raw, sampling.time_source), path, settings=settings)
+        flags += times.flags
+    rate_hz = agreed_rate(file_hz=raw.rate_hz, times=times, manifest_hz=sampling.rate_hz, path=path, settings=settings)
+    attrs["rate_hz"] = rate_hz
+    start_s = times.start_s if times is not None else float(raw.attrs.get("start_s", 0.0))
+    return xr.Dataset(attrs=attrs), rate_hz, start_s
+
+
+def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
+    unit = known_unit(raw.units.get(source, "s"))
+    factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
+    column = raw.columns[source]
+    return column if factor == 1.0 else column * factor
+
+
+def _common_length(raw: RawFile, manifest: Manifest, path: Path) -> int:
+    """Number of samples of every sampled column; they must agree."""
+    encoder = manifest.encoder
+    sampled: dict[str, Source] = {channel.name: channel.file_source for channel in manifest.channels}
+    if encoder.kind in (*TRACE_KINDS, "speed") and encoder.source is not None:
+        sampled["the encoder"] = encoder.source
+    if encoder.kind in TRACE_KINDS and encoder.index is not None:
+        sampled["the index"] = encoder.index
+    lengths = {name: raw.columns[source].size for name, source in sampled.items()}
+    first, n_samples = next(iter(lengths.items()))
+    for name, length in lengths.items():
+        if length != n_samples:
+            raise InputError(
+                f"lengths differ: {first} has {n_samples} samples, {name} has {length}",
+                file=path,
+                remedy="Export all channels over the same time at one rate",
+            )
+    if n_samples < _MIN_SAMPLES:
+        raise InputError(
+            "no samples" if n_samples == 0 else f"too short: {n_samples} samples",
+            file=path,
+            allowed=f"{_MIN_SAMPLES} samples or more",
+            remedy="Leave the recording out",
+        )
+    return n_samples
+
+
+def _add_encoder(
+    recording: xr.Dataset,
+    raw: RawFile,
+    manifest: Manifest,
+    path: Path,
+    shaft: ShaftSettings,
+    flags: list[QualityFlag],
+    *,
+    rate_hz: float,
+    start_s: float,
+) -> None:
+    """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
+    encoder, attrs = manifest.encoder, recording.attrs
+    stated_rpm = manifest.speed_of(path)
+    attrs["encoder_kind"] = encoder.kind
+    if stated_rpm is not None or encoder.kind in ("none", "constant"):
+        attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
+    if encoder.kind == "constant" and stated_rpm is None:
+        raise InputError(
+            "the manifest states no speed for this recording",
+            file=path,
+            place="recordings.speed_rpm",
+            allowed=", ".join(manifest.recordings.speed_rpm),
+            remedy="Add the file and its speed in rpm",
+        )
+    if encoder.kind in ("none", "constant"):
+        return
+    attrs["ratio"] = encoder.ratio
+    if encoder.kind == "speed":
+        recording["speed_signal"] = ("time", _speed(raw, encoder, path), {"units": "min-1", "long_name": "speed"})
+        return
+    assert encoder.pulses_per_rev is not None  # the manifest was checked for it
+    attrs["pulses_per_rev"], attrs["missing_teeth"] = encoder.pulses_per_rev, encoder.missing_teeth
+    attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
+    read = _pulses_of_times if encoder.kind in TIME_KINDS else _pulses_of_trace
+    pulse_s, attrs["pulse_noise_s"] = read(
+        raw,
+        encoder.source,
+        manifest,
+        path,
+        shaft,
+        flags,
+        rate_hz=rate_hz,
+        start_s=start_s,
+        per_rev=encoder.pulses_per_rev,
+    )
+    recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
+    if encoder.index is not None:
+        index_s, _ = read(raw, encoder.index, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s, per_rev=1)
+        recording["index_time"] = (
+            "revolution",
+            index_s,
+            {"units": "s", "long_name": "time of the once-per-revolution mark"},
+        )
+
+
+def _pulses_of_trace(
+    raw: RawFile,
+    source: Source | None,
+    manifest: Manifest,
+    path: Path,
+    shaft: ShaftSettings,
+    flags: list[QualityFlag],
+    *,
+    rate_hz: float,
+    start_s: float,
+    per_rev: int,
+) -> tuple[npt.NDArray[np.float64], float]:
+    assert source is not None  # the manifest was checked for it
+    kind: str = manifest.encoder.kind
+    try:
+        pulses = find_pulses(
+            raw.columns[source],
+            rate_hz=rate_hz,
+            kind="square" if kind == "square" else "analogue",
+            edge=manifest.encoder.edge,
+            pulses_per_rev=per_rev,
+            settings=shaft,
+        )
+    except CrankorderError as error:
+        raise type(error)(
+            error.problem,
+            file=path,
+            place=error.place or f"encoder {source}",
+            found=error.found,
+            allowed=error.allowed,
+            remedy=error.remedy,
+        ) from None
+    flags += [flag(path, name, severity, f"{source}: {detail}") for name, severity, detail in pulses.flags]
+    return pulses.time_s, pulses.noise_s
+
+
+def _pulses_of_times(
+    raw: RawFile,
+    source: Source | None,
+    manifest: Manifest,
+    path: Path,
+    shaft: ShaftSettings,
+    flags: list[QualityFlag],
+    *,
+    rate_hz: float,
+    start_s: float,
+    per_rev: int,
+) -> tuple[npt.NDArray[np.float64], float]:
+    """Pulse times that the file lists; of an edge list with a level column only the edges of the wanted direction."""
+    assert source is not None  # the manifest was checked for it
+    time_source = manifest.sampling.time_source
+    if manifest.encoder.kind == "edge_list" and time_source is not None and time_source != source:
+        level, times = raw.columns[source], _in_seconds(raw, time_source).astype(np.float64)
+        high = level > 0.5 * (float(level.min()) + float(level.max()))
+        turned = high[1:] & ~high[:-1] if manifest.encoder.edge == "rising" else ~high[1:] & high[:-1]
+        times = times[1:][turned]
+    else:
+        times = _in_seconds(raw, source).astype(np.float64)
+    if not np.isfinite(times).all() or (times.size > 1 and float(np.diff(times).min()) < 0):
+        raise InputError(
+            "pulse times must be finite and must not go back",
+            file=path,
+            place=f"encoder {source}",
+            remedy="Mend the list of times",
+        )
+    severity: Severity = "bad"
+    if times.size < 2:
+        flags.append(flag(path, "few_pulses", severity, f"{source}: {times.size} pulses"))
+    return times - start_s, 0.0
+
+
+def _speed(raw: RawFile, encoder: Encoder, path: Path) -> npt.NDArray[np.float64]:
+    """Speed in rpm, from the unit that the file states, else taken as rpm."""
+    assert encoder.source is not None  # the manifest was checked for it
+    speed = raw.columns[encoder.source].astype(np.float64)
+    text = raw.units.get(encoder.source, "")
+    unit = known_unit(text)
+    if unit is not None and unit.quantity == "rotational speed":
+        speed *= conversion_factor(unit, unit_of("rpm"))
+    elif text not in STATES_NO_UNIT:
+        raise InputError(
+            "the speed signal has no unit of speed",
+            file=path,
+            place=f"encoder {encoder.source}",
+            found=repr(text),
+            allowed="rpm, 1/min, Hz, rad/s",
+            remedy="Mend encoder.source",
+        )
+    if not np.isfinite(speed).all():
+        raise InputError(
+            "the speed signal has missing samples",
+            file=path,
+            place=f"sample {int(np.argmin(np.isfinite(speed)))}",
+            remedy="Leave the recording out",
+        )
+    return speed
+
+
+def _stacked(rows: Sequence[FloatArray]) -> FloatArray:
+    """``rows`` as one array (channel, time), without a copy where the reader laid them down side by side."""
+    base = rows[0].base
+    if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
+        step = base.strides[0]
+        first = rows[0].ctypes.data
+        neighbours = all(
+            row.base is base and row.ctypes.data == first + number * step for number, row in enumerate(rows)
+        )
+        start = (first - base.ctypes.data) // step if step else 0
+        if neighbours and base.shape[1] == rows[0].size:
+            block: FloatArray = base[start : start + len(rows)]
+            return block
+    return np.stack(rows)
+
+
+def _to_analysed_unit(
+    signal: FloatArray, channel: Channel, file_unit: str, path: Path, flags: list[QualityFlag]
+) -> None:
+    """Turn ``signal`` in place from the file's unit into the channel's."""
+    scaling = file_to_analysed(channel, file_unit, path)
+    if scaling.remark:
+        flags.append(flag(path, "unit_unknown", "info", scaling.remark))
+    if scaling.offset != 0.0:
+        signal -= signal.dtype.type(scaling.offset)
+    if scaling.factor != 1.0:
+        signal *= signal.dtype.type(scaling.factor)
+
+
+def _add_signals(recording: xr.Dataset, signals: FloatArray, manifest: Manifest) -> None:
+    axis = "time" if manifest.sampling.domain == "time" else "crank_angle"
+    recording["signal"] = (("channel", axis), signals, {"units": "see unit", "long_name": "analysed signals"})
+    texts = {
+        "channel": [channel.name for channel in manifest.channels],
+        "unit": [channel.analysed_unit.name for channel in manifest.channels],
+        "quantity": [channel.measured_quantity for channel in manifest.channels],
+        "direction": [channel.direction for channel in manifest.channels],
+    }
+    for name, values in texts.items():
+        recording.coords[name] = ("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})

@@ -1,0 +1,67 @@
+"""From measured speeds to the cells and pixels of a map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_REACH_STEPS = 2.0  # a cell reaches at most so many typical steps into a gap of the tested range …
+_REACH_SHARE = 0.03  # … or this share of the range, whichever is more
+
+
+def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
+
+    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. In a wide gap of the tested range a cell
+    ends before half-way: what lies between was not measured.
+    """
+    speeds = np.asarray(speeds_rpm, dtype=float)
+    steps = np.diff(speeds)
+    if not len(steps):
+        half = max(0.025 * abs(float(speeds[0])), 1.0)
+        return np.array([[speeds[0] - half, speeds[0] + half]])
+    reach = max(_REACH_STEPS * float(np.median(steps)), _REACH_SHARE * float(speeds[-1] - speeds[0]))
+    halves = np.minimum(steps / 2, reach)
+    lower = np.maximum(speeds - np.concatenate([halves[:1], halves]), min(0.0, float(speeds[0])))
+    return np.stack([lower, speeds + np.concatenate([halves, halves[-1:]])], axis=1)
+
+
+def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Ranges [rpm] between neighbouring ``cells`` (shape (speed, 2)) that no cell covers."""
+    return [
+        (float(low), float(high))
+        for low, high in zip(cells[:-1, 1], cells[1:, 0], strict=True)
+        if high - low > 1e-9 * max(abs(float(high)), 1.0)
+    ]
+
+
+def cells_with_gaps(values: NDArray[Any], cells: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Rows of a map and their edges, with a row of -1 (no amplitude is negative) for every gap.
+
+    ``values`` shape (speed, frequency), ≥ 0; ``cells`` shape (speed, 2) from :func:`speed_cells`.
+    """
+    starts = {high for _, high in gaps_between(cells)}
+    rows, edges = [values[:1]], [cells[0, 0], cells[0, 1]]
+    for number in range(1, len(cells)):
+        if float(cells[number, 0]) in starts:
+            rows.append(np.full_like(values[:1], -1))
+            edges.append(cells[number, 0])
+        rows.append(values[number : number + 1])
+        edges.append(cells[number, 1])
+    return np.concatenate(rows), np.array(edges)
+
+
+def pixel_maximum(
+    values: NDArray[Any], edges: NDArray[np.float64], ends: tuple[float, float], *, n: int, axis: int
+) -> NDArray[Any]:
+    """Largest value under each of ``n`` equal pixels: thin lines survive, pixels narrower than a cell repeat it.
+
+    ``values`` of cells with ascending ``edges`` (one more than cells) along ``axis``; ``ends`` first and last place shown.
+    """
+    places = np.linspace(ends[0], ends[1], n, endpoint=False)
+    first = np.clip(np.searchsorted(edges, places, side="right") - 1, 0, values.shape[axis] - 1)
+    last = int(np.clip(np.searchsorted(edges, ends[1], side="left"), first[-1] + 1, values.shape[axis]))
+    kept = np.take(values, np.arange(last), axis=axis)
+    return np.asarray(np.maximum.reduceat(kept, first, axis=axis))

@@ -1,0 +1,83 @@
+"""The Campbell map: scalings, stripes, densities."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+from made.recordings import line, named, shaft, steady
+
+from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.map import campbell_map
+from crankorder.quantities import check_dataset
+from crankorder.settings import load_settings
+
+SETTINGS = load_settings().campbell
+
+
+def map_of(*signals, speed_rpm=1200.0, duration_s=12.0, rate_hz=2000.0):
+    recording = steady(list(signals), speed_rpm=speed_rpm, duration_s=duration_s, rate_hz=rate_hz)
+    return campbell_map([frequency_frames(*recording, settings=SETTINGS)], speed_bin_rpm=25.0)
+
+
+@pytest.mark.parametrize("rate_hz", [2000.0, 1785.0 + 5 / 7], ids=["bins on the grid", "bins beside the grid"])
+@pytest.mark.parametrize("near_hz", [100.0, 480.0])
+@pytest.mark.parametrize("offset_bins", [0.0, 0.25, 0.5, 0.8])
+def test_a_tone_reads_its_peak_wherever_it_lies(offset_bins, near_hz, rate_hz):
+    frequency = near_hz + 0.5 * offset_bins
+    made = map_of(lambda t, _: 0.3 * np.cos(2 * np.pi * frequency * t), rate_hz=rate_hz)
+    check_dataset(made, "campbell_map")
+    peak = made["amplitude"].sel(frequency=slice(near_hz - 5, near_hz + 5)).max().item()
+    assert abs(20 * np.log10(peak / 0.3)) < (0.1 if rate_hz == 2000.0 else 0.25)
+
+
+def test_order_lines_have_no_stripes_from_speed_to_speed():
+    # order 1 of 300, 350, … rpm lies on a bin at some speeds and half-way between two at others
+    peaks = [map_of(line(1.0, 1.0), speed_rpm=rpm)["amplitude"].max().item() for rpm in range(300, 2050, 50)]
+    assert 20 * np.log10(max(peaks) / min(peaks)) < 0.1
+
+
+def test_white_noise_has_its_density():
+    rng = np.random.default_rng(2)
+    made = map_of(lambda t, _: rng.standard_normal(len(t)), duration_s=120.0, rate_hz=2000.0)
+    assert made["psd"].sel(frequency=slice(5, 495)).mean().item() == pytest.approx(1.0 / 1000.0, rel=0.01)
+
+
+def test_a_record_shorter_than_the_resolution_lands_on_the_same_frequencies():
+    long, short = (map_of(line(2.0, 1.0), duration_s=d, rate_hz=2000.0) for d in (10.0, 1.0))
+    np.testing.assert_array_equal(long["frequency"], short["frequency"])
+    assert short["amplitude"].max().item() == pytest.approx(1.0, rel=0.01)
+    assert short.attrs["enbw_hz"] == pytest.approx(1.5, rel=1e-6)
+
+
+def crank_angle_frames(speed_rpm: float) -> xr.Dataset:
+    angle = np.arange(360 * 200) / 360
+    band = xr.Dataset(
+        {"signal": (("channel", "crank_angle"), np.cos(2 * np.pi * 3.0 * angle)[None], {"units": "see unit"})},
+        coords=named(1),
+        attrs={
+            "recording": "made",
+            "domain": "crank_angle",
+            "samples_per_rev": 360,
+            "speed_rpm": speed_rpm,
+            "encoder_kind": "none",
+            "revs_per_cycle": 2,
+        },
+    )
+    knots = shaft(np.array([0.0, 1.0]), np.array([0.0, 200.0]), np.full(2, speed_rpm))
+    return frequency_frames(band, knots, settings=SETTINGS)
+
+
+def test_crank_angle_data_of_known_speed_meet_time_data_on_one_map():
+    made = campbell_map([crank_angle_frames(1000.0), crank_angle_frames(1507.0)], speed_bin_rpm=25.0)
+    assert made["speed"].values.tolist() == [1000.0, 1507.0]
+    assert made["frequency"].values[made["amplitude"].values[0, 0].argmax()] == pytest.approx(50.0, abs=0.5)
+    assert made["frequency"].values[made["amplitude"].values[0, 1].argmax()] == pytest.approx(75.35, abs=0.5)
+
+
+def test_crank_angle_data_of_unknown_speed_give_a_map_without_speeds():
+    made = campbell_map([crank_angle_frames(math.nan)], speed_bin_rpm=25.0)
+    check_dataset(made, "campbell_map")
+    assert made.sizes["speed"] == 0

@@ -1,0 +1,49 @@
+"""What all tests share: where the shared recordings and the truth sheet are, and surroundings that do not vary."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import settings
+
+# Before numpy and matplotlib load: the number of BLAS threads changes the last bits of a sum, and without a display
+# matplotlib must not look for one.
+os.environ["MPLBACKEND"] = "Agg"
+for _library in ("OMP", "OPENBLAS", "MKL"):
+    os.environ[f"{_library}_NUM_THREADS"] = "1"
+
+# Same examples on every run, and no deadline on a busy machine; ``--hypothesis-profile=default`` looks for new ones.
+settings.register_profile("crankorder", derandomize=True, deadline=None)
+settings.load_profile("crankorder")
+
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def project_root() -> Path:
+    """The folder of the project."""
+    return _ROOT
+
+
+def _shared(name: str) -> Path:
+    path = _ROOT.parent / "shared" / name
+    if not path.exists():
+        pytest.skip(f"../shared/{name} is absent: it lies beside the project, never inside")
+    return path
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the measured recordings, read in place; the test is skipped where it is absent."""
+    return _shared("data")
+
+
+@pytest.fixture(scope="session")
+def shared_truth() -> dict[str, Any]:
+    """The truth sheet (``truth.json``), derived apart from this program; the test is skipped where it is absent."""
+    truth: dict[str, Any] = json.loads((_shared("truth") / "truth.json").read_text(encoding="utf-8"))
+    return truth

@@ -1,0 +1,109 @@
+"""Imports go down only, drawing stays in its room, and the command line starts light."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FORBIDDEN_NAMES = {"utils", "util", "core", "common", "helpers", "helper", "misc"}
+HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h5netcdf", "pyfftw", "sciline", "jinja2"]
+
+# Runs the command in a fresh interpreter and says on the last line of stderr which heavy packages it loaded.
+PROBE = """
+import json, sys
+sys.argv[0] = "crankorder"
+from crankorder.cli import main
+try:
+    main()
+except SystemExit as stop:
+    status = stop.code or 0
+else:
+    status = 0
+loaded = [name for name in {heavy!r} if name in sys.modules]
+print("\\n" + json.dumps({{"status": status, "loaded": loaded}}), file=sys.stderr)
+"""
+
+
+def _imported(tree: ast.Module) -> list[tuple[int, str]]:
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return names
+
+
+def test_the_import_contract_holds(project_root: Path) -> None:
+    command = [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"]
+    result = subprocess.run([*command, "--no-cache"], cwd=project_root, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "0 broken" in result.stdout
+
+
+def test_matplotlib_is_imported_only_in_report(package_files: list) -> None:
+    offenders = [
+        f"{source.path}:{line}: {name}"
+        for source in package_files
+        for line, name in _imported(source.tree)
+        if name.partition(".")[0] == "matplotlib" and "report" not in source.path.parts
+    ]
+    assert not offenders, "\n".join(offenders)
+
+
+def test_no_file_uses_the_global_state_of_pyplot(python_files: list) -> None:
+    offenders = [
+        f"{source.path}:{line}: {name}"
+        for source in python_files
+        for line, name in _imported(source.tree)
+        if "pyplot" in name.split(".") or name.partition(".")[0] == "pylab" or name == "matplotlib.pylab"
+    ]
+    assert not offenders, "\n".join(offenders)
+
+
+def test_no_module_is_named_for_nothing_in_particular(python_files: list) -> None:
+    offenders = [
+        str(source.path)
+        for source in python_files
+        if FORBIDDEN_NAMES & {part.removesuffix(".py").strip("_") for part in source.path.parts}
+    ]
+    assert not offenders, "a function lives in the room whose noun it makes:\n" + "\n".join(offenders)
+
+
+def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
+    command = [sys.executable, "-c", PROBE.format(heavy=HEAVY), *arguments]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.stderr.strip(), "the probe said nothing"
+    last = result.stderr.strip().splitlines()[-1]
+    assert last.startswith("{"), result.stderr
+    answer = json.loads(last)
+    return answer["status"], answer["loaded"], result.stdout
+
+
+@pytest.fixture
+def command_line(project_root: Path) -> None:
+    """Skips while the command line is not written."""
+    if not (project_root / "src" / "crankorder" / "cli.py").is_file():
+        pytest.skip("src/crankorder/cli.py does not exist yet")
+
+
+@pytest.mark.usefixtures("command_line")
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_load_no_heavy_package(option: str) -> None:
+    status, loaded, output = _loaded_by(option)
+    assert status == 0
+    assert "crankorder" in output
+    assert loaded == []
+
+
+@pytest.mark.usefixtures("command_line")
+def test_a_wrong_manifest_is_refused_before_a_heavy_package_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text("schema_version = 1\nwrong = 1\n")
+    status, loaded, _ = _loaded_by("check", str(tmp_path))
+    assert status == 2
+    assert loaded == []

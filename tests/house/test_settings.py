@@ -1,0 +1,93 @@
+"""Each default has one home and one reason; recipes hold only what differs."""
+
+from __future__ import annotations
+
+import importlib.util
+import tomllib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from crankorder.settings import Settings, load_settings, shipped
+
+STAGES = tuple(Settings.file_of)
+
+
+@pytest.fixture(scope="module")
+def readmes(project_root: Path) -> ModuleType:
+    """The generator of the README pages, loaded from its file."""
+    spec = importlib.util.spec_from_file_location("make_readmes", project_root / "reports" / "make_readmes.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _fields(stage: str) -> dict[str, Any]:
+    kind = Settings.model_fields[stage].annotation
+    assert kind is not None
+    fields: dict[str, Any] = kind.model_fields  # type: ignore[attr-defined]
+    return fields
+
+
+def test_each_generated_readme_is_up_to_date(readmes: ModuleType) -> None:
+    pages = readmes.pages()
+    assert len(pages) == 2
+    stale = [
+        str(path) for path, text in pages.items() if not path.is_file() or path.read_text(encoding="utf-8") != text
+    ]
+    assert not stale, "run `python reports/make_readmes.py`:\n" + "\n".join(stale)
+
+
+def test_every_stage_has_one_file_and_every_file_is_a_stage(project_root: Path) -> None:
+    files = sorted(path.name for path in (project_root / "pipeline").glob("*.toml"))
+    assert files == list(Settings.file_of.values())
+    assert set(STAGES) == set(Settings.model_fields)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_every_setting_has_its_reason_on_its_line(stage: str, project_root: Path, readmes: ModuleType) -> None:
+    text = (project_root / "pipeline" / Settings.file_of[stage]).read_text(encoding="utf-8")
+    lines = readmes.settings_of(text)
+    assert [key for key, _, _ in lines] == list(tomllib.loads(text)[stage]), (
+        "one setting a line, value and reason on it"
+    )
+    without = [key for key, _, reason in lines if len(reason) < 5]
+    assert not without, f"no reason: {', '.join(without)}"
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_file_and_class_of_a_stage_name_the_same_settings(stage: str, project_root: Path) -> None:
+    content = tomllib.loads((project_root / "pipeline" / Settings.file_of[stage]).read_text(encoding="utf-8"))
+    assert list(content) == [stage], "one table, named as the stage"
+    assert set(content[stage]) == set(_fields(stage))
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_file_is_the_only_home_of_a_default(stage: str) -> None:
+    with_default = [name for name, field in _fields(stage).items() if not field.is_required()]
+    assert not with_default, f"defaults belong into {Settings.file_of[stage]}: {', '.join(with_default)}"
+
+
+@pytest.mark.parametrize("recipe", sorted(shipped("recipes")) or [None])
+def test_a_recipe_is_valid_and_holds_only_what_differs(recipe: str | None) -> None:
+    if recipe is None:
+        pytest.skip("no recipe is shipped yet")
+    plain, asked = load_settings().model_dump(), load_settings(recipe).model_dump()
+    tables = {key: value for key, value in tomllib.loads(shipped("recipes")[recipe]).items() if key in STAGES}
+    same = [
+        f"{stage}.{key}" for stage, table in tables.items() for key in table if asked[stage][key] == plain[stage][key]
+    ]
+    assert not same, f"equal to the default: {', '.join(same)}"
+
+
+@pytest.mark.parametrize("kind", ["recipes", "engines", "scenes"])
+def test_everything_shipped_has_a_title(kind: str) -> None:
+    texts = shipped(kind)
+    if not texts:
+        pytest.skip(f"no {kind} are shipped yet")
+    without = [name for name, text in texts.items() if not tomllib.loads(text).get("title")]
+    assert not without, f"no title: {', '.join(without)}"

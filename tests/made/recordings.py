@@ -1,0 +1,98 @@
+"""Recordings made from analytic signals, with the shaft angle known exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+
+from crankorder.quantities import check_dataset
+
+Signal = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Signal from time [s] and crank angle [rev]."""
+
+
+def named(n_channels: int) -> dict[str, tuple[str, list[str], dict[str, str]]]:
+    """Coordinates of channels A, B, … in m/s2."""
+    names = [chr(ord("A") + k) for k in range(n_channels)]
+    unitless = {"units": "1", "long_name": "name"}
+    return {
+        "channel": ("channel", names, unitless),
+        "unit": ("channel", ["m/s2"] * n_channels, unitless),
+        "quantity": ("channel", ["acceleration"] * n_channels, unitless),
+    }
+
+
+def shaft(time_s: np.ndarray, angle_rev: np.ndarray, speed_rpm: np.ndarray, *, revs_per_cycle: int = 2) -> xr.Dataset:
+    """ShaftAngle with knots as given."""
+    made = xr.Dataset(
+        {
+            "crank_angle": ("knot", angle_rev, {"units": "rev"}),
+            "speed": ("knot", speed_rpm, {"units": "min-1"}),
+            "standard_error": ("knot", np.zeros(len(time_s)), {"units": "rev"}),
+            "time": ("knot", time_s, {"units": "s"}),
+        },
+        attrs={
+            "recording": "made",
+            "phase_reference": "tdc",
+            "cycle_known": 1,
+            "revs_per_cycle": revs_per_cycle,
+            "n_pulses": 0,
+        },
+    )
+    check_dataset(made, "shaft_angle")
+    return made
+
+
+def steady(
+    signals: list[Signal], *, speed_rpm: float, duration_s: float, rate_hz: float, start_rev: float = -0.3
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """BandRecording and ShaftAngle at constant speed; crank angle is ``start_rev`` at time 0."""
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+    angle = start_rev + time_s * speed_rpm / 60.0
+    knots = np.linspace(0.0, duration_s, 50)
+    return _recording(signals, time_s, angle, rate_hz), shaft(
+        knots, start_rev + knots * speed_rpm / 60.0, np.full(50, speed_rpm)
+    )
+
+
+def run_up(
+    signals: list[Signal], *, from_rpm: float, to_rpm: float, duration_s: float, rate_hz: float
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """BandRecording and ShaftAngle of a linear run-up; the angle is quadratic in time, so its cubics are exact."""
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+
+    def angle(t: np.ndarray) -> np.ndarray:
+        return (from_rpm * t + 0.5 * (to_rpm - from_rpm) * t**2 / duration_s) / 60.0
+
+    knots = np.linspace(0.0, duration_s, 200)
+    speed = from_rpm + (to_rpm - from_rpm) * knots / duration_s
+    return _recording(signals, time_s, angle(time_s), rate_hz), shaft(knots, angle(knots), speed)
+
+
+def _recording(signals: list[Signal], time_s: np.ndarray, angle: np.ndarray, rate_hz: float) -> xr.Dataset:
+    values = np.stack([signal(time_s, angle) for signal in signals])
+    made = xr.Dataset(
+        {"signal": (("channel", "time"), values, {"units": "see unit"})},
+        coords=named(len(signals)),
+        attrs={
+            "recording": "made",
+            "domain": "time",
+            "rate_hz": rate_hz,
+            "encoder_kind": "constant",
+            "revs_per_cycle": 2,
+        },
+    )
+    check_dataset(made, "recording")
+    return made
+
+
+def line(order: float, amplitude: float, phase_rad: float = 0.0) -> Signal:
+    """A line at ``order`` of constant amplitude."""
+    return lambda _, angle: amplitude * np.cos(2 * np.pi * order * angle + phase_rad)
+
+
+def total(*parts: Signal) -> Signal:
+    """Sum of signals."""
+    return lambda time_s, angle: sum((part(time_s, angle) for part in parts), np.zeros_like(time_s))

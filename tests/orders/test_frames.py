@@ -1,0 +1,95 @@
+"""Order frames against analytic signals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from made.recordings import line, named, run_up, shaft, steady, total
+
+from crankorder.errors import InputError
+from crankorder.orders.frames import order_frames
+from crankorder.quantities import check_dataset, flags_of
+from crankorder.settings import load_settings
+
+SETTINGS = load_settings().orders
+
+
+@pytest.mark.parametrize("speed_rpm", [300.0, 1000.0, 2000.0])
+def test_amplitude_and_phase_from_top_dead_centre_are_exact_at_constant_speed(speed_rpm):
+    parts = {0.5: (0.1, 0.2), 1.0: (2.0, -2.5), 5.5: (0.03, 1.0), 10.0: (0.7, 3.0)}
+    signal = total(*(line(order, *value) for order, value in parts.items()))
+    frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+    check_dataset(frames, "order_frames")
+    for order, (amplitude, phase) in parts.items():
+        value = frames["spectrum"].sel(order=order, channel="A").values
+        np.testing.assert_allclose(value, amplitude * np.exp(1j * phase), atol=3e-7)
+
+
+def test_a_run_up_keeps_amplitude_and_phase():
+    recording = run_up([line(4.0, 1.0, 0.5)], from_rpm=300, to_rpm=3000, duration_s=20.0, rate_hz=5000.0)
+    frames = order_frames(*recording, settings=SETTINGS)
+    np.testing.assert_allclose(frames["spectrum"].sel(order=4.0).values, np.exp(0.5j), atol=2e-6)
+    assert np.all(np.diff(frames["speed"].values) > 0)
+
+
+def test_the_speed_of_a_frame_is_revolutions_over_elapsed_time():
+    band, angle = run_up([line(1.0, 1.0)], from_rpm=600, to_rpm=1200, duration_s=20.0, rate_hz=2000.0)
+    frames = order_frames(band, angle, settings=SETTINGS)
+    start = frames["crank_angle"].values
+    # angle = 10 t + t^2 / 4, hence t = -20 + sqrt(400 + 4 angle)
+    elapsed = np.sqrt(400 + 4 * (start + 16)) - np.sqrt(400 + 4 * start)
+    np.testing.assert_allclose(frames["speed"].values, 60 * 16 / elapsed, rtol=1e-9)
+
+
+def test_content_far_above_the_orders_does_not_fold_onto_them():
+    signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * 700.0 * t))
+    frames = order_frames(*steady([signal], speed_rpm=300.0, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+    others = frames["spectrum"].where(abs(frames["order"] - 1.0) > 0.2)
+    assert np.nanmax(np.abs(others.values)) < 1e-5
+
+
+def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong():
+    frames = order_frames(*steady([line(1, 1)], speed_rpm=3000.0, duration_s=4.0, rate_hz=952.0), settings=SETTINGS)
+    limit = 0.4 * 952.0 / 50.0
+    missing = np.isnan(frames["spectrum"].values[0, 0])
+    assert missing[frames["order"].values > limit].all()
+    assert not missing[frames["order"].values < limit].any()
+
+
+def test_a_short_recording_gives_shorter_frames_and_says_so():
+    frames = order_frames(*steady([line(2, 1)], speed_rpm=600.0, duration_s=0.95, rate_hz=5000.0), settings=SETTINGS)
+    assert frames.attrs["revs_per_frame"] == 8
+    assert [flag["flag"] for flag in flags_of(frames)] == ["short_recording"]
+    np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
+
+
+def test_less_than_one_cycle_is_refused_with_both_numbers():
+    with pytest.raises(InputError, match=r"less than one engine cycle.*found 1 whole revolutions.*at least 2"):
+        order_frames(*steady([line(2, 1)], speed_rpm=600.0, duration_s=0.2, rate_hz=5000.0), settings=SETTINGS)
+
+
+def test_crank_angle_samples_give_order_spectra_straight():
+    import xarray as xr
+
+    angle = np.arange(360 * 40) / 360 + 0.25
+    signal = 0.4 * np.cos(2 * np.pi * 5.5 * angle + 0.8)
+    band = xr.Dataset(
+        {"signal": (("channel", "crank_angle"), signal[None], {"units": "see unit"})},
+        coords=named(1),
+        attrs={
+            "recording": "made",
+            "domain": "crank_angle",
+            "samples_per_rev": 360,
+            "start_deg": 90.0,
+            "encoder_kind": "none",
+            "revs_per_cycle": 2,
+        },
+    )
+    check_dataset(band, "recording")
+    angles = shaft(np.array([0.0, math.nan]), np.array([0.25, 40.25]), np.array([math.nan, math.nan]))
+    angles.attrs["domain"] = "crank_angle"
+    frames = order_frames(band, angles, settings=SETTINGS)
+    np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-12)
+    assert np.isnan(frames["speed"].values).all()

@@ -1,0 +1,120 @@
+"""Order map and tracks: averages, floors and bands against analytic signals in known noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made.recordings import line, run_up, steady, total
+
+from crankorder.orders.floor import floor_bins, local_floor
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
+from crankorder.orders.tracks import order_tracks
+from crankorder.quantities import check_dataset, flags_of
+from crankorder.settings import load_settings
+
+SETTINGS = load_settings().orders
+
+
+def noise(seed: int, sigma: float):
+    rng = np.random.default_rng(seed)
+    return lambda time_s, _: sigma * rng.standard_normal(len(time_s))
+
+
+def frames_of(*signals, speed_rpm=1200.0, duration_s=10.0, name="made", **given):
+    made = order_frames(
+        *steady(list(signals), speed_rpm=speed_rpm, duration_s=duration_s, rate_hz=2000.0, **given), settings=SETTINGS
+    )
+    made.attrs["recording"] = name
+    return made
+
+
+def test_a_stepped_test_gives_one_row_per_speed_slowest_first():
+    frames = [frames_of(line(2.0, rpm / 1000), speed_rpm=rpm) for rpm in (1500.0, 500.0, 1000.0)]
+    made = order_map(frames, settings=SETTINGS)
+    check_dataset(made, "order_map")
+    np.testing.assert_allclose(made["speed"].values, [500.0, 1000.0, 1500.0], rtol=1e-9)
+    np.testing.assert_allclose(made["coherent_amplitude"].sel(order=2.0).values[0], [0.5, 1.0, 1.5], rtol=1e-6)
+    np.testing.assert_allclose(made["phase"].sel(order=2.0).values, 0.0, atol=1e-4)
+
+
+def test_the_standard_error_is_the_scatter_of_the_amplitude_over_many_draws():
+    sigma, draws = 0.2, 300
+    made = [order_map([frames_of(total(line(3.0, 1.0), noise(k, sigma)))], settings=SETTINGS) for k in range(draws)]
+    amplitudes = np.array([item["coherent_amplitude"].sel(order=3.0).item() for item in made])
+    errors = np.array([item["standard_error"].sel(order=3.0).item() for item in made])
+    assert abs(amplitudes.mean() - 1.0) < 4 * amplitudes.std() / np.sqrt(draws)
+    # 300 draws know their standard deviation to 4 %; the floor is a median of 16 bins
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(amplitudes.std(), rel=0.15)
+
+
+def test_a_slipping_line_stays_in_the_energy_average_and_leaves_the_coherent_one():
+    made = order_map([frames_of(line(5.47, 1.0), duration_s=30.0)], settings=SETTINGS)
+    nearest = made.sel(order=5.5)
+    assert nearest["amplitude"].item() > 0.8
+    assert nearest["coherent_amplitude"].item() < 0.3
+
+
+def test_recordings_without_a_phase_reference_are_averaged_by_power_not_against_each_other():
+    one, other = (frames_of(line(2.0, 1.0, phase)) for phase in (0.0, np.pi))
+    for item in (one, other):
+        item.attrs["phase_reference"] = "none"
+    made = order_map([one, other], settings=SETTINGS).sel(order=2.0)
+    assert made["coherent_amplitude"].item() == pytest.approx(1.0, rel=1e-6)
+    assert np.isnan(made["phase"].item())
+
+
+def test_half_orders_of_two_recordings_with_unknown_cycle_do_not_cancel():
+    one, other = (frames_of(total(line(5.5, 1.0, phase), line(2.0, 1.0))) for phase in (0.0, np.pi))
+    for item in (one, other):
+        item.attrs["cycle_known"] = 0
+    made = order_map([one, other], settings=SETTINGS)
+    assert made["coherent_amplitude"].sel(order=5.5).item() == pytest.approx(1.0, rel=1e-6)
+    assert made["phase"].sel(order=2.0).item() == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_recording_too_short_for_the_others_is_left_out_and_named():
+    made = order_map(
+        [frames_of(line(2.0, 1.0)), frames_of(line(2.0, 9.0), duration_s=0.5, name="short.h5")], settings=SETTINGS
+    )
+    assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx(1.0, rel=1e-6)
+    bad = [flag for flag in flags_of(made) if flag["severity"] == "bad"]
+    assert [flag["recording"] for flag in bad] == ["short.h5"]
+
+
+def test_a_run_up_falls_into_bins_of_the_stated_width():
+    recording = run_up([line(2.0, 1.0)], from_rpm=500, to_rpm=1500, duration_s=60.0, rate_hz=2000.0)
+    speed = order_map([order_frames(*recording, settings=SETTINGS)], settings=SETTINGS)["speed"].values
+    assert np.diff(speed).min() > 10.0
+    assert np.diff(speed).max() < 2 * SETTINGS.speed_bin_rpm
+
+
+def test_the_local_floor_follows_coloured_noise_and_ignores_lines():
+    order = np.arange(321) / 16
+    rng = np.random.default_rng(1)
+    shape = 1.0 + order
+    power = shape * rng.gamma(8, 1 / 8, size=(400, 321))
+    power[:, 16 * 4] += 1e6
+    bins = floor_bins(order, line_step=0.5, guard_bins=2, n_bins=16)
+    floor = local_floor(power, bins, n_averages=np.array(8.0)).mean(axis=0)
+    # the sixteen quiet bins span three orders: where the noise grows by a third per order the floor lags by a tenth
+    assert np.abs(floor[32:290] / shape[32:290] - 1).max() < 0.1
+    assert np.abs(floor[100:290] / shape[100:290] - 1).max() < 0.05
+
+
+def test_a_track_between_two_bins_keeps_the_amplitude_of_its_line():
+    made = order_map([frames_of(line(6.13, 0.8), duration_s=20.0)], settings=SETTINGS)
+    track = order_tracks(made, [6.13, 25.0], settings=SETTINGS)
+    check_dataset(track, "order_tracks")
+    assert track["amplitude"].sel(order=6.13).item() == pytest.approx(0.8, rel=0.012)  # 0.1 dB
+    assert np.isnan(track["amplitude"].sel(order=25.0).item())
+
+
+def test_the_band_rms_holds_the_energy_of_tones_and_of_noise():
+    quiet = order_map([frames_of(line(6.0, 0.8), duration_s=20.0)], settings=SETTINGS)
+    rms = order_tracks(quiet, [6.0], settings=SETTINGS)["band_rms"].item()
+    assert rms == pytest.approx(0.8 / np.sqrt(2), rel=2e-3)
+    noisy = order_map([frames_of(noise(3, 1.0), duration_s=200.0)], settings=SETTINGS)
+    rms = order_tracks(noisy, [7.0], settings=SETTINGS)["band_rms"].item()
+    # white noise of variance 1 over 1000 Hz: half an order at 20 Hz is 10 Hz
+    assert rms == pytest.approx(np.sqrt(10.0 / 1000.0), rel=0.05)
