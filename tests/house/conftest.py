@@ -23,9 +23,11 @@ class Source:
 def project_files(project_root: Path) -> list[Path]:
     """Every file that is or would be committed, from the project's folder."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listing = subprocess.run(command, cwd=project_root, capture_output=True, text=True)
-    if listing.returncode:
-        pytest.skip("not a git checkout, so there is no list of the project's files")
+    try:
+        listing = subprocess.run(command, cwd=project_root, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        reason = getattr(error, "stderr", "").strip() or error
+        pytest.skip(f"git does not list the project's files: {reason}")
     names = sorted(set(listing.stdout.split("\0")) - {""})
     return [Path(name) for name in names if (project_root / name).is_file()]
 

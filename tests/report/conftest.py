@@ -110,6 +110,7 @@ def _order_map(speeds: np.ndarray, coords: dict[str, Any], gains: np.ndarray) ->
             "phase": (dims, np.zeros(shape), {"units": "degree"}),
             "coherent_amplitude": (dims, values / 3, seen),
             "standard_error": (dims, values / 10, seen),
+            "spectral_kurtosis": (dims, np.zeros(shape), {"units": "1"}),
             "n_frames": ("speed", np.full(len(speeds), 14), {"units": "1"}),
         },
         coords | {"speed": ("speed", speeds, {"units": "min-1"}), "order": ("order", order, {"units": "1"})},

@@ -55,12 +55,12 @@ def piston_drop(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
     Source: truth sheet section 0, with the offset carried through.
     """
-    angle = _reduced(crank_angle_rev)
-    sine = np.sin(angle)
-    _, rod_cosine = _rod_direction(angle, mechanism)
+    sine, cosine = _sine_cosine(crank_angle_rev)
+    _, rod_cosine = _rod_direction(sine, cosine, mechanism)
     rod_cosine_top = np.sqrt((1 - mechanism.offset_ratio) * (1 + mechanism.offset_ratio))
     lean = mechanism.crank_ratio * sine - 2 * mechanism.offset_ratio
-    drop: Angles = mechanism.crank_radius_m * (2 * np.sin(angle / 2) ** 2 + sine * lean / (rod_cosine_top + rod_cosine))
+    versine = np.where(cosine > 0, sine**2 / (1 + np.abs(cosine)), 1 - cosine)
+    drop: Angles = mechanism.crank_radius_m * (versine + sine * lean / (rod_cosine_top + rod_cosine))
     return drop
 
 
@@ -69,9 +69,9 @@ def piston_velocity(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angle
 
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
     """
-    angle = _reduced(crank_angle_rev)
-    rod_sine, rod_cosine = _rod_direction(angle, mechanism)
-    velocity: Angles = -mechanism.crank_radius_m * (np.sin(angle) + np.cos(angle) * rod_sine / rod_cosine)
+    sine, cosine = _sine_cosine(crank_angle_rev)
+    rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
+    velocity: Angles = -mechanism.crank_radius_m * (sine + cosine * rod_sine / rod_cosine)
     return velocity
 
 
@@ -82,9 +82,8 @@ def piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> A
     Mass times this times ω² is the inertia force on the crankcase along the cylinder, away from the crankshaft.
     Source: truth sheet section 0; with offset sin ψ = λ sin φ − ε.
     """
-    angle = _reduced(crank_angle_rev)
-    sine, cosine = np.sin(angle), np.cos(angle)
-    rod_sine, rod_cosine = _rod_direction(angle, mechanism)
+    sine, cosine = _sine_cosine(crank_angle_rev)
+    rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
     swing = (mechanism.crank_ratio * cosine**2 - sine * rod_sine * rod_cosine**2) / rod_cosine**3
     acceleration: Angles = mechanism.crank_radius_m * (cosine + swing)
     return acceleration
@@ -96,28 +95,33 @@ def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angle
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the angles.
     Source: truth sheet section 0; ψ'' = −λ (κ'² sin φ + ε (λ (1 + sin² φ) − ε sin φ)) / cos³ψ.
     """
-    angle = _reduced(crank_angle_rev)
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
-    sine = np.sin(angle)
-    rod_sine, rod_cosine = _rod_direction(angle, mechanism)
+    sine, cosine = _sine_cosine(crank_angle_rev)
+    rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
     kappa_squared = (mechanism.slack + abs(offset)) * (1 + ratio)
     second = -ratio * (kappa_squared * sine + offset * (ratio * (1 + sine**2) - offset * sine)) / rod_cosine**3
-    return np.arctan2(rod_sine, rod_cosine), ratio * np.cos(angle) / rod_cosine, second
+    return np.arctan2(rod_sine, rod_cosine), ratio * cosine / rod_cosine, second
 
 
-def _reduced(crank_angle_rev: ArrayLike) -> Angles:
+def _sine_cosine(crank_angle_rev: ArrayLike) -> tuple[Angles, Angles]:
+    """Sine and cosine, exact to their own size beside every quarter turn: the angle is taken from the nearest one."""
     revolutions = np.asarray(crank_angle_rev, dtype=np.float64)
-    angle: Angles = 2 * np.pi * (revolutions - np.rint(revolutions))
-    return angle
+    quarter = np.rint(4 * revolutions)
+    angle = 2 * np.pi * (revolutions - quarter / 4)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    turn = np.mod(quarter, 4)
+    swapped = np.mod(turn, 2) == 1
+    sign_sine = np.where(turn >= 2, -1.0, 1.0)
+    sign_cosine = np.where((turn == 1) | (turn == 2), -1.0, 1.0)
+    return sign_sine * np.where(swapped, cosine, sine), sign_cosine * np.where(swapped, sine, cosine)
 
 
-def _rod_direction(angle: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
+def _rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
     """Sine and cosine of the rod angle; 1 ∓ λ sin φ is rewritten so that it keeps its digits where the rod lies flat."""
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
-    sine, cosine = np.sin(angle), np.cos(angle)
     side = np.where(sine < 0, -1.0, 1.0)
     rod_sine = ratio * sine - offset
-    # side * rod_sine = λ|sin φ| − side·ε, and 1 − |sin φ| = cos² φ / (1 + |sin φ|)
+    # 1 - side * rod_sine = (1 - λ + side ε) + λ (1 - |sin φ|), and 1 - |sin φ| = cos² φ / (1 + |sin φ|)
     margin = mechanism.slack + (abs(offset) + side * offset)
     near = margin + ratio * cosine**2 / (1 + np.abs(sine))
     return rod_sine, np.sqrt(near * (1 + side * rod_sine))

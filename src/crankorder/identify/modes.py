@@ -13,6 +13,9 @@ from crankorder.settings import IdentifySettings
 MASKED_BINS = 3
 """Bins on each side of an order line that take no part in the floor: its main lobe and a slow speed change."""
 
+TONE_SKIRT = 0.008
+"""Largest share of a tone's power three bins away (a Hann window gives 0.0006 at worst; the rest is noise)."""
+
 PAIR_BINS = 4
 """Peaks closer than this many bins are one."""
 
@@ -105,17 +108,20 @@ def _lines(
     reach = max(3, round(0.5 * settings.mode_floor_width_hz / resolution))
     floor = _moving_quantile(level, reach, 0.3)
     n_averages = float(campbell["n_frames"].values.sum())
+    peaks = _local_maxima(level, PAIR_BINS)
+    peaks = peaks[level[peaks] - floor[peaks] >= settings.mode_prominence_db]
     found = []
-    for peak in _local_maxima(level, PAIR_BINS):
+    for number, peak in enumerate(peaks.tolist()):
         prominence = float(level[peak] - floor[peak])
-        if prominence < settings.mode_prominence_db:
-            continue
-        fit = _fit(frequency, density, int(peak), resolution, float(campbell.attrs["enbw_hz"]), n_averages)
+        low = (peaks[number - 1] + peak) // 2 if number else 0
+        high = (peaks[number + 1] + peak) // 2 if number + 1 < len(peaks) else len(density) - 1
+        tone = _tone(frequency, density, peak, resolution)
+        fit = tone or _fit(frequency, density, peak, (low, high), float(campbell.attrs["enbw_hz"]), n_averages)
         if fit is None:
             continue
         (centre, centre_error), (half_width, half_width_error) = fit
         damping = half_width / centre
-        if damping > settings.max_damping_ratio or abs(centre - frequency[peak]) > max(4 * resolution, half_width):
+        if damping > settings.max_damping_ratio or abs(centre - frequency[peak]) > max(4 * resolution, 2 * half_width):
             continue
         found.append(
             FixedLine(
@@ -126,10 +132,30 @@ def _lines(
                 damping_error=half_width_error / centre,
                 psd=float(density[peak]),
                 prominence_db=prominence,
-                is_tone=2.0 * half_width < settings.mode_min_width_bins * resolution,
+                is_tone=tone is not None or 2.0 * half_width < settings.mode_min_width_bins * resolution,
             )
         )
     return found
+
+
+def _tone(
+    frequency: NDArray[np.float64], density: NDArray[np.float64], peak: int, resolution: float
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Frequency and zero width of a line as narrow as the window makes any tone; None where it is wider or unclear.
+
+    Three bins away a tone seen through a Hann window is 32 dB down, a resonance of one bin's half width 10 dB. The
+    frequency is that of the two strongest bins (Rife and Vincent 1970).
+    """
+    if not 3 <= peak < len(density) - 3:
+        return None
+    height = density[peak]
+    if 0.5 * (density[peak - 3] + density[peak + 3]) > TONE_SKIRT * height:
+        return None
+    side = 1 if density[peak + 1] >= density[peak - 1] else -1
+    share = float(np.sqrt(density[peak + side] / height))
+    offset = side * (2.0 * share - 1.0) / (share + 1.0)
+    error = float(np.sqrt(max(density[peak - 3], density[peak + 3]) / height))
+    return (float(frequency[peak]) + offset * resolution, error * resolution), (0.0, 0.5 * resolution)
 
 
 def _local_maxima(level: NDArray[np.float64], reach: int) -> NDArray[np.int64]:
@@ -152,58 +178,60 @@ def _fit(
     frequency: NDArray[np.float64],
     density: NDArray[np.float64],
     peak: int,
-    resolution: float,
+    between: tuple[int, int],
     enbw_hz: float,
     n_averages: float,
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """Centre and half width (Hz, each with its standard error) of the resonance at bin ``peak``; None where none fits.
 
-    Near a lightly damped resonance the power of the response is A / ((f - fn)² + (ζ fn)²) (Ewins 2000, §4.3); it is
-    fitted, seen through the window, on a sloping background, by relative deviation: a power averaged n times
-    scatters by 1/√n of itself.
+    Only bins ``between`` the middles to the neighbouring peaks are used.
+
+    Near a lightly damped resonance the response is r0 + r / (f - fn + i ζ fn), r0 what the other modes and the rigid
+    body add (Ewins 2000, §4.3); its power is b0 + b1 x + (p + q x) / (x² + (ζ fn)²), x = f - fn, where q is their
+    interference. Seen through the window it is fitted by relative deviation, for a power averaged n times scatters by
+    1/√n of itself; the four linear terms are eliminated at every step (Golub and Pereyra 1973).
     """
     from scipy.optimize import least_squares
 
+    resolution = float(frequency[1] - frequency[0])
     reach = _half_power_reach(density, peak)
-    span = slice(max(0, peak - reach), min(len(density), peak + reach + 1))
+    span = slice(max(between[0], peak - reach), min(between[1], peak + reach) + 1)
     f, s = frequency[span], density[span]
-    height = density[peak]
-    offsets, kernel = _window_kernel(resolution, enbw_hz)
-    start_width = max(0.3 * resolution, 0.35 * reach * resolution - 0.4 * enbw_hz)
-
-    def model(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        lorentz = 1.0 / (1.0 + ((f[:, None] + offsets - p[0]) / p[1]) ** 2)
-        return np.asarray(np.exp(p[2]) * (lorentz @ kernel) + np.exp(p[3]) * (1.0 + p[4] * (f - f[0]) / (f[-1] - f[0])))
-
-    guess = np.array([frequency[peak], start_width, np.log(height), np.log(s.min()), 0.0])
-    low = [f[0], 0.02 * resolution, np.log(height) - 12.0, np.log(s.min()) - 12.0, -0.999]
-    high = [f[-1], 2.0 * (f[-1] - f[0]), np.log(height) + 12.0, np.log(height) + 1.0, 50.0]
-    if len(f) < 6:
+    if len(f) < 8:
         return None
-    result = least_squares(lambda p: (model(p) - s) / s, guess, bounds=(low, high), x_scale="jac", max_nfev=200)
-    scatter = max(2.0 * result.cost / max(1, len(f) - 5), 1.0 / n_averages)
+    offsets, kernel = _window_kernel(enbw_hz)
+
+    def residual(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = f[:, None] + offsets - p[0]
+        bell = np.exp(2.0 * p[1]) / (x**2 + np.exp(2.0 * p[1]))
+        basis = np.stack([np.ones(len(f)), (f - p[0]) / reach, bell @ kernel, (bell * x) @ kernel / np.exp(p[1])], axis=1)
+        weighted = basis / s[:, None]
+        linear = np.linalg.lstsq(weighted, np.ones(len(f)), rcond=None)[0]
+        return np.asarray(weighted @ linear - 1.0)
+
+    start = np.log(max(0.3 * resolution, 0.35 * reach * resolution - 0.4 * enbw_hz))
+    bounds = ([f[0], np.log(0.02 * resolution)], [f[-1], np.log(f[-1] - f[0])])
+    guess = np.clip([frequency[peak], start], *bounds)
+    result = least_squares(residual, guess, bounds=bounds, x_scale=[resolution, 0.3], max_nfev=100)
+    scatter = max(2.0 * result.cost / (len(f) - 6), 1.0 / n_averages)
     covariance = np.linalg.pinv(result.jac.T @ result.jac) * scatter
-    errors = np.sqrt(np.diag(covariance))
-    return (float(result.x[0]), float(errors[0])), (float(result.x[1]), float(errors[1]))
+    centre, half_width = float(result.x[0]), float(np.exp(result.x[1]))
+    return (centre, float(np.sqrt(covariance[0, 0]))), (half_width, half_width * float(np.sqrt(covariance[1, 1])))
 
 
 def _half_power_reach(density: NDArray[np.float64], peak: int) -> int:
-    """Bins on each side that the fit takes: three half-power half widths, at least four bins, short of the next valley."""
+    """Bins on each side that the fit takes: four half-power half widths, at least five bins."""
     reach = 1
     while reach < 80 and _mean_side(density, peak, reach) > 0.5 * density[peak]:
         reach += 1
-    reach = max(4, 3 * reach)
-    left = density[max(0, peak - reach) : peak + 1]
-    right = density[peak : peak + reach + 1]
-    valley = min(len(left) - 1 - int(np.argmin(left)), int(np.argmin(right)))
-    return int(np.clip(valley, 4, reach))
+    return max(5, 4 * reach)
 
 
 def _mean_side(density: NDArray[np.float64], peak: int, reach: int) -> float:
     return float(0.5 * (density[max(0, peak - reach)] + density[min(len(density) - 1, peak + reach)]))
 
 
-def _window_kernel(resolution: float, enbw_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _window_kernel(enbw_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Offsets in Hz and weights of the power response of a Hann window with the noise bandwidth ``enbw_hz``."""
     scale = enbw_hz / 1.5
     x = np.linspace(-2.0, 2.0, 17)

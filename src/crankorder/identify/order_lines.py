@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import gammainccinv
+from scipy.special import gammaincc, gammainccinv
 
 from crankorder.orders.floor import floor_bins, local_floor
 from crankorder.settings import IdentifySettings, OrderSettings
@@ -18,8 +18,11 @@ INDEPENDENT_SHARE = 0.9
 NEIGHBOUR_ORDERS = 0.25
 """Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
 
-LOCKED_COHERENCE = 0.5
-"""Share of a line's energy in its coherent average above which it is called locked to the shaft."""
+STEADY_KURTOSIS = -0.4
+"""A line 4 dB over the noise in its own bin has this spectral kurtosis; noise alone has 0."""
+
+STEADY_SIGMAS = 5.0
+"""Standard deviations by which the spectral kurtosis must lie below that of noise."""
 
 Z95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""
@@ -61,8 +64,9 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     """Order lines of all channels of the OrderMap ``order_map``, by channel, then by order.
 
     A line stands above the level that noise alone reaches with ``settings.false_alarm_probability`` at enough speeds
-    (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, and was seen
-    over a speed range in which a line of fixed frequency would have left its bin. ``orders`` gives the floor's width.
+    (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, was seen over a
+    speed range in which a line of fixed frequency would have left its bin, and is no noise: its frames agree in phase
+    (it is locked to the shaft) or at least in amplitude (it slips). ``orders`` gives the floor's width.
     """
     axis, speed = order_map["order"].values, order_map["speed"].values
     energy = order_map["amplitude"].values ** 2
@@ -76,16 +80,58 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     floor = local_floor(energy, bins, n_averages=n_independent[None, :, None])
     threshold = gammainccinv(n_independent, settings.false_alarm_probability) / n_independent
     with np.errstate(invalid="ignore", divide="ignore"):
-        excess = np.where(floor > 0.0, energy / floor / threshold[None, :, None], 0.0)
-    excess = np.nan_to_num(excess, nan=0.0, posinf=0.0)
+        ratio = np.nan_to_num(np.where(floor > 0.0, energy / floor, 0.0), nan=0.0, posinf=0.0)
+    excess = np.where(_highest_of_three(energy), ratio / threshold[None, :, None], 0.0)
     excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
     needed = min(len(speed), max(settings.min_speeds, round(settings.min_speed_fraction * len(speed))))
     lines = []
     for channel in range(len(excess)):
         for peak in _peaks(excess[channel], axis, speed, needed):
             seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
-            lines.append(_line(order_map, channel, int(peak), seen, excess * threshold[None, :, None], floor))
+            locked = _is_locked(order_map, channel, int(peak), seen, settings.false_alarm_probability)
+            if locked or _is_steady(order_map, channel, int(peak), seen):
+                lines.append(_line(order_map, channel, int(peak), seen, ratio, floor, locked))
     return lines
+
+
+def _highest_of_three(energy: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where ``energy`` (…, orders) is not below either neighbour: a line that moves past a bin is no line at it."""
+    filled = np.nan_to_num(energy)
+    highest = np.ones(filled.shape, dtype=bool)
+    highest[..., 1:] &= filled[..., 1:] >= filled[..., :-1]
+    highest[..., :-1] &= filled[..., :-1] >= filled[..., 1:]
+    return highest
+
+
+def _is_locked(
+    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
+) -> bool:
+    """Whether the frames agree in phase as noise would only with ``false_alarm_probability``.
+
+    The coherence g of n frames of noise exceeds its value with probability (1 - g)**(n - 1) (Goodman 1957); minus the
+    logarithms of several speeds add up to a gamma variable. A resonance excited by noise may stand out as far as a
+    line does, but its phase wanders.
+    """
+    energy = order_map["amplitude"].values[channel, seen, peak] ** 2
+    coherence = order_map["coherent_amplitude"].values[channel, seen, peak] ** 2 / energy
+    variance_factor = float(order_map.attrs["mean_variance_factor"])
+    n_independent = np.maximum(1.0, order_map["n_frames"].values[seen] / variance_factor)
+    evidence = float(np.sum(-(n_independent - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))))
+    return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
+
+
+def _is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether the amplitude is far steadier from frame to frame than noise: a line that slips against the shaft.
+
+    Spectral kurtosis is 0 ± 2/sqrt(n) for n frames of noise and -1 for a line (Antoni 2006).
+    """
+    frames = order_map["n_frames"].values[seen].astype(float)
+    kurtosis = order_map["spectral_kurtosis"].values[channel, seen, peak]
+    known = np.isfinite(kurtosis)
+    if not known.any():
+        return False
+    mean = float(np.average(kurtosis[known], weights=frames[known]))
+    return mean < -STEADY_SIGMAS * 2.0 / float(np.sqrt(frames[known].sum())) and mean < STEADY_KURTOSIS
 
 
 def _peaks(
@@ -114,12 +160,12 @@ def _line(
     seen: NDArray[np.int64],
     ratio: NDArray[np.float64],
     floor: NDArray[np.float64],
+    locked: bool,
 ) -> OrderLine:
     axis = order_map["order"].values
     energy = order_map["amplitude"].values[channel, seen, peak] ** 2
     coherent = order_map["coherent_amplitude"].values[channel, seen, peak]
     coherent_error = order_map["standard_error"].values[channel, seen, peak]
-    locked = bool(np.median(coherent**2 / energy) > LOCKED_COHERENCE)
     noise = floor[channel, seen, peak]
     if locked:
         amplitude, error = coherent, coherent_error

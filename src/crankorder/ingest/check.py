@@ -11,10 +11,11 @@ from crankorder.settings import IngestSettings
 
 
 def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: IngestSettings) -> list[CrankorderError]:
-    """All faults of the test-run folder ``folder``: of its manifest, and then of every file that the manifest names.
+    """All faults of the test-run folder ``folder``: of its manifest, then of every file that this names.
 
-    ``manifest_path`` names a manifest that lives elsewhere; ``settings`` limit what is opened. An empty list is a folder
-    that can be analysed, as far as names, sizes, rates and units tell; samples are not read. Raises nothing of its own.
+    ``manifest_path`` names a manifest that lives elsewhere; ``settings`` limit what is opened. An empty list is a
+    folder that can be analysed, as far as names, sizes, rates and units tell; samples are not read. Raises nothing of
+    its own.
     """
     try:
         manifest = load_manifest(folder, manifest_path)

@@ -1,4 +1,4 @@
-"""A first ``run.toml`` from what the files of a folder say; what they do not say is marked for the engineer to state."""
+"""A first ``run.toml`` from what the files of a folder say; what they leave out is marked for the engineer to state."""
 
 from __future__ import annotations
 
@@ -81,8 +81,10 @@ def _roles(contents: Contents) -> dict[str, str]:
         guess = "channel"
         if quantity == "time" or _TIME.fullmatch(name):
             guess = "time"
-        elif quantity == "rotational speed" or _SPEED.search(name):
+        elif quantity == "rotational speed" or (not quantity and _SPEED.search(name)):
             guess = "speed"
+        elif quantity not in ("", "voltage", "counts", "full scale"):
+            guess = "channel"
         elif _INDEX.search(name):
             guess = "index"
         elif _ENCODER.search(name):

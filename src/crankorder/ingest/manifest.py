@@ -64,7 +64,7 @@ class Test(_Table):
 class Recordings(_Table):
     """``[recordings]``: which files, relative to the folder, and their speeds where no file states them."""
 
-    files: Annotated[tuple[Name, ...], Field(strict=False, min_length=1)]
+    files: Annotated[tuple[Name, ...], Field(strict=False)]
     speed_rpm: dict[str, Positive] = {}
 
 
@@ -158,7 +158,7 @@ class Manifest(_Table):
     schema_version: Literal[1]
     test: Test
     recordings: Recordings
-    channels: Annotated[tuple[Channel, ...], Field(strict=False, min_length=1)]
+    channels: Annotated[tuple[Channel, ...], Field(strict=False)]
     sampling: Sampling = Sampling()
     encoder: Encoder = Encoder()
     bearings: Annotated[tuple[Bearing, ...], Field(strict=False)] = ()
@@ -282,6 +282,10 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
                 "samples by crank angle need samples_per_rev", place="sampling.samples_per_rev", remedy="Add it"
             )
         )
+    # checked here and not by the model, which would count a channel with a fault as none
+    for place, entries in (("recordings.files", manifest.recordings.files), ("channels", manifest.channels)):
+        if not entries:
+            faults.append(RequestError("the list is empty", place=place, allowed="1 or more"))
     seen: dict[str, int] = {}
     for number, channel in enumerate(manifest.channels):
         if channel.name in seen:

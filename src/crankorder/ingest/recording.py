@@ -18,7 +18,7 @@ from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
 from crankorder.ingest.sampling import agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import conversion_factor, known_unit, unit_of
-from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
+from crankorder.quantities import QualityFlag, Recording, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import find_pulses
 
@@ -36,14 +36,13 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     raw = read_file(path, sources=_wanted(manifest), settings=settings)
     flags = list(raw.flags)
     recording, rate_hz, start_s = _axis(raw, manifest, path, settings, flags)
-    n_samples = _common_length(raw, manifest, path)
+    _check_lengths(raw, manifest, path)
     _add_encoder(recording, raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     for channel, row in zip(manifest.channels, signals, strict=True):
         _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
         flags += mend_signal(row, channel.name, path, settings=settings)
     _add_signals(recording, signals, manifest)
-    recording.attrs["history"] = f"ingest: {len(manifest.channels)} channels of {n_samples} samples from {path.name!r}"
     return Recording(with_flags(recording, flags))
 
 
@@ -86,8 +85,8 @@ def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
     return column if factor == 1.0 else column * factor
 
 
-def _common_length(raw: RawFile, manifest: Manifest, path: Path) -> int:
-    """Number of samples of every sampled column; they must agree."""
+def _check_lengths(raw: RawFile, manifest: Manifest, path: Path) -> None:
+    """Refuse sampled columns whose lengths differ, and recordings too short to mean anything."""
     encoder = manifest.encoder
     sampled: dict[str, Source] = {channel.name: channel.file_source for channel in manifest.channels}
     if encoder.kind in (*TRACE_KINDS, "speed") and encoder.source is not None:
@@ -110,7 +109,6 @@ def _common_length(raw: RawFile, manifest: Manifest, path: Path) -> int:
             allowed=f"{_MIN_SAMPLES} samples or more",
             remedy="Leave the recording out",
         )
-    return n_samples
 
 
 def _add_encoder(
@@ -126,18 +124,8 @@ def _add_encoder(
 ) -> None:
     """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
     encoder, attrs = manifest.encoder, recording.attrs
-    stated_rpm = manifest.speed_of(path)
     attrs["encoder_kind"] = encoder.kind
-    if stated_rpm is not None or encoder.kind in ("none", "constant"):
-        attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
-    if encoder.kind == "constant" and stated_rpm is None:
-        raise InputError(
-            "the manifest states no speed for this recording",
-            file=path,
-            place="recordings.speed_rpm",
-            allowed=", ".join(manifest.recordings.speed_rpm),
-            remedy="Add the file and its speed in rpm",
-        )
+    _add_stated_speed(recording, manifest, path)
     if encoder.kind in ("none", "constant"):
         return
     attrs["ratio"] = encoder.ratio
@@ -147,48 +135,52 @@ def _add_encoder(
     assert encoder.pulses_per_rev is not None  # the manifest was checked for it
     attrs["pulses_per_rev"], attrs["missing_teeth"] = encoder.pulses_per_rev, encoder.missing_teeth
     attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
-    read = _pulses_of_times if encoder.kind in TIME_KINDS else _pulses_of_trace
-    pulse_s, attrs["pulse_noise_s"] = read(
-        raw,
-        encoder.source,
-        manifest,
-        path,
-        shaft,
-        flags,
-        rate_hz=rate_hz,
-        start_s=start_s,
-        per_rev=encoder.pulses_per_rev,
-    )
+
+    def pulses(source: Source | None, per_rev: int) -> tuple[npt.NDArray[np.float64], float]:
+        if encoder.kind in TIME_KINDS:
+            return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
+        return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
+
+    pulse_s, attrs["pulse_noise_s"] = pulses(encoder.source, encoder.pulses_per_rev)
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.index is not None:
-        index_s, _ = read(raw, encoder.index, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s, per_rev=1)
-        recording["index_time"] = (
-            "revolution",
-            index_s,
-            {"units": "s", "long_name": "time of the once-per-revolution mark"},
+        index_s, _ = pulses(encoder.index, 1)
+        recording["index_time"] = ("revolution", index_s, {"units": "s", "long_name": "time of index"})
+
+
+def _add_stated_speed(recording: xr.Dataset, manifest: Manifest, path: Path) -> None:
+    """Note the speed that the manifest states; a shaft of constant speed needs one."""
+    kind, stated_rpm = manifest.encoder.kind, manifest.speed_of(path)
+    if kind == "constant" and stated_rpm is None:
+        raise InputError(
+            "the manifest states no speed for this recording",
+            file=path,
+            place="recordings.speed_rpm",
+            allowed=", ".join(manifest.recordings.speed_rpm),
+            remedy="Add the file and its speed in rpm",
         )
+    if stated_rpm is not None or kind in ("none", "constant"):
+        recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
 
 
 def _pulses_of_trace(
     raw: RawFile,
     source: Source | None,
-    manifest: Manifest,
+    encoder: Encoder,
     path: Path,
     shaft: ShaftSettings,
     flags: list[QualityFlag],
     *,
     rate_hz: float,
-    start_s: float,
     per_rev: int,
 ) -> tuple[npt.NDArray[np.float64], float]:
     assert source is not None  # the manifest was checked for it
-    kind: str = manifest.encoder.kind
     try:
         pulses = find_pulses(
             raw.columns[source],
             rate_hz=rate_hz,
-            kind="square" if kind == "square" else "analogue",
-            edge=manifest.encoder.edge,
+            kind="square" if encoder.kind == "square" else "analogue",
+            edge=encoder.edge,
             pulses_per_rev=per_rev,
             settings=shaft,
         )
@@ -210,12 +202,9 @@ def _pulses_of_times(
     source: Source | None,
     manifest: Manifest,
     path: Path,
-    shaft: ShaftSettings,
     flags: list[QualityFlag],
     *,
-    rate_hz: float,
     start_s: float,
-    per_rev: int,
 ) -> tuple[npt.NDArray[np.float64], float]:
     """Pulse times that the file lists; of an edge list with a level column only the edges of the wanted direction."""
     assert source is not None  # the manifest was checked for it
@@ -234,9 +223,8 @@ def _pulses_of_times(
             place=f"encoder {source}",
             remedy="Mend the list of times",
         )
-    severity: Severity = "bad"
     if times.size < 2:
-        flags.append(flag(path, "few_pulses", severity, f"{source}: {times.size} pulses"))
+        flags.append(flag(path, "few_pulses", "bad", f"{source}: {times.size} pulses"))
     return times - start_s, 0.0
 
 

@@ -29,11 +29,33 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     ``path`` names the recording in errors; ``settings`` say how far a time may lie off the uniform grid.
     Raises InputError naming the sample where times repeat, go back, leave a gap or wander.
     """
+    times = times.astype(np.float64, copy=False)
+    _refuse_gaps(times, path)
+    span_s = float(times[-1] - times[0])
+    step_s = span_s / (times.size - 1)
+    jitter = float(np.abs((times - times[0]) / step_s - np.arange(times.size)).max())
+    if jitter > settings.max_time_jitter_samples:
+        raise InputError(
+            f"the time column is not uniform: off by {jitter:.3g} samples",
+            file=path,
+            allowed=f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)",
+            remedy="Resample the recording, or drop time_source and state [sampling] rate_hz",
+        )
+    flags = []
+    if jitter > settings.time_jitter_samples:
+        detail = f"times lie off a uniform grid by up to {jitter:.2g} samples (rounded?); a uniform grid is used"
+        flags.append(flag(path, "time_jitter", "info", detail))
+    # each end is known to within its own jitter, and a rounding error of the arithmetic
+    uncertainty = 2.0 * max(jitter, 1e-9) / (times.size - 1)
+    # twelve digits: 100 kHz in a decimal column is 100 kHz, not 100000.00000000001
+    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, float(times[0]), flags)
+
+
+def _refuse_gaps(times: FloatArray, path: Path) -> None:
     if times.size < 3:
         raise InputError(f"too short: {times.size} samples", file=path, allowed="3 samples or more")
     if not np.isfinite(times).all():
         raise InputError("a time is missing", file=path, place=f"sample {int(np.argmin(np.isfinite(times)))}")
-    times = times.astype(np.float64, copy=False)
     steps = np.diff(times)
     step_s = float(np.median(steps))
     if steps.min() <= 0:
@@ -55,24 +77,6 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
             found=f"a step of {steps[place]:.6g} s among steps of {step_s:.6g} s",
             remedy="Split the recording there, or record it again",
         )
-    span_s = float(times[-1] - times[0])
-    step_s = span_s / (times.size - 1)
-    jitter = float(np.abs((times - times[0]) / step_s - np.arange(times.size)).max())
-    if jitter > settings.max_time_jitter_samples:
-        raise InputError(
-            f"the time column is not uniform: off by {jitter:.3g} samples",
-            file=path,
-            allowed=f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)",
-            remedy="Resample the recording, or drop time_source and state [sampling] rate_hz",
-        )
-    flags = []
-    if jitter > settings.time_jitter_samples:
-        detail = f"times lie off a uniform grid by up to {jitter:.2g} samples (rounded?); a uniform grid is used"
-        flags.append(flag(path, "time_jitter", "info", detail))
-    # each end is known to within its own jitter, and a rounding error of the arithmetic
-    uncertainty = 2.0 * max(jitter, 1e-9) / (times.size - 1)
-    # twelve digits: 100 kHz in a decimal column is 100 kHz, not 100000.00000000001
-    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, float(times[0]), flags)
 
 
 def agreed_rate(

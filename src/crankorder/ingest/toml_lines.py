@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import re
 
+_KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
+_HEADER = re.compile(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(?:#.*)?")
+_ASSIGNMENT = re.compile(rf"\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=(.*)")
+_TOKEN = re.compile(r'"""|' + r"'''|" + r'"(?:\\.|[^"\\])*"|' + r"'[^']*'|#.*|[\[\]{}]")
+
 
 def key_lines(text: str) -> dict[str, int]:
     """Line of every key and table of a valid TOML ``text``, by dotted key path with list positions from 0."""
@@ -11,27 +16,45 @@ def key_lines(text: str) -> dict[str, int]:
     counts: dict[str, int] = {}
     table, inside, depth = "", "", 0
     for number, line in enumerate(text.split("\n"), start=1):
-        if inside:
-            inside = "" if inside in line else inside
-            continue
-        bare = re.sub(r'"""[^"]*"""|' + r"'''[^']*'''|" + r'"(?:\\.|[^"\\])*"(?!")|' + r"'[^']*'(?!')", "0", line)
-        opened = re.search(r'"""|' + r"'''", bare)
-        inside = opened[0] if opened else ""
-        bare = bare.split("#")[0]
-        header = re.match(r"\s*\[(\[?)\s*(.*?)\s*\](\]?)\s*(#.*)?$", line) if depth == 0 else None
-        if header and header[1] == header[3]:
-            table = _dotted(header[2])
-            if header[1]:
-                counts[table] = counts.get(table, -1) + 1
+        rest = line
+        if not inside and depth == 0:
+            header = _HEADER.fullmatch(line)
+            if header:
+                table = _dotted(header[2])
                 lines.setdefault(table, number)
-                table = f"{table}.{counts[table]}"
-            lines[table] = number
-            continue
-        key = re.match(r"\s*((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=", line)
-        if key and depth == 0:
+                if header[1] == "[[":
+                    counts[table] = counts.get(table, -1) + 1
+                    table = f"{table}.{counts[table]}"
+                lines[table] = number
+                continue
+            key = _ASSIGNMENT.fullmatch(line)
+            if key is None:
+                continue
             lines[f"{table}.{_dotted(key[1])}".lstrip(".")] = number
-        depth = max(0, depth + sum(bare.count(mark) for mark in "[{") - sum(bare.count(mark) for mark in "]}"))
+            rest = key[2]
+        inside, depth = _open_at_end(rest, inside, depth)
     return lines
+
+
+def _open_at_end(line: str, inside: str, depth: int) -> tuple[str, int]:
+    """Quotes of the string that is still open, and number of open brackets, after ``line``."""
+    position = 0
+    while True:
+        if inside:
+            end = line.find(inside, position)
+            if end < 0:
+                return inside, depth
+            position, inside = end + 3, ""
+        token = _TOKEN.search(line, position)
+        if token is None:
+            return "", depth
+        position = token.end()
+        if token[0] in ('"""', "'''"):
+            inside = token[0]
+        elif token[0] in "[{":
+            depth += 1
+        elif token[0] in "]}":
+            depth = max(0, depth - 1)
 
 
 def _dotted(key: str) -> str:

@@ -33,8 +33,8 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     groups = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
     comparable = _comparable(used, order)
     parts = [_average(spectrum[:, group], owner[group], comparable) for group in groups]
-    energy, coherent = (np.stack([part[k] for part in parts], axis=1) for k in (0, 1))
-    n_coherent = np.stack([part[2] for part in parts])[None]
+    energy, coherent, kurtosis = (np.stack([part[k] for part in parts], axis=1) for k in (0, 1, 2))
+    n_coherent = np.stack([part[3] for part in parts])[None]
     factor = max(float(item.attrs["mean_variance_factor"]) for item in used)
     line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
     bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
@@ -46,6 +46,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     phase = np.where(n_coherent == 1, np.degrees(np.angle(coherent)), np.nan)
     _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
     _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
+    _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
     count = np.array([len(group) for group in groups], dtype=np.int64)
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
     result.attrs["mean_variance_factor"] = factor
@@ -62,21 +63,36 @@ def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[n
 
 def _average(
     spectrum: NDArray[np.complex128], owner: NDArray[np.int64], comparable: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64]]:
-    """Mean energy and coherent mean (channels, orders) of ``spectrum`` (channels, frames, orders) of one speed group.
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
+    """Mean energy, coherent mean and kurtosis (channels, orders) of ``spectrum`` (channels, frames, orders) of a group.
 
-    The third result (orders,) is the number of recordings whose coherent powers had to be averaged without phase.
+    The fourth result (orders,) is the number of recordings whose coherent powers had to be averaged without phase.
     """
-    energy = _mean(np.abs(spectrum) ** 2, axis=1)
+    power = np.abs(spectrum) ** 2
+    energy = _mean(power, axis=1)
+    kurtosis = _spectral_kurtosis(power, energy)
     whole = _mean(spectrum, axis=1)
     names = np.unique(owner)
     n_coherent = np.where(comparable, 1.0, float(len(names)))
     if len(names) > 1 and not comparable.all():
         means = np.stack([_mean(spectrum[:, owner == name], axis=1) for name in names])
         weights = np.array([np.count_nonzero(owner == name) for name in names], dtype=float)
-        power = np.tensordot(weights / weights.sum(), np.abs(means) ** 2, axes=1)
-        whole = np.where(comparable, whole, np.sqrt(power))
-    return energy, whole, n_coherent
+        squared = np.tensordot(weights / weights.sum(), np.abs(means) ** 2, axes=1)
+        whole = np.where(comparable, whole, np.sqrt(squared))
+    return energy, whole, kurtosis, n_coherent
+
+
+def _spectral_kurtosis(power: NDArray[np.float64], energy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Spectral kurtosis (channels, orders) of ``power`` (channels, frames, orders) with the mean ``energy``.
+
+    Unbiased for Gaussian noise at any number of frames (Antoni 2006; Vrabie et al. 2003); NaN for one frame.
+    """
+    n_frames = power.shape[1]
+    if n_frames < 2:
+        return np.full(energy.shape, np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = _mean(power**2, axis=1) / energy**2
+    return np.asarray((n_frames + 1) / (n_frames - 1) * ratio - 2.0 * n_frames / (n_frames - 1))
 
 
 def _mean(values: NDArray[Any], axis: int) -> NDArray[Any]:

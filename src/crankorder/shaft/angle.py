@@ -32,7 +32,8 @@ class AngleKnots:
     """Knots (knots,) of crank angle: time [s], angle [rev], speed [rpm], standard error of the angle [rev].
 
     Between knots the angle is the cubic Hermite polynomial whose slopes are the speeds. ``cut_off_order`` is the order
-    (cycles per crank revolution) above which motion is smoothed away; infinite where nothing is.
+    (cycles per crank revolution) above which motion is smoothed away, infinite where nothing is; ``noise_s`` the
+    standard deviation of one pulse time that it rests on (NaN where there are no pulses).
     """
 
     time_s: FloatArray
@@ -40,6 +41,7 @@ class AngleKnots:
     speed_rpm: FloatArray
     standard_error_rev: FloatArray
     cut_off_order: float
+    noise_s: float
 
 
 def angle_knots(
@@ -70,10 +72,10 @@ def angle_knots(
     noise = noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s
     noise = max(noise, float(np.spacing(max(abs(start), grid[-1]))))
     floor = max(LOWEST_CUT_OFF, min(settings.kept_order / teeth_per_rev, CARRIED_CUT_OFF))
-    cut_off = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
+    cut_off, noise = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
     smooth = smoothed(grid, weight, penalty_of(cut_off))
     slope = _spline_slopes(smooth)
-    error_s = noise * np.sqrt(leverage(weight, cut_off))
+    error_s = noise * np.sqrt(leverage(weight, penalty_of(cut_off)))
     # one tooth more at either end, along the tangent
     smooth = np.concatenate(([smooth[0] - slope[0]], smooth, [smooth[-1] + slope[-1]]))
     slope = np.concatenate((slope[:1], slope, slope[-1:]))
@@ -83,7 +85,7 @@ def angle_knots(
     standard_error = error_s * rate
     at = _sparse(smooth, angle, rate, max(KNOT_ERROR_SHARE * float(np.median(standard_error)), ROUND_OFF_REV), cut_off)
     order = cut_off * teeth_per_rev if cut_off <= HIGHEST_CUT_OFF else float("inf")
-    return AngleKnots(smooth[at] + start, angle[at], rate[at] * 60.0, standard_error[at], order)
+    return AngleKnots(smooth[at] + start, angle[at], rate[at] * 60.0, standard_error[at], order, noise)
 
 
 def _on_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -117,11 +119,17 @@ def _spline_slopes(value):  # type: ignore[no-untyped-def]
     return slope
 
 
-def _monotone(time_s: FloatArray, angle_rev: FloatArray, rate: FloatArray) -> FloatArray:
+@njit(cache=True, nogil=True)
+def _monotone(time_s, angle_rev, rate):  # type: ignore[no-untyped-def]
     """``rate`` [rev/s] limited so that the cubic between any two knots grows (Fritsch and Carlson 1980, their box)."""
-    secant = np.diff(angle_rev) / np.diff(time_s)
-    limit = 3.0 * np.minimum(np.append(secant, np.inf), np.append(np.inf, secant))
-    return np.clip(rate, 0.0, limit)
+    n = rate.size
+    out = np.empty(n)
+    before = np.inf
+    for i in range(n):
+        after = (angle_rev[i + 1] - angle_rev[i]) / (time_s[i + 1] - time_s[i]) if i + 1 < n else np.inf
+        out[i] = min(max(rate[i], 0.0), 3.0 * min(before, after))
+        before = after
+    return out
 
 
 def _sparse(
@@ -129,20 +137,31 @@ def _sparse(
 ) -> IntArray:
     """Which knots to keep so that cubics over the others err by no more than ``allowed_rev``."""
     last = time_s.size - 1
-
-    def every(stride: int) -> IntArray:
-        return np.unique(np.append(np.arange(0, last, stride), last))
-
-    def fits(at: IntArray) -> bool:
-        between = angle_at(time_s, time_s[at], angle_rev[at], 60.0 * rate[at])
-        return bool(np.max(np.abs(between - angle_rev)) <= allowed_rev)
-
     stride = 1 << max(0, int(np.log2(max(1.0, 0.1 / min(cut_off, 0.5)))))
-    while stride > 1 and not fits(every(stride)):
+    while stride > 1 and not _stride_fits(time_s, angle_rev, rate, stride, allowed_rev):
         stride //= 2
-    while 8 * stride < last and fits(every(2 * stride)):
+    while 8 * stride < last and _stride_fits(time_s, angle_rev, rate, 2 * stride, allowed_rev):
         stride *= 2
-    return every(stride)
+    return np.unique(np.append(np.arange(0, last, stride), last))
+
+
+@njit(cache=True, nogil=True)
+def _stride_fits(time, angle, rate, stride, allowed):  # type: ignore[no-untyped-def]
+    """Whether the cubics over every ``stride``-th knot pass within ``allowed`` of all, and grow."""
+    last = time.size - 1
+    for k in range(0, last, stride):
+        end = min(k + stride, last)
+        step = time[end] - time[k]
+        rise = (angle[end] - angle[k]) / step
+        if max(rate[k], rate[end]) > 3.0 * rise:
+            return False
+        c2 = (3.0 * rise - 2.0 * rate[k] - rate[end]) / step
+        c3 = (rate[k] + rate[end] - 2.0 * rise) / (step * step)
+        for i in range(k + 1, end):
+            x = time[i] - time[k]
+            if abs(angle[k] + x * (rate[k] + x * (c2 + x * c3)) - angle[i]) > allowed:
+                return False
+    return True
 
 
 def angle_at(

@@ -16,6 +16,8 @@ from crankorder.shaft.pulses import Remark
 from crankorder.shaft.speed_signal import integrated_speed
 from crankorder.shaft.wheel import NumberedTeeth, number_teeth
 
+# Jitter so many times the noise of sampling is worth a remark.
+JITTER_RATIO = 1.5
 PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
 
 
@@ -87,6 +89,11 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     )
     tdc, reference, flags = _tdc(teeth, pulses_per_rev, recording)
     first = (teeth.tooth[0] / (pulses_per_rev * ratio)) - tdc
+    if noise is not None and knots.noise_s > JITTER_RATIO * noise:
+        share = knots.noise_s / float(np.median(np.diff(teeth.time_s)))
+        flags.append(
+            ("encoder_jitter", "info", f"pulses jitter by {share:.2g} of their distance, more than their sampling")
+        )
     knots = replace(knots, angle_rev=knots.angle_rev - tdc - np.ceil(first - 1e-9))
     return _dataset(recording, knots, reference, teeth.time_s.size, [*teeth.flags, *flags])
 
@@ -143,7 +150,7 @@ def _from_constant(recording: xr.Dataset) -> ShaftAngle:
             remedy="State speed_rpm in run.toml",
         )
     time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
-    knots = AngleKnots(time_s, time_s * speed / 60.0, np.full(2, speed), np.full(2, np.nan), np.nan)
+    knots = AngleKnots(time_s, time_s * speed / 60.0, np.full(2, speed), np.full(2, np.nan), np.nan, np.nan)
     return _dataset(recording, knots, "none", 0, [_NO_PHASE])
 
 
@@ -156,7 +163,7 @@ def _sampled_by_angle(recording: xr.Dataset) -> AngleKnots:
         [0.0, (recording["signal"].shape[1] - 1) / float(attrs["samples_per_rev"])]
     )
     speed = float(attrs.get("speed_rpm", np.nan))
-    return AngleKnots((angle - angle[0]) * 60.0 / speed, angle, np.full(2, speed), np.zeros(2), np.nan)
+    return AngleKnots((angle - angle[0]) * 60.0 / speed, angle, np.full(2, speed), np.zeros(2), np.nan, np.nan)
 
 
 def _dataset(
@@ -164,13 +171,13 @@ def _dataset(
 ) -> ShaftAngle:
     """The ShaftAngle dataset, signed in its history."""
     name = str(recording.attrs["recording"])
+    start_s = float(recording.attrs.get("start_s", 0.0))
     columns: dict[str, tuple[Any, str, str]] = {
         "time": (knots.time_s + start_s, "s", "time of the knot"),
         "crank_angle": (knots.angle_rev, "rev", "crank angle from top dead centre"),
         "speed": (knots.speed_rpm, "min-1", "crank speed"),
         "standard_error": (knots.standard_error_rev, "rev", "standard error of the crank angle"),
     }
-    start_s = float(recording.attrs.get("start_s", 0.0))
     signed = f"shaft: {knots.time_s.size} knots from {n_pulses} pulses, angle 0 is {reference}"
     shaft = xr.Dataset(
         {key: ("knot", value, {"units": unit, "long_name": text}) for key, (value, unit, text) in columns.items()},

@@ -151,7 +151,7 @@ def _levels(trace):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fired(trace, sign, arm, fire):  # type: ignore[no-untyped-def]
-    """First samples of ``sign * trace`` above ``fire`` since it was below ``arm``, and the count of NaN; no branches."""
+    """First samples of ``sign * trace`` above ``fire`` since it was below ``arm``, and the count of NaN."""
     at = np.empty(trace.size // 2 + 2, dtype=np.int64)
     n, missing, armed = 0, 0, False
     for i in range(trace.size):

@@ -4,7 +4,8 @@ Teeth are evenly spaced in angle, so the noise of the pulse times is even too, a
 smoothed by penalised least squares on the third difference: minimise sum w (z - t)^2 + penalty sum (third difference
 of z)^2 (Whittaker 1923; Eilers 2003). Its gain at ``f`` cycles per tooth is 1 / (1 + (sin(pi f) / sin(pi cut_off))^6).
 The cut-off follows from the pulse noise by the discrepancy principle (Morozov 1966): the residual may be no larger
-than the noise explains, in the roughest block of the record.
+than the noise explains, in the roughest block of the record. Jitter beyond the stated noise is told from motion by its
+lack of correlation from tooth to tooth.
 """
 
 from __future__ import annotations
@@ -21,141 +22,165 @@ BLOCK_TEETH, MAX_BLOCKS = 2048, 12
 # Cut-offs, in cycles per tooth: below the first the normal equations are too stiff; above the second smoothing does
 # nothing worth having and the pulses are interpolated.
 LOWEST_CUT_OFF, HIGHEST_CUT_OFF = 0.003, 0.35
+# Lags at which a residual is tested for being white.
+WHITE_LAGS = 8
 # Steps of the search: a cut-off is found within the fourth root of 2.
 SEARCH_FACTOR = 2.0**0.25
-# Up to so many teeth the leverage is exact; above, its profile at the ends is that of an even record.
-EXACT_TEETH = 192
 
 
 def noise_from_differences(time_s: FloatArray) -> float:
     """Standard deviation of pulse times ``time_s`` (pulses,) [s] from their fourth differences, by the median."""
     if time_s.size < 8:
         return 0.0
-    return float(np.median(np.abs(np.diff(time_s, n=4)))) / (0.6745 * np.sqrt(70.0))
+    return float(np.median(np.abs(np.diff(time_s, n=4)))) / (0.6745 * math.sqrt(70.0))
 
 
 def penalty_of(cut_off: float) -> float:
     """Penalty on squared third differences for a half-gain frequency of ``cut_off`` cycles per tooth."""
-    return 1e-9 if cut_off > HIGHEST_CUT_OFF else (2.0 * math.sin(math.pi * cut_off)) ** -6.0
+    return 1e-9 if cut_off > HIGHEST_CUT_OFF else float((2.0 * math.sin(math.pi * cut_off)) ** -6)
 
 
-def _gain_moments(penalty: float) -> tuple[float, float]:
-    """Mean over frequency of the smoother's gain and of its square: its leverages in an even record."""
-    gain = 1.0 / (1.0 + penalty * (2.0 * np.sin(np.pi * (np.arange(4096) + 0.5) / 8192.0)) ** 6)
-    return float(gain.mean()), float((gain**2).mean())
+def _residual_moments(penalty: float) -> FloatArray:
+    """Autocovariance at lags 0 to WHITE_LAGS of the residual that white noise of variance 1 leaves in an even record."""
+    frequency = (np.arange(4096) + 0.5) / 8192.0
+    kept = 1.0 - 1.0 / (1.0 + penalty * (2.0 * np.sin(np.pi * frequency)) ** 6)
+    lags = np.arange(WHITE_LAGS + 1)[:, None]
+    moments: FloatArray = np.mean(kept**2 * np.cos(2.0 * np.pi * frequency * lags), axis=1)
+    return moments
 
 
-def cut_off_of(grid: FloatArray, weight: FloatArray, *, noise_s: float, floor: float, margin: float) -> float:
-    """Cut-off [cycles per tooth] at which the residual of every block is what the noise explains, times ``margin``.
+def cut_off_of(
+    grid: FloatArray, weight: FloatArray, *, noise_s: float, floor: float, margin: float
+) -> tuple[float, float]:
+    """Cut-off [cycles per tooth] at which the residual of every block is noise, and the noise [s] of a pulse.
+
+    A residual is noise when it is no larger than ``noise_s`` explains or, whatever its size, uncorrelated: then it is
+    jitter of the pulses, whose measured size takes the place of ``noise_s``.
 
     Parameters
     ----------
     grid : (teeth,), s, pulse times by tooth
     weight : (teeth,), 1 where a tooth has a pulse, else 0
     noise_s : standard deviation of one pulse time, s
-    floor : lowest cut-off to return, cycles per tooth; kept as it is where the noise explains the residual there
-    margin : 1 or more; bias falls with its sixth power, noise grows with its square root
+    floor : lowest cut-off to return, cycles per tooth; kept as it is where the residual there is noise
+    margin : 1 or more, on a cut-off above the floor; bias falls with its sixth power, noise grows with its square root
     """
     n_blocks = min(MAX_BLOCKS, max(1, grid.size // BLOCK_TEETH))
     length = min(grid.size, BLOCK_TEETH)
     starts = np.linspace(0, grid.size - length, n_blocks).astype(int)
-    cut_off = floor
+    cut_off, noise = floor, noise_s
     for start in starts:
         times, weights = grid[start : start + length] - grid[start], weight[start : start + length]
         count = weights.sum()
-        allowed = noise_s**2 * (1.0 + 3.0 / np.sqrt(count))
         while cut_off <= HIGHEST_CUT_OFF:
             penalty = penalty_of(cut_off)
-            mean, square = _gain_moments(penalty)
+            white = _residual_moments(penalty)
             residual = weights * (times - smoothed(times, weights, penalty))
-            if float(residual @ residual) <= count * allowed * max(1.0 - 2.0 * mean + square, 1.0 / count):
+            variance = float(residual @ residual) / (count * max(white[0], 1.0 / count))
+            if variance <= noise_s**2 * (1.0 + 3.0 / np.sqrt(count)):
+                break
+            if _is_white(residual, white, count):
+                noise = max(noise, float(np.sqrt(variance)))
                 break
             cut_off *= SEARCH_FACTOR
-    return cut_off if cut_off == floor else margin * cut_off
+    return (cut_off if cut_off == floor else margin * cut_off), noise
 
 
-def leverage(weight: FloatArray, cut_off: float) -> FloatArray:
-    """Variance of each smoothed time over the variance of one pulse time: the diagonal of (W + penalty D'D)^-1.
+def _is_white(residual: FloatArray, white: FloatArray, count: float) -> bool:
+    """Whether the correlation of ``residual`` at every lag is what white noise would leave, within three deviations."""
+    if count < 4 * WHITE_LAGS:
+        return False
+    total = float(residual @ residual)
+    found = np.array([float(residual[:-lag] @ residual[lag:]) / total for lag in range(1, WHITE_LAGS + 1)])
+    return bool(np.max(np.abs(found - white[1:] / white[0])) < 3.0 / np.sqrt(count))
 
-    ``weight`` (teeth,) is 1 where a tooth has a pulse, ``cut_off`` in cycles per tooth. Exact up to EXACT_TEETH teeth;
-    above, the ends have the profile of an even record, which scales with the cut-off, and holes are not seen.
+
+def smoothed(value: FloatArray, weight: FloatArray, penalty: float) -> FloatArray:
+    """Solution z (teeth,) of (W + penalty D'D) z = W value, D the third difference; O(n).
+
+    Parameters
+    ----------
+    value : (teeth,), s; the line through its ends is taken out first: D does not see it, and round-off is of the rest
+    weight : (teeth,), 1 where a tooth has a pulse, else 0; at least three are 1
+    penalty : above 0
     """
-    if weight.size <= EXACT_TEETH:
-        return _exact_leverage(weight, penalty_of(cut_off))
-    inner = _gain_moments(penalty_of(cut_off))[0]
-    scale = max(cut_off, 0.02)
-    profile = _exact_leverage(np.ones(EXACT_TEETH), penalty_of(scale))[: EXACT_TEETH // 2]
-    reach = np.arange(profile.size) * scale / min(cut_off, 0.5)
-    end = inner * profile / profile[-1]
-    out = np.interp(np.arange(weight.size), reach, end, right=inner)
-    both: FloatArray = np.maximum(out, out[::-1])
-    return both
+    result: FloatArray = _solved(value, weight, *_factors(weight, penalty))
+    return result
 
 
-def _exact_leverage(weight: FloatArray, penalty: float) -> FloatArray:
-    size = weight.size
-    system = np.diag(weight)
-    if size > 3:
-        third = np.diff(np.eye(size), n=3, axis=0)
-        system += penalty * (third.T @ third)
-    return np.diag(np.linalg.inv(system)).copy()
+def leverage(weight: FloatArray, penalty: float) -> FloatArray:
+    """Variance of each smoothed time over that of one pulse time: the diagonal of (W + penalty D'D)^-1; O(n).
+
+    ``weight`` (teeth,) is 1 where a tooth has a pulse, else 0; ``penalty`` is above 0.
+    """
+    result: FloatArray = _inverse_diagonal(*_factors(weight, penalty))
+    return result
 
 
 @njit(cache=True, nogil=True)
-def smoothed(value, weight, penalty):  # type: ignore[no-untyped-def]
-    """Solution z of (W + penalty D'D) z = W value, D the third difference, by banded LDL'; O(n).
+def _factors(weight, penalty):  # type: ignore[no-untyped-def]
+    """Factors of W + penalty D'D = L diag(d) L': d and the three bands of L below its unit diagonal.
 
-    ``value`` (teeth,) [s], ``weight`` (teeth,), ``penalty`` > 0. The line through the ends is taken out first: D does
-    not see it, and round-off then scales with what is left. Away from ends and holes the factors repeat.
+    Away from ends and holes they settle, and are then copied.
     """
-    n = value.size
-    out = np.empty(n)
-    first, last = 0, n - 1
-    slope = (value[last] - value[first]) / max(1, last - first)
-    d, a, b, c, z = np.empty(n), np.zeros(n), np.zeros(n), np.zeros(n), np.empty(n)
+    n = weight.size
+    d, a, b, c = np.empty(n), np.zeros(n), np.zeros(n), np.zeros(n)
     steady = 0
     for i in range(n):
-        # row i of D'D: bands of the products of (-1, 3, -3, 1) that fit into the record
-        inside = 3 <= i < n - 3
-        if inside:
-            p0, p1, p2, p3 = 20.0, -15.0, 6.0, -1.0
-        else:
-            p0, p1, p2, p3 = _penalty_row(i, n)
-        w = weight[i]
-        z[i] = w * (value[i] - value[first] - slope * i)
-        if inside and steady > 4 and w == weight[i - 1] and i > 9:
+        inside = 3 < i < n - 3
+        if inside and steady > 3 and weight[i] == weight[i - 1]:
             d[i], a[i], b[i], c[i] = d[i - 1], a[i - 1], b[i - 1], c[i - 1]
-        else:
-            # a[i] = L[i+1, i], b[i] = L[i+2, i], c[i] = L[i+3, i]
-            pivot, low1, low2, low3 = w + penalty * p0, penalty * p1, penalty * p2, penalty * p3
-            if i >= 1:
-                pivot -= a[i - 1] ** 2 * d[i - 1]
-                low1 -= a[i - 1] * b[i - 1] * d[i - 1]
-                low2 -= a[i - 1] * c[i - 1] * d[i - 1]
-            if i >= 2:
-                pivot -= b[i - 2] ** 2 * d[i - 2]
-                low1 -= b[i - 2] * c[i - 2] * d[i - 2]
-            if i >= 3:
-                pivot -= c[i - 3] ** 2 * d[i - 3]
-            d[i], a[i], b[i], c[i] = pivot, low1 / pivot, low2 / pivot, low3 / pivot
-            same = i > 0 and abs(d[i] - d[i - 1]) <= 1e-15 * d[i] and w == weight[i - 1]
-            steady = steady + 1 if same else 0
+            continue
+        p0, p1, p2, p3 = (20.0, -15.0, 6.0, -1.0) if inside else _penalty_row(i, n)
+        pivot, low1, low2, low3 = weight[i] + penalty * p0, penalty * p1, penalty * p2, penalty * p3
         if i >= 1:
-            z[i] -= a[i - 1] * z[i - 1]
+            pivot -= a[i - 1] ** 2 * d[i - 1]
+            low1 -= a[i - 1] * b[i - 1] * d[i - 1]
+            low2 -= a[i - 1] * c[i - 1] * d[i - 1]
         if i >= 2:
-            z[i] -= b[i - 2] * z[i - 2]
+            pivot -= b[i - 2] ** 2 * d[i - 2]
+            low1 -= b[i - 2] * c[i - 2] * d[i - 2]
         if i >= 3:
-            z[i] -= c[i - 3] * z[i - 3]
+            pivot -= c[i - 3] ** 2 * d[i - 3]
+        d[i], a[i], b[i], c[i] = pivot, low1 / pivot, low2 / pivot, low3 / pivot
+        same = i > 0 and weight[i] == weight[i - 1] and abs(d[i] - d[i - 1]) <= 2e-16 * d[i]
+        steady = steady + 1 if same else 0
+    return d, a, b, c
+
+
+@njit(cache=True, nogil=True)
+def _solved(value, weight, d, a, b, c):  # type: ignore[no-untyped-def]
+    n = value.size
+    slope = (value[n - 1] - value[0]) / max(1, n - 1)
+    z = np.empty(n)
+    z1 = z2 = z3 = a1 = b1 = b2 = c1 = c2 = c3 = 0.0
+    for i in range(n):
+        now = weight[i] * (value[i] - value[0] - slope * i) - a1 * z1 - b2 * z2 - c3 * z3
+        z[i] = now
+        z1, z2, z3 = now, z1, z2
+        a1, b1, b2, c1, c2, c3 = a[i], b[i], b1, c[i], c1, c2
+    z1 = z2 = z3 = 0.0
     for i in range(n - 1, -1, -1):
-        total = z[i] / d[i]
-        if i + 1 < n:
-            total -= a[i] * z[i + 1]
-        if i + 2 < n:
-            total -= b[i] * z[i + 2]
-        if i + 3 < n:
-            total -= c[i] * z[i + 3]
-        z[i] = total
-        out[i] = total + value[first] + slope * i
+        now = z[i] / d[i] - a[i] * z1 - b[i] * z2 - c[i] * z3
+        z1, z2, z3 = now, z1, z2
+        z[i] = now + value[0] + slope * i
+    return z
+
+
+@njit(cache=True, nogil=True)
+def _inverse_diagonal(d, a, b, c):  # type: ignore[no-untyped-def]
+    """Diagonal of (L diag(d) L')^-1 from the last row up (Takahashi, Fagan and Chin 1973)."""
+    n = d.size
+    out = np.empty(n)
+    # the inverse at (i+1, i+1) ... (i+3, i+3)
+    s11 = s12 = s13 = s22 = s23 = s33 = 0.0
+    for i in range(n - 1, -1, -1):
+        s01 = -(a[i] * s11 + b[i] * s12 + c[i] * s13)
+        s02 = -(a[i] * s12 + b[i] * s22 + c[i] * s23)
+        s03 = -(a[i] * s13 + b[i] * s23 + c[i] * s33)
+        s00 = 1.0 / d[i] - (a[i] * s01 + b[i] * s02 + c[i] * s03)
+        out[i] = s00
+        s33, s23, s22, s13, s12, s11 = s22, s12, s11, s02, s01, s00
     return out
 
 

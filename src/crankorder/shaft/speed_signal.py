@@ -64,5 +64,5 @@ def integrated_speed(
     bend = np.diff(revs_per_s, n=2)
     noise = float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0
     error = noise * np.sqrt(np.maximum(at, 1)) / rate_hz
-    knots = AngleKnots(time_s + start_s, angle[at], rate * 60.0, error, 0.5 / settings.speed_lowpass_rev)
+    knots = AngleKnots(time_s + start_s, angle[at], rate * 60.0, error, 0.5 / settings.speed_lowpass_rev, np.nan)
     return knots, flags

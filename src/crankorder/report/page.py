@@ -1,0 +1,98 @@
+"""The report page of a test and the index of many: HTML with no script and no network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+from urllib.parse import quote
+
+from jinja2 import Environment, StrictUndefined, Template
+from markupsafe import Markup
+
+from crankorder.report.notation import named
+from crankorder.report.sentences import headline, story_of
+from crankorder.report.tables import provenance_table, tables_of
+from crankorder.settings import ReportSettings
+
+_NAME_CHARACTERS = 60
+_ERROR_CHARACTERS = 400
+_ANSWERS = (("what", "What shakes"), ("why", "Why"), ("how_sure", "How sure"), ("what_to_do", "What to do"))
+_MARKED = frozenset({"excited", "suspect", "bad"})
+
+
+def report_page(
+    findings: dict[str, Any], *, pictures: list[tuple[str, str]], provenance: dict[str, Any], settings: ReportSettings
+) -> str:
+    """HTML page of a test: what shakes, why, how sure and what to do; pictures; tables with intervals; provenance.
+
+    ``findings`` as in ``data_schema/findings.json``; ``pictures`` pairs of file name (beside the page) and caption;
+    ``provenance`` as in ``data_schema/run.json``; ``settings`` of the report. All text is escaped; the page refers to
+    nothing but its pictures.
+    """
+    limit = settings.max_name_characters
+    story = story_of(findings)
+    return _template("report.html").render(
+        policy=_policy(),
+        style=Markup(_style()),  # noqa: S704  # our own file, never text from data
+        test=named(findings.get("test", ""), limit=limit),
+        headline=headline(findings),
+        story=[(title, story[key]) for key, title in _ANSWERS],  # type: ignore[literal-required]  # keys of Story
+        pictures=[(_beside(file), named(caption, limit=4 * limit)) for file, caption in pictures],
+        tables=tables_of(findings, limit=limit),
+        provenance=provenance_table(provenance),
+        marked=_MARKED,
+    )
+
+
+def index_page(tests: list[dict[str, Any]]) -> str:
+    """HTML list of all tests of a run, each with its status, headline and link, and the recordings that failed.
+
+    ``tests`` records with ``name``, ``status`` and, where there is one, ``headline`` (sentences), ``link`` (path of the
+    report, relative to the index) and ``failed`` (records with ``recording`` and ``error``).
+    """
+    shown = []
+    for test in tests:
+        status, said = str(test.get("status", "")), test.get("headline") or []
+        sentences = [said] if isinstance(said, str) else list(said)
+        failed = [
+            (named(record.get("recording", ""), limit=_NAME_CHARACTERS), named(record.get("error", ""), limit=_ERROR_CHARACTERS))
+            for record in test.get("failed") or []
+        ]
+        shown.append(
+            {
+                "name": named(test.get("name", ""), limit=_NAME_CHARACTERS),
+                "status": named(status, limit=_ERROR_CHARACTERS),
+                "doubtful": status not in ("done", "ok", "unchanged"),
+                "headline": [named(sentence, limit=_ERROR_CHARACTERS) for sentence in sentences],
+                "link": _beside(str(test["link"])) if test.get("link") else "",
+                "failed": failed,
+            }
+        )
+    style = Markup(_style())  # noqa: S704  # our own file, never text from data
+    return _template("index.html").render(policy=_policy(), style=style, tests=shown)
+
+
+def _beside(path: str) -> str:
+    """Relative link to a file beside the page: no scheme, host, query or parent can come out of a name."""
+    parts = [part for part in path.replace("\\", "/").split("/") if part not in ("", ".", "..")]
+    return "./" + "/".join(quote(part.encode("utf-8", "surrogateescape"), safe="") for part in parts)
+
+
+@cache
+def _template(name: str) -> Template:
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(files("crankorder.report").joinpath(name).read_text(encoding="utf-8"))
+
+
+@cache
+def _style() -> str:
+    return files("crankorder.report").joinpath("report.css").read_text(encoding="utf-8")
+
+
+@cache
+def _policy() -> str:
+    digest = base64.b64encode(hashlib.sha256(_style().encode("utf-8")).digest()).decode("ascii")
+    return f"default-src 'none'; img-src 'self' file:; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"

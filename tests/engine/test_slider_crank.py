@@ -1,0 +1,117 @@
+"""The kinematics against 60-digit arithmetic, difference quotients and the exact values at the quarter turns."""
+
+from decimal import Decimal, getcontext
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crankorder.engine.slider_crank import (
+    SliderCrank,
+    piston_acceleration,
+    piston_drop,
+    piston_velocity,
+    rod_angle,
+)
+from crankorder.errors import RequestError
+
+getcontext().prec = 60
+PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
+THESIS = SliderCrank(crank_radius_m=0.0449, rod_length_m=0.152, offset_m=0.010)
+SHAPES = st.builds(
+    lambda ratio, share: SliderCrank(crank_radius_m=ratio, rod_length_m=1.0, offset_m=share * (1 - ratio)),
+    st.floats(0.01, 0.9),
+    st.floats(-0.8, 0.8),
+)
+
+
+def decimal_sine_cosine(angle: Decimal) -> tuple[Decimal, Decimal]:
+    sums, term = [Decimal(0), Decimal(0)], Decimal(1)
+    for k in range(1, 120):
+        sums[(k - 1) % 2] += term * (-1) ** ((k - 1) // 2)
+        term *= angle / k
+    return sums[1], sums[0]
+
+
+def decimal_acceleration(revolutions: float, mechanism: SliderCrank) -> Decimal:
+    sine, cosine = decimal_sine_cosine(2 * PI * Decimal(revolutions))
+    radius, rod, offset = (Decimal(x) for x in (mechanism.crank_radius_m, mechanism.rod_length_m, mechanism.offset_m))
+    across, slope = radius * sine - offset, radius * cosine
+    along = (rod * rod - across * across).sqrt()
+    return radius * cosine + (slope**2 - across * radius * sine) / along + across**2 * slope**2 / along**3
+
+
+@pytest.mark.parametrize("slack", [0.7, 1e-2, 1e-6, 1e-9, 1e-12])
+def test_the_acceleration_keeps_its_digits_however_short_the_rod(slack: float) -> None:
+    mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0)
+    kappa = np.sqrt(slack * (2 - slack))
+    angles = np.concatenate([np.linspace(0, 1, 41), 0.25 + kappa * np.linspace(-1, 1, 21), [0.75 + 3 * kappa / 7]])
+    exact = np.array([float(decimal_acceleration(float(angle), mechanism)) for angle in angles])
+    peak = max(2 - slack, (1 - slack) / kappa)
+    assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * peak
+
+
+@pytest.mark.parametrize("offset", [0.01, -0.03])
+def test_the_acceleration_with_offset_agrees_with_sixty_digits(offset: float) -> None:
+    mechanism = SliderCrank(crank_radius_m=0.0449, rod_length_m=0.152, offset_m=offset)
+    angles = np.linspace(-1, 2, 61)
+    exact = np.array([float(decimal_acceleration(float(angle), mechanism)) for angle in angles])
+    assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("ratio", [0.1, 44.9 / 152, 0.9, 0.999])
+def test_the_acceleration_has_its_exact_values_at_the_quarter_turns(ratio: float) -> None:
+    mechanism = SliderCrank(crank_radius_m=ratio, rod_length_m=1.0)
+    kappa = np.sqrt((1 - ratio) * (1 + ratio))
+    exact = np.array([1 + ratio, -ratio / kappa, -1 + ratio, -ratio / kappa])
+    assert piston_acceleration([0, 0.25, 0.5, 0.75], mechanism) / ratio == pytest.approx(exact, rel=4e-16 / kappa)
+
+
+@given(SHAPES)
+def test_velocity_and_acceleration_are_the_derivatives_of_the_drop(mechanism: SliderCrank) -> None:
+    n = 8192  # spectral differentiation of one turn: exact for a smooth periodic function
+    angles = np.arange(n) / n
+    factor = 1j * np.arange(n // 2 + 1)
+    drop = np.fft.rfft(piston_drop(angles, mechanism))
+    velocity = piston_velocity(angles, mechanism)
+    scale = np.abs(piston_acceleration(angles, mechanism)).max()
+    assert np.abs(np.fft.irfft(factor * drop, n) + velocity).max() < 1e-8 * scale
+    slope = np.fft.irfft(factor * np.fft.rfft(velocity), n)
+    assert np.abs(slope + piston_acceleration(angles, mechanism)).max() < 1e-8 * scale
+
+
+@given(SHAPES)
+def test_rod_angle_and_its_derivatives_belong_together(mechanism: SliderCrank) -> None:
+    n = 8192
+    angles = np.arange(n) / n
+    psi, first, second = rod_angle(angles, mechanism)
+    closing = mechanism.crank_radius_m * np.sin(2 * np.pi * angles) - mechanism.offset_m
+    factor = 1j * np.arange(n // 2 + 1)
+    scale = np.abs(second).max() + 1
+    assert mechanism.rod_length_m * np.sin(psi) == pytest.approx(closing, abs=1e-14)
+    assert np.fft.irfft(factor * np.fft.rfft(psi), n) == pytest.approx(first, abs=1e-8 * scale)
+    assert np.fft.irfft(factor * np.fft.rfft(first), n) == pytest.approx(second, abs=1e-8 * scale)
+
+
+@pytest.mark.parametrize("angle_rad", [1e-3, 1e-5, 1e-7])
+def test_the_drop_near_dead_centre_has_all_its_digits(angle_rad: float) -> None:
+    mechanism = SliderCrank(crank_radius_m=1.0, rod_length_m=152 / 44.9)
+    revolutions = angle_rad / (2 * np.pi)
+    sine, cosine = decimal_sine_cosine(2 * PI * Decimal(revolutions))
+    rod = Decimal(mechanism.rod_length_m)
+    exact = float(1 - cosine + rod - (rod * rod - sine * sine).sqrt())
+    assert piston_drop(revolutions, mechanism) == pytest.approx(exact, rel=5e-16)
+
+
+def test_a_whole_turn_changes_nothing() -> None:
+    angles = np.arange(256) / 256
+    assert np.array_equal(piston_acceleration(angles + 1000, THESIS), piston_acceleration(angles, THESIS))
+
+
+@pytest.mark.parametrize(
+    "lengths", [(0.1, 0.1, 0.0), (0.1, 0.15, 0.06), (-0.1, 0.3, 0.0), (float("nan"), 0.3, 0.0), (0.0, 0.3, 0.0)]
+)
+def test_a_crank_that_cannot_turn_is_refused(lengths: tuple[float, float, float]) -> None:
+    with pytest.raises(RequestError, match="rod longer than radius and offset"):
+        SliderCrank(crank_radius_m=lengths[0], rod_length_m=lengths[1], offset_m=lengths[2])

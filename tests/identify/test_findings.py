@@ -1,0 +1,130 @@
+"""Findings of made tests whose truth is analytic."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made.recordings import line, steady, total
+
+from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.map import campbell_map
+from crankorder.engine.bearings import Bearing
+from crankorder.identify.explain import Sources
+from crankorder.identify.findings import find
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
+from crankorder.settings import load_settings
+
+SETTINGS = load_settings()
+SPEEDS_RPM = np.arange(600.0, 2001.0, 100.0)
+MODES = {115.0: 0.012, 172.0: 0.01, 187.0: 0.01, 350.0: 0.008}
+RATE_HZ = 2000.0
+
+
+def shaken(seed: int):
+    """White noise seen through the acceleration response of MODES."""
+
+    def signal(time_s, _):
+        rng = np.random.default_rng(seed)
+        frequency = np.fft.rfftfreq(len(time_s), 1 / RATE_HZ)
+        response = 1.0 + sum(
+            -2 * z * frequency**2 / (f**2 - frequency**2 + 2j * z * f * frequency) for f, z in MODES.items()
+        )
+        return np.fft.irfft(np.fft.rfft(0.05 * rng.standard_normal(len(time_s))) * response, len(time_s))
+
+    return signal
+
+
+def findings_of(signals_at, *, speeds=SPEEDS_RPM, duration_s=12.0, bearings=(), **given):
+    orders, frequencies = [], []
+    for number, rpm in enumerate(speeds):
+        recording = steady(signals_at(rpm, number), speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
+        orders.append(order_frames(*recording, settings=SETTINGS.orders))
+        frequencies.append(frequency_frames(*recording, settings=SETTINGS.campbell))
+    made_map = order_map(orders, settings=SETTINGS.orders)
+    campbell = campbell_map(frequencies, speed_bin_rpm=25.0)
+    sources = Sources(revs_per_cycle=2, bearings=tuple(bearings), **given)
+    return find(made_map, campbell, test="made", sources=sources, settings=SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def reference():
+    bearing = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11)
+
+    def signals(rpm, number):
+        growing = (rpm / 1000) ** 2
+        return [
+            total(line(1.0, 0.2 * growing, 0.4), line(2.0, 0.1 * growing), line(5.5, 0.05), shaken(number)),
+            total(line(5.5, 0.08, 1.0), shaken(1000 + number)),
+        ]
+
+    return findings_of(signals, bearings=[bearing], engine_orders=(1.0, 2.0))
+
+
+def test_every_order_put_in_is_found_and_none_else(reference):
+    found = [(record["channel"], round(record["order"], 2)) for record in reference["orders"]]
+    assert found == [("A", 1.0), ("A", 2.0), ("A", 5.5), ("B", 5.5)]
+
+
+def test_the_truth_lies_in_the_intervals_of_amplitude_order_and_exponent(reference):
+    truth = {("A", 1.0): (0.2, 2.0), ("A", 2.0): (0.1, 2.0), ("A", 5.5): (0.05, 0.0), ("B", 5.5): (0.08, 0.0)}
+    for record in reference["orders"]:
+        amplitude, exponent = truth[record["channel"], round(record["order"], 1)]
+        expected = amplitude * (record["speed_rpm_at_max"] / 1000) ** exponent
+        low, high = record["amplitude_ci95"]
+        # the largest of fifteen amplitudes is chosen, so allow for twice the half width
+        assert abs(record["amplitude"] - expected) < (high - low)
+        assert abs(record["speed_exponent"] - exponent) < 0.06
+        assert record["order_ci95"][0] - 1e-3 < round(record["order"], 1) < record["order_ci95"][1] + 1e-3
+
+
+def test_natural_frequencies_are_found_within_one_percent_with_their_damping(reference):
+    found = {record["frequency_hz"]: record["damping_ratio"] for record in reference["modes"]}
+    assert len(found) == len(MODES)
+    for (frequency, damping), (true_frequency, true_damping) in zip(found.items(), MODES.items(), strict=True):
+        assert frequency == pytest.approx(true_frequency, rel=0.01)
+        assert damping == pytest.approx(true_damping, rel=0.35)
+
+
+def test_the_bearing_line_is_named_with_the_rule_to_run_again(reference):
+    (record,) = reference["bearings"]
+    assert (record["line"], record["order_expected"], record["channel"]) == ("N*fs", 5.5, "B")
+    assert "re-run" in record["verdict"]
+    assert {r["explained_by"] for r in reference["orders"]} == {"engine kinematics", "bearing jack shaft N*fs"}
+    assert reference["unexplained_energy_fraction"] == 0.0
+
+
+def test_crossings_inside_and_outside_the_tested_range_are_told_apart(reference):
+    table = {(record["order"], round(record["mode_hz"])): record for record in reference["crossings"]}
+    assert table[5.5, 115]["in_range"] and table[5.5, 115]["rpm"] == pytest.approx(1254.5, rel=0.01)
+    assert not table[1.0, 350]["in_range"]
+
+
+def test_noise_alone_gives_no_order():
+    made = findings_of(lambda rpm, number: [shaken(5000 + number)])
+    assert made["orders"] == []
+
+
+def test_a_tone_of_fixed_frequency_is_mains_and_neither_order_nor_mode():
+    made = findings_of(lambda rpm, k: [total(lambda t, _: 0.2 * np.cos(2 * np.pi * 60.0 * t + k), shaken(k))])
+    assert made["orders"] == []
+    (mains,) = [record for record in made["modes"] if record["explained_by"] != "mode"]
+    assert mains["explained_by"] == "mains"
+    assert mains["frequency_hz"] == pytest.approx(60.0, abs=0.05)
+
+
+def test_an_order_that_meets_a_mode_is_called_excited():
+    def signals(rpm, number):
+        f = 4.0 * rpm / 60.0
+        gain = abs(f**2 / (115.0**2 - f**2 + 2j * 0.012 * 115.0 * f))
+        return [total(line(4.0, 0.3 * gain), shaken(number))]
+
+    made = findings_of(signals, speeds=np.arange(1400.0, 2001.0, 25.0), duration_s=8.0)
+    excited = [(r["order"], round(r["mode_hz"])) for r in made["crossings"] if r["excited"]]
+    assert excited == [(4.0, 115)]
+
+
+def test_one_speed_and_one_channel_are_enough_to_name_orders():
+    made = findings_of(lambda rpm, k: [total(line(2.0, 1.0), shaken(k))], speeds=[1500.0])
+    assert [round(record["order"], 2) for record in made["orders"]] == [2.0]
+    assert made["orders"][0]["speed_exponent"] is None

@@ -1,0 +1,43 @@
+"""What the ingest tests share: settings, a manifest from its text, and the place of the real recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.settings import IngestSettings, Settings, load_settings
+
+HEAD = 'schema_version = 1\n[test]\ncycle = "four-stroke"\n[recordings]\nfiles = ["*"]\n'
+
+
+@pytest.fixture(scope="session")
+def settings() -> Settings:
+    return load_settings()
+
+
+@pytest.fixture(scope="session")
+def limits(settings: Settings) -> IngestSettings:
+    return settings.ingest
+
+
+@pytest.fixture
+def manifest_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Manifest]:
+    """Manifest of the tables in a TOML text, with the head that every manifest needs."""
+
+    def build(tables: str, head: str = HEAD) -> Manifest:
+        path = tmp_path_factory.mktemp("manifest") / "run.toml"
+        path.write_text(head + tables, encoding="utf-8")
+        return load_manifest(path.parent)
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    folder = Path(__file__).parents[3] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the real recordings (../shared/data) are not here")
+    return folder

@@ -1,0 +1,176 @@
+"""A folder yields the recordings that the manifest names, and nothing outside it is ever touched."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from crankorder.errors import InputError, NoUsableRecordingError, UnsafeInputError
+from crankorder.ingest.folder import check_regular, recordings_of
+from crankorder.ingest.formats import format_of
+
+HEAD = 'schema_version = 1\n[test]\ncycle = "rotor"\n[recordings]\nfiles = {}\n'
+CHANNEL = '[[channels]]\nname = "a"\nunit = "V"\n'
+
+
+@pytest.fixture
+def found_in(manifest_of):
+    def find(folder: Path, *files: str):
+        names = "[" + ", ".join("'" + name + "'" if "\0" not in name else '"a\\u0000b"' for name in files) + "]"
+        return recordings_of(folder, manifest_of(CHANNEL, HEAD.format(names)))
+
+    return find
+
+
+def touched(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).write_bytes(b"1\n")
+
+
+def test_recordings_come_in_natural_order(tmp_path, found_in):
+    touched(tmp_path, "rpm_2000.h5", "rpm_300.h5", "rpm_1000.h5", "notes.txt")
+    assert [path.name for path in found_in(tmp_path, "*.h5").paths] == ["rpm_300.h5", "rpm_1000.h5", "rpm_2000.h5"]
+
+
+def test_leftovers_of_copies_and_editors_are_passed_over(tmp_path, found_in):
+    touched(tmp_path, "x.h5", "x.h5.part", "._x.h5", ".~lock.x.h5#", "Thumbs.db", ".x.h5.Ab12", "x.h5~", "run.toml")
+    folder = found_in(tmp_path, "*")
+    assert [path.name for path in folder.paths] == ["x.h5"]
+    assert not folder.faults
+    assert {"x.h5.part", "Thumbs.db", "._x.h5"} <= set(folder.ignored)
+
+
+def test_an_empty_folder_says_what_was_looked_for(tmp_path, found_in):
+    with pytest.raises(
+        NoUsableRecordingError, match=r"no recording found; looked for \*\.h5, b\*; found an empty folder"
+    ):
+        found_in(tmp_path, "*.h5", "b*")
+
+
+def test_a_folder_of_other_files_says_what_is_there(tmp_path, found_in):
+    touched(tmp_path, "notes.doc")
+    with pytest.raises(NoUsableRecordingError, match=r"looked for \*\.h5; found notes\.doc"):
+        found_in(tmp_path, "*.h5")
+
+
+def test_a_missing_file_is_a_fault_of_its_own(tmp_path, found_in):
+    touched(tmp_path, "a.h5")
+    folder = found_in(tmp_path, "a.h5", "b.h5")
+    assert [path.name for path in folder.paths] == ["a.h5"]
+    assert "b.h5: no such file" in str(folder.faults[0])
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.h5", "/etc/passwd", "~/secret.h5", "a/../../secret.h5", "\0", r"..\secret.h5", r"C:\secret.h5"]
+)
+def test_a_path_out_of_the_folder_is_refused(tmp_path, found_in, name):
+    (tmp_path / "secret.h5").write_bytes(b"1\n")
+    (tmp_path / "run").mkdir()
+    folder = found_in(tmp_path / "run", name)
+    assert not folder.paths
+    assert isinstance(folder.faults[0], UnsafeInputError)
+    assert "outside the run folder" in str(folder.faults[0])
+
+
+def test_a_link_out_of_the_folder_is_refused_and_one_inside_is_followed(tmp_path, found_in):
+    run = tmp_path / "run"
+    run.mkdir()
+    touched(tmp_path, "secret.h5")
+    touched(run, "a.h5")
+    (run / "b.h5").symlink_to("a.h5")
+    (run / "c.h5").symlink_to(tmp_path / "secret.h5")
+    (run / "d.h5").symlink_to("d.h5")
+    (run / "e.h5").symlink_to("nothing.h5")
+    folder = found_in(run, "*.h5")
+    assert [path.name for path in folder.paths] == ["a.h5", "b.h5"]
+    texts = sorted(str(fault) for fault in folder.faults)
+    assert [
+        next(
+            words
+            for words in ("outside the run folder", "a link that leads to itself", "a link to nothing")
+            if words in text
+        )
+        for text in texts
+    ] == ["outside the run folder", "a link that leads to itself", "a link to nothing"]
+
+
+def test_pipes_folders_sockets_and_devices_are_refused_without_opening(tmp_path, found_in):
+    os.mkfifo(tmp_path / "pipe.h5")
+    (tmp_path / "folder.h5").mkdir()
+    with socket.socket(socket.AF_UNIX) as server:
+        here = Path.cwd()
+        try:
+            os.chdir(tmp_path)  # socket names are limited to 108 bytes
+            server.bind("socket.h5")
+        finally:
+            os.chdir(here)
+        folder = found_in(tmp_path, "*.h5")
+    assert not folder.paths
+    texts = " ".join(str(fault) for fault in folder.faults)
+    assert all(
+        words in texts
+        for words in ("not a file but a named pipe", "not a file but a folder", "not a file but a socket")
+    )
+    with pytest.raises(InputError, match="not a file but a named pipe"):
+        format_of(tmp_path / "pipe.h5")
+    with pytest.raises(InputError, match="not a file but a device"):
+        check_regular(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "run 1.h5",
+        "a\nb.h5",
+        "-rf.h5",
+        "é.h5",
+        "e\u0301.h5",
+        "x" * 250 + ".h5",
+        "CON.h5",
+        "a\\b.h5",
+        "run [2].h5",
+        "%2e%2e.h5",
+    ],
+)
+def test_odd_names_are_files_like_any_other(tmp_path, found_in, name):
+    touched(tmp_path, name)
+    assert [path.name for path in found_in(tmp_path, "*.h5").paths] == [name]
+
+
+def test_a_name_with_the_characters_of_a_pattern_is_found_by_name(tmp_path, found_in):
+    touched(tmp_path, "run [2].h5", "run 2.h5")
+    assert [path.name for path in found_in(tmp_path, "run [2].h5").paths] == ["run [2].h5"]
+
+
+def test_a_name_that_is_not_utf_8_is_shown_escaped(tmp_path, found_in):
+    touched(tmp_path, os.fsdecode(b"a\xff.h5"))
+    (path,) = found_in(tmp_path, "*.h5").paths
+    with pytest.raises(InputError, match=r"a\\udcff\.h5: is text, though its name ends in \.h5"):
+        format_of(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.h5", b"", "truncated: the file is empty"),
+        ("a.h5", b"\0" * 5000, "holds only zeros"),
+        ("a.h5", b"time,acc\n0,1\n", r"is text, though its name ends in \.h5"),
+        ("a.mat", b"<!DOCTYPE html><html>404", "is an HTML or XML page: not a recording"),
+        ("a.hdf", b"HEAD acoustics\n1 2 3\n", "HEAD .hdf is a format of its own.*Export UFF58, WAV or HDF5"),
+        ("a.h5", b"MATLAB 5.0 MAT-file, Platform" + b" " * 100, "is a MATLAB 5 file: not supported yet. Export"),
+        ("a.tdms", b"TDSm\x0e\0\0\0", "is a TDMS file: not supported yet"),
+        ("a.mf4", b"MDF     4.10    ", "is an MDF4 file: not supported yet"),
+        ("a.npy", b"\x93NUMPY\x01\0", "is a NumPy array file"),
+        ("a.pkl", b"\x80\x04\x95\x00", "is a Python pickle, which can run code: never opened"),
+        ("a.uff", b"    -1\n    58\n", r"is a universal file \(UFF\): not supported yet"),
+        ("a.xyz", b"\x01\x02\x00\x03", "content is not known.*first bytes 01 02 00 03"),
+        ("a.h5", b"\x89", "truncated: only 1 bytes are left"),
+        ("a.xlsx", b"PK\x03\x04" + b"\0" * 50, "truncated or damaged"),
+        ("a.csv", b"\xff\xfea\0", "is UTF-16 text"),
+    ],
+)
+def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        format_of(tmp_path / name)

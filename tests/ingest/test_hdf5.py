@@ -1,0 +1,288 @@
+"""HDF5 files are read fast, read-only, and never lead anywhere else."""
+
+import os
+import struct
+
+import h5py
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError, UnsafeInputError
+from crankorder.ingest.formats import contents_of, read_file
+
+RNG = np.random.default_rng(20)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """A file of two float32 channels and an encoder at 50 kHz, and what is in it."""
+    path = tmp_path / "run.h5"
+    data = RNG.standard_normal((3, 4000)).astype(np.float32)
+    with h5py.File(path, "w") as file:
+        file.attrs["rate_hz"] = 50_000.0
+        for name, row in zip(("acc_x", "acc_z", "raw/encoder"), data, strict=True):
+            file[name] = row
+            file[name].attrs["units"] = "V"
+    return path, data
+
+
+def test_float32_columns_are_read_exactly_and_side_by_side(recorded, limits):
+    path, data = recorded
+    raw = read_file(path, sources=["acc_z", "acc_x", "/raw/encoder"], settings=limits)
+    assert raw.rate_hz == 50_000.0
+    assert dict(raw.units) == {"acc_z": "V", "acc_x": "V", "/raw/encoder": "V"}
+    np.testing.assert_array_equal([raw.columns[name] for name in ("acc_x", "acc_z", "/raw/encoder")], data)
+    rows = [raw.columns["acc_z"], raw.columns["acc_x"]]
+    assert all(row.dtype == np.float32 for row in rows)
+    assert rows[1].ctypes.data - rows[0].ctypes.data == rows[0].nbytes
+
+
+def test_contents_tell_names_lengths_units_and_rates(recorded, limits):
+    contents = contents_of(recorded[0], settings=limits)
+    assert contents.names == ("acc_x", "acc_z", "raw/encoder")
+    assert set(contents.samples.values()) == {4000}
+    assert set(contents.rates_hz.values()) == {50_000.0}
+
+
+@pytest.mark.parametrize("dtype", ["<f8", ">f4", "<i2", ">i4", "<u1", "<f2"])
+@pytest.mark.parametrize("chunks", [None, (1000,)])
+def test_every_number_type_keeps_its_values(tmp_path, limits, dtype, chunks):
+    values = (RNG.integers(0, 100, 2500)).astype(dtype)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", data=values, chunks=chunks, compression=None if chunks is None else "gzip")
+    raw = read_file(tmp_path / "a.h5", sources=["a"], settings=limits)
+    np.testing.assert_array_equal(raw.columns["a"], values.astype(float))
+
+
+@pytest.mark.parametrize("transposed", [False, True])
+def test_columns_of_a_table_are_channels_whichever_way_it_lies(tmp_path, limits, transposed):
+    table = RNG.standard_normal((500, 3))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = table.T if transposed else table
+    raw = read_file(tmp_path / "a.h5", sources=["t[2]", "t[0]"], settings=limits)
+    np.testing.assert_array_equal(raw.columns["t[2]"], table[:, 2])
+    np.testing.assert_array_equal(raw.columns["t[0]"], table[:, 0])
+
+
+def test_netcdf_packing_and_fill_values_are_undone(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a"] = np.array([1, 2, -32768, 4], dtype=np.int16)
+        file["a"].attrs.update(scale_factor=0.5, add_offset=10.0, _FillValue=np.int16(-32768))
+    values = read_file(tmp_path / "a.h5", sources=["a"], settings=limits).columns["a"]
+    np.testing.assert_array_equal(values, [10.5, 11.0, np.nan, 12.0])
+
+
+def test_an_absent_channel_is_named_with_those_that_are_there(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name in ("a1", "a2", "a3"):
+            file[name] = np.zeros(3)
+    with pytest.raises(InputError, match="a.h5: channel a4 not in file; has a1, a2, a3"):
+        read_file(tmp_path / "a.h5", sources=["a4"], settings=limits)
+
+
+def test_channels_of_different_rates_are_refused(recorded, limits):
+    path, _ = recorded
+    with h5py.File(path, "a") as file:
+        file["acc_z"].attrs["rate_hz"] = 51_200.0
+    with pytest.raises(InputError, match="acc_x has 50000 Hz, acc_z has 51200 Hz"):
+        read_file(path, sources=["acc_x", "acc_z"], settings=limits)
+
+
+@pytest.mark.parametrize("libver", [("earliest", "v108"), ("v110", "v110"), ("latest", "latest")])
+@pytest.mark.parametrize("chunks", [None, (500,)])
+def test_a_truncated_file_never_yields_a_shorter_recording(tmp_path, limits, libver, chunks):
+    whole = tmp_path / "whole.h5"
+    with h5py.File(whole, "w", libver=libver) as file:
+        file.create_dataset("a", data=RNG.standard_normal(4000), chunks=chunks)
+    content, cut = whole.read_bytes(), tmp_path / "cut.h5"
+    for length in (0, 1, 8, 40, 100, len(content) // 2, len(content) - 1, *range(2, len(content), 997)):
+        cut.write_bytes(content[:length])
+        with pytest.raises(InputError, match="truncated"):
+            read_file(cut, sources=["a"], settings=limits)
+
+
+def test_truncation_is_told_in_bytes(recorded, limits):
+    path, _ = recorded
+    size = path.stat().st_size
+    with path.open("r+b") as stream:
+        stream.truncate(size // 2)
+    with pytest.raises(InputError, match=rf"truncated: {size // 2} of {size} bytes\. Copy it again"):
+        read_file(path, sources=["acc_x"], settings=limits)
+
+
+def test_a_file_that_its_writer_never_closed_is_named_and_left_alone(tmp_path, limits):
+    path = tmp_path / "open.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        file["a"] = np.zeros(10)
+    content = bytearray(path.read_bytes())
+    content[11] |= 0b101
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="was not closed by its writer.*h5clear --status"):
+        read_file(path, sources=["a"], settings=limits)
+    assert path.read_bytes() == bytes(content)
+
+
+def test_external_storage_and_links_are_refused_and_their_content_never_shows(tmp_path, limits):
+    secret = tmp_path / "secret.txt"
+    secret.write_text("canary" * 100)
+    with h5py.File(tmp_path / "storage.h5", "w") as file:
+        file.create_dataset("a", (100,), "u1", external=[(str(secret), 0, 100)])
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["b"] = np.zeros(100)
+    with h5py.File(tmp_path / "link.h5", "w") as file:
+        file["fine"] = np.zeros(10)
+        file["a"] = h5py.ExternalLink("other.h5", "/b")
+    layout = h5py.VirtualLayout(shape=(100,), dtype="f8")
+    layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "b", shape=(100,))
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        file.create_virtual_dataset("a", layout)
+    for name, words in (
+        ("storage", "keeps its samples in another file"),
+        ("link", "links to another file, which is never followed"),
+        ("virtual", "is put together from other files"),
+    ):
+        for attempt in (
+            lambda path: read_file(path, sources=["a"], settings=limits),
+            lambda path: contents_of(path, settings=limits),
+        ):
+            with pytest.raises(UnsafeInputError, match=words) as caught:
+                attempt(tmp_path / f"{name}.h5")
+            assert "canary" not in str(caught.value)
+
+
+def test_a_soft_link_is_not_a_channel(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a"] = np.zeros(10)
+        file["b"] = h5py.SoftLink("/a")
+    with pytest.raises(InputError, match="channel b not in file; has a"):
+        read_file(tmp_path / "a.h5", sources=["b"], settings=limits)
+
+
+def test_an_impossible_size_is_refused_before_allocation(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", (10**12,), "f8", chunks=(10**6,))
+        file.create_dataset("b", (2**60,), "f8", chunks=(10**6,))
+    assert (tmp_path / "a.h5").stat().st_size < 10_000
+    with pytest.raises(InputError, match="missing data: 0 of 1000000 blocks were written"):
+        read_file(tmp_path / "a.h5", sources=["a"], settings=limits)
+    with pytest.raises(
+        UnsafeInputError, match=r"claims 9223372036854775808 bytes of samples; allowed: 8000000000 bytes"
+    ):
+        read_file(tmp_path / "a.h5", sources=["b"], settings=limits)
+
+
+def test_a_well_compressed_bomb_is_held_by_the_budget(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", data=np.zeros(10**6), compression="gzip")
+    tight = limits.model_copy(update={"max_bytes": 10**6})
+    with pytest.raises(UnsafeInputError, match="claims 8000000 bytes of samples; allowed: 1000000 bytes"):
+        read_file(tmp_path / "a.h5", sources=["a"], settings=tight)
+
+
+def test_blocks_that_were_never_written_are_missing_data_not_zeros(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", (4000,), "f4", chunks=(1000,))[:2000] = 1.0
+    with pytest.raises(InputError, match="missing data: 2 of 4 blocks were written"):
+        read_file(tmp_path / "a.h5", sources=["a"], settings=limits)
+
+
+def test_a_flipped_bit_is_caught_where_the_file_has_a_checksum(tmp_path, limits):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("a", data=RNG.standard_normal(4000), chunks=(4000,), fletcher32=True)
+        offset = dataset.id.get_chunk_info(0).byte_offset
+    content = bytearray(path.read_bytes())
+    content[offset + 1000] ^= 4
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="damaged: the checksum or the compression of the samples is wrong"):
+        read_file(path, sources=["a"], settings=limits)
+
+
+def test_a_filter_that_would_load_a_plugin_is_refused(tmp_path, limits):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        create = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        create.set_chunk((100,))
+        create.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, ())
+        space = h5py.h5s.create_simple((100,))
+        h5py.h5d.create(file.id, b"a", h5py.h5t.IEEE_F32LE, space, create)
+    with pytest.raises(InputError, match="needs filter 32015, which is not built in; allowed: gzip"):
+        read_file(path, sources=["a"], settings=limits)
+
+
+def test_a_group_that_holds_itself_ends(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a"] = np.arange(10.0)
+        file["g/loop"] = file["/"]
+    assert read_file(tmp_path / "a.h5", sources=["a"], settings=limits).columns["a"][-1] == 9.0
+
+
+def test_deep_and_wide_trees_are_refused(tmp_path, limits):
+    with h5py.File(tmp_path / "deep.h5", "w") as file:
+        file["/".join("g" * 100) + "/a"] = np.zeros(3)
+    with pytest.raises(UnsafeInputError, match="groups are nested deeper than 32"):
+        read_file(tmp_path / "deep.h5", sources=["a"], settings=limits)
+    with h5py.File(tmp_path / "wide.h5", "w") as file:
+        for number in range(60):
+            file.create_group(f"g{number}")
+    with pytest.raises(UnsafeInputError, match="holds more than 50 objects"):
+        read_file(tmp_path / "wide.h5", sources=["a"], settings=limits.model_copy(update={"max_objects": 50}))
+
+
+def test_text_objects_and_compounds_are_no_channels(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["text"] = "hello"
+        file["texts"] = ["a", "b"]
+        file.create_dataset("vlen", (2,), dtype=h5py.vlen_dtype(np.float64))
+        file["pair"] = np.zeros(3, dtype=[("a", "f4"), ("b", "f4")])
+        file["scalar"] = 1.0
+        file["real"] = np.zeros(3)
+    assert contents_of(tmp_path / "a.h5", settings=limits).names == ("real",)
+
+
+def test_random_damage_gives_right_data_or_an_input_error(recorded, limits):
+    path, data = recorded
+    content = path.read_bytes()
+    random = np.random.default_rng(7)
+    outcomes = {"right": 0, "refused": 0}
+    # only bytes of the structure: a flip in plain samples cannot be seen
+    with h5py.File(path, "r") as file:
+        sample_bytes = {b for name in ("acc_x", "acc_z", "raw/encoder") for b in _span(file[name])}
+    structure = [place for place in range(len(content)) if place not in sample_bytes]
+    for _ in range(150):
+        damaged = bytearray(content)
+        damaged[random.choice(structure)] ^= 1 << int(random.integers(8))
+        path.write_bytes(damaged)
+        try:
+            raw = read_file(path, sources=["acc_x", "acc_z", "raw/encoder"], settings=limits)
+        except InputError as error:
+            assert "run.h5" in str(error)
+            outcomes["refused"] += 1
+        else:
+            outcomes["right"] += all(
+                np.array_equal(column, row) for column, row in zip(raw.columns.values(), data, strict=True)
+            )
+    # the few others: this format has no checksum over its structure, so that an address may be off unseen
+    assert outcomes["refused"] > 10
+    assert outcomes["right"] + outcomes["refused"] >= 140
+
+
+def _span(dataset):
+    start = dataset.id.get_offset()
+    return range(start, start + dataset.nbytes)
+
+
+def test_reading_changes_nothing_in_the_folder(recorded, limits):
+    path, _ = recorded
+    path.chmod(0o400)
+    before = (path.read_bytes(), path.stat().st_mtime_ns, os.listdir(path.parent))
+    read_file(path, sources=["acc_x"], settings=limits)
+    assert before == (path.read_bytes(), path.stat().st_mtime_ns, os.listdir(path.parent))
+
+
+def test_a_user_block_before_the_signature_is_passed_over(tmp_path, limits):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["a"] = np.arange(50.0)
+    assert struct.unpack("<8s", path.read_bytes()[512:520])[0] == b"\x89HDF\r\n\x1a\n"
+    assert read_file(path, sources=["a"], settings=limits).columns["a"].sum() == 1225.0

@@ -1,0 +1,179 @@
+"""A manifest is read strictly: every fault at once, with its key and line."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from crankorder.errors import ManyErrors, RequestError
+from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.ingest.toml_lines import key_lines
+from crankorder.quantities import schema_of
+
+GOOD = """schema_version = 1
+[test]
+name = "second configuration, motoring"
+engine = "msu-optical-second"
+cycle = "four-stroke"
+[recordings]
+files = ["rpm_*.h5"]
+[recordings.speed_rpm]
+"rpm_300.h5" = 300
+[sampling]
+domain = "time"
+rate_hz = 50000
+[[channels]]
+name = "Z"
+source = "acc_z"
+quantity = "acceleration"
+unit = "m/s²"
+sensitivity = "100 mV/g"
+direction = "+Z"
+[encoder]
+source = "encoder"
+kind = "square"
+pulses_per_rev = 360
+index = "index"
+edge = "rising"
+[[bearings]]
+name = "jack shaft"
+shaft_ratio = 0.5
+rolling_elements = 11
+ball_over_pitch = 0.2
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def faults_of(folder: Path, text: str) -> list[str]:
+    with pytest.raises(ManyErrors) as caught:
+        load_manifest(written(folder, text))
+    return [str(fault) for fault in caught.value.faults]
+
+
+def test_the_manifest_of_the_design_is_read(tmp_path):
+    manifest = load_manifest(written(tmp_path, GOOD))
+    assert manifest.channels[0].unit == "m/s2"
+    assert manifest.encoder.missing_teeth == 0
+    assert manifest.bearings[0].ball_over_pitch == 0.2
+    assert manifest.speed_of(tmp_path / "rpm_300.h5") == 300.0
+    assert manifest.speed_of(tmp_path / "rpm_400.h5") is None
+
+
+def test_a_manifest_may_live_elsewhere(tmp_path):
+    path = tmp_path / "other.toml"
+    path.write_text(GOOD, encoding="utf-8")
+    assert load_manifest(tmp_path / "data", path).test.engine == "msu-optical-second"
+
+
+def test_a_missing_manifest_names_the_command_that_drafts_one(tmp_path):
+    with pytest.raises(RequestError, match=r"run\.toml: there is no manifest.*crankorder init"):
+        load_manifest(tmp_path)
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(RequestError, match="there is no such folder"):
+        load_manifest(tmp_path / "absent")
+
+
+def test_a_syntax_error_is_told_with_line_and_column(tmp_path):
+    with pytest.raises(RequestError, match=r"run\.toml:2:7: not valid TOML"):
+        load_manifest(written(tmp_path, "schema_version = 1\n[test]] \n"))
+
+
+def test_a_key_given_twice_is_refused(tmp_path):
+    with pytest.raises(RequestError, match=r"not valid TOML: Cannot overwrite"):
+        load_manifest(written(tmp_path, GOOD.replace("rate_hz = 50000", "rate_hz = 50000\nrate_hz = 5000")))
+
+
+def test_all_faults_of_one_manifest_are_listed_with_key_and_line(tmp_path):
+    text = GOOD.replace("index = ", "idnex = ").replace("= 360", '= "360"').replace('"100 mV/g"', '"-100 mV/g"')
+    faults = faults_of(tmp_path, text.replace('unit = "m/s²"\n', ""))
+    assert len(faults) == 4
+    text = "\n".join(faults)
+    assert "run.toml:13: channels.0.unit: this key is missing. Add it." in text
+    assert "run.toml:17: channels.0.sensitivity: the sensitivity must be above 0; found '-100 mV/g'" in text
+    assert "run.toml:22: encoder.pulses_per_rev: must be a valid integer; found '360'" in text
+    assert "run.toml:23: encoder.idnex: unknown key" in text
+    assert "Did you mean 'index'?" in text
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "-1.0", "0"])
+def test_a_rate_that_is_no_positive_number_is_refused(tmp_path, value):
+    (fault,) = faults_of(tmp_path, GOOD.replace("rate_hz = 50000", f"rate_hz = {value}"))
+    assert "run.toml:12: sampling.rate_hz" in fault
+
+
+def test_an_unknown_unit_lists_the_accepted_ones(tmp_path):
+    (fault,) = faults_of(tmp_path, GOOD.replace("m/s²", "9**9**9"))
+    assert "run.toml:17: channels.0.unit: unknown unit; found '9**9**9'; allowed: m/s2, mm/s2, g" in fault
+
+
+def test_a_sensitivity_in_another_quantity_than_the_unit_is_refused(tmp_path):
+    (fault,) = faults_of(tmp_path, GOOD.replace("100 mV/g", "77 mV/bar"))
+    assert "channels.0.sensitivity: bar (pressure) cannot become m/s2 (acceleration)" in fault
+
+
+def test_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
+    (fault,) = faults_of(tmp_path, GOOD.replace('"acceleration"', '"sound pressure"'))
+    assert "channels.0.quantity: quantity and unit disagree: m/s2 is a unit of acceleration" in fault
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("pulses_per_rev = 360\n", "", "an encoder of kind 'square' needs pulses_per_rev"),
+        ('source = "encoder"\n', "", "an encoder of kind 'square' needs source"),
+        ("pulses_per_rev = 360", "pulses_per_rev = 2\nmissing_teeth = 2", "more teeth are missing than the wheel has"),
+        ('domain = "time"', 'domain = "crank_angle"', "samples by crank angle need samples_per_rev"),
+        ("rolling_elements = 11\n", "", "a bearing needs rolling_elements and ball_over_pitch, or published orders"),
+        ("[encoder]", '[[channels]]\nname = "Z"\nunit = "V"\n[encoder]', "two channels have the same name"),
+    ],
+)
+def test_keys_that_need_each_other_are_checked_together(tmp_path, old, new, words):
+    assert words in "\n".join(faults_of(tmp_path, GOOD.replace(old, new)))
+
+
+def test_a_newer_schema_is_refused(tmp_path):
+    with pytest.raises(RequestError, match=r"newer crankorder; found 2; allowed: 1\. Update crankorder"):
+        load_manifest(written(tmp_path, GOOD.replace("schema_version = 1", "schema_version = 2")))
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"", b"\0\0\0\0", b"[" * 100_000, b"a = " + b"[" * 5000])
+def test_no_bytes_get_through_as_anything_but_a_request_error(tmp_path, content):
+    (tmp_path / "run.toml").write_bytes(content)
+    with pytest.raises(RequestError, match=r"run\.toml"):
+        load_manifest(tmp_path)
+
+
+def test_lines_are_found_below_strings_and_arrays_of_several_lines():
+    lines = key_lines(
+        'a = """\n[x]\nb = 1\n"""\nc = [\n  "d = 1",\n]\n[t]\n"k.h5" = 1 # [z]\n[[u]]\nv = 1\n[[u]]\nv = 2\n'
+    )
+    assert lines == {"a": 1, "c": 5, "t": 8, "t.k.h5": 9, "u": 10, "u.0": 10, "u.0.v": 11, "u.1": 12, "u.1.v": 13}
+
+
+def test_a_wrong_manifest_is_refused_before_numpy_is_loaded(tmp_path):
+    written(tmp_path, GOOD.replace("index = ", "idnex = "))
+    code = (
+        "import sys, time\nfrom pathlib import Path\nfrom crankorder.ingest.check import check_folder\n"
+        "from crankorder.settings import load_settings\n"
+        f"faults = check_folder(Path({str(tmp_path)!r}), settings=load_settings().ingest)\n"
+        "heavy = {'numpy', 'xarray', 'h5py', 'pandas', 'scipy'} & set(sys.modules)\n"
+        "print(len(faults), sorted(heavy))"
+    )
+    started = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "1 []"
+    assert time.monotonic() - started < 20
+
+
+def test_the_schema_file_is_that_of_the_model():
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **Manifest.model_json_schema()}
+    assert json.dumps(schema_of("manifest"), sort_keys=True) == json.dumps(schema, sort_keys=True)

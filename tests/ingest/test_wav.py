@@ -1,0 +1,170 @@
+"""WAV files: all sample formats, the calibration chunk, and every way to be cut short."""
+
+import struct
+import wave
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.ingest.formats import contents_of, read_file
+
+RNG = np.random.default_rng(21)
+
+
+def riff(*chunks: tuple[bytes, bytes]) -> bytes:
+    body = b"".join(name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2) for name, data in chunks)
+    return b"RIFF" + struct.pack("<I", len(body) + 4) + b"WAVE" + body
+
+
+def layout(code: int, n_channels: int, bits: int, rate: int = 44_100) -> tuple[bytes, bytes]:
+    frame = n_channels * bits // 8
+    return b"fmt ", struct.pack("<HHIIHH", code, n_channels, rate, rate * frame, frame, bits)
+
+
+def calibration(*channels: tuple[float, str, str, float, float]) -> tuple[bytes, bytes]:
+    chunk = b""
+    for number, (full_scale, name, unit, offset, factor) in enumerate(channels):
+        record = (
+            struct.pack("<fH", full_scale, len(name)) + name.encode() + struct.pack("<H", len(unit)) + unit.encode()
+        )
+        record += struct.pack("<ff", offset, factor)
+        chunk += f"le{number:02d}".encode() + struct.pack("<I", len(record)) + record
+    return b"LEA ", chunk
+
+
+STEREO = RNG.integers(-32768, 32767, (1000, 2)).astype("<i2")
+
+
+@pytest.mark.parametrize(
+    ("code", "bits", "pack"),
+    [
+        (1, 8, lambda x: np.round(x * 128 + 128).astype("u1").tobytes()),
+        (1, 16, lambda x: np.round(x * 32768).astype("<i2").tobytes()),
+        (1, 24, lambda x: np.round(x * 2**23).astype("<i4").view("u1").reshape(-1, 4)[:, :3].tobytes()),
+        (1, 32, lambda x: np.round(x * 2.0**31).astype("<i4").tobytes()),
+        (3, 32, lambda x: x.astype("<f4").tobytes()),
+        (3, 64, lambda x: x.astype("<f8").tobytes()),
+    ],
+)
+def test_every_sample_format_gives_fractions_of_full_scale(tmp_path, limits, code, bits, pack):
+    values = RNG.uniform(-0.99, 0.99, (500, 2))
+    (tmp_path / "a.wav").write_bytes(riff(layout(code, 2, bits), (b"data", pack(values))))
+    raw = read_file(tmp_path / "a.wav", sources=[0, "1"], settings=limits)
+    step = 2.0 ** (1 - bits) if code == 1 else 2.0**-24
+    np.testing.assert_allclose(np.array([raw.columns[0], raw.columns["1"]]).T, values, rtol=0, atol=max(step, 2.0**-24))
+    assert raw.rate_hz == 44_100.0
+    assert raw.units[0] == "FS"
+    assert not raw.flags
+
+
+def test_the_standard_library_agrees_on_16_bit_samples(tmp_path, limits):
+    path = tmp_path / "a.wav"
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(2)
+        file.setsampwidth(2)
+        file.setframerate(51_200)
+        file.writeframes(STEREO.tobytes())
+    raw = read_file(path, sources=[0, 1], settings=limits)
+    np.testing.assert_array_equal(raw.columns[0] * 32768, STEREO[:, 0])
+    np.testing.assert_array_equal(raw.columns[1] * 32768, STEREO[:, 1])
+    assert contents_of(path, settings=limits).samples == {"0": 1000, "1": 1000}
+
+
+@pytest.mark.parametrize("last", [True, False])
+def test_a_calibration_is_applied_wherever_its_chunk_stands(tmp_path, limits, last):
+    table = calibration((2.0, "mic", "Pa", 0.0, 0.5), (4821.5, "speed", "tr/min", 0.0, 1.0))
+    data = (b"data", STEREO.tobytes())
+    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), *((data, table) if last else (table, data))))
+    raw = read_file(tmp_path / "a.wav", sources=["mic", 1], settings=limits)
+    np.testing.assert_allclose(raw.columns["mic"], STEREO[:, 0] / 32768, rtol=1e-7)
+    np.testing.assert_allclose(raw.columns[1], STEREO[:, 1] / 32768 * 4821.5, rtol=1e-6)
+    assert dict(raw.units) == {"mic": "Pa", 1: "tr/min"}
+
+
+def test_a_calibration_that_is_not_understood_is_refused(tmp_path, limits):
+    table = calibration((1.0, "mic", "Pa", 3.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0))
+    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), (b"data", STEREO.tobytes()), table))
+    with pytest.raises(InputError, match=r"calibration \(LEA chunk\) is not understood.*offset 3"):
+        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+
+
+def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(tmp_path, limits):
+    content = riff(
+        layout(1, 2, 16),
+        (b"data", STEREO.tobytes()),
+        calibration((1.0, "a", "Pa", 0.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0)),
+    )
+    path = tmp_path / "a.wav"
+    for length in sorted({0, 1, 8, len(content) // 2, len(content) - 1, *range(2, len(content), 97)}):
+        path.write_bytes(content[:length])
+        try:
+            raw = read_file(path, sources=[0], settings=limits)
+        except InputError as error:
+            assert "truncated" in str(error) or "holds no samples" in str(error) or "cut short" in str(error)
+        else:
+            assert [flag["flag"] for flag in raw.flags] == ["missing_data"]
+            assert f"{raw.columns[0].size} of 1000 samples" in raw.flags[0]["detail"]
+            assert raw.columns[0].size >= 900
+
+
+def test_half_a_wav_is_refused_with_both_counts(tmp_path, limits):
+    content = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()))
+    (tmp_path / "a.wav").write_bytes(content[: 44 + 2000])
+    with pytest.raises(InputError, match="a.wav: truncated: 500 of 1000 samples"):
+        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+
+
+def test_a_lost_calibration_is_not_taken_for_none(tmp_path, limits):
+    data = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()))
+    whole = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()), calibration((1.0, "a", "Pa", 0.0, 1.0)))
+    (tmp_path / "a.wav").write_bytes(whole[: len(data)])
+    with pytest.raises(InputError, match=f"truncated after the samples: {len(data)} of {len(whole)} bytes"):
+        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+
+
+def test_a_format_that_is_not_read_is_named(tmp_path, limits):
+    (tmp_path / "a.wav").write_bytes(riff(layout(2, 1, 4), (b"data", b"\0" * 100)))
+    with pytest.raises(InputError, match="sample format is not supported; found format code 2 with 4 bits"):
+        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+
+
+def test_an_absent_channel_is_named(tmp_path, limits):
+    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), (b"data", STEREO.tobytes())))
+    with pytest.raises(InputError, match="channel 2 not in file; has 0, 1"):
+        read_file(tmp_path / "a.wav", sources=[2], settings=limits)
+
+
+def test_random_damage_of_the_header_gives_data_or_an_input_error(tmp_path, limits):
+    content = riff(
+        layout(1, 2, 16),
+        calibration((1.0, "a", "Pa", 0.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0)),
+        (b"data", STEREO.tobytes()),
+    )
+    random = np.random.default_rng(3)
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(content)
+        damaged[int(random.integers(120))] = int(random.integers(256))
+        (tmp_path / "a.wav").write_bytes(damaged)
+        try:
+            raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+        except InputError:
+            refused += 1
+        else:
+            assert raw.columns[0].ndim == 1
+    assert 50 < refused < 300
+
+
+def test_real_wav_files_of_all_sample_formats_hold_one_and_the_same_sound(real_data, limits):
+    folder = real_data / "formats" / "wav"
+    wanted = read_file(folder / "flute_float32.wav", sources=[0], settings=limits).columns[0]
+    for name, steps in (
+        ("flute.wav", 2.0**-15),
+        ("flute_int24.wav", 2.0**-23),
+        ("flute_int32.wav", 2.0**-23),
+        ("flute_int8.wav", 2.0**-7),
+    ):
+        got = read_file(folder / name, sources=[0], settings=limits).columns[0]
+        assert got.size == wanted.size
+        assert np.abs(got - wanted).max() <= 2 * steps + 2.0**-15
