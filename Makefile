@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint accuracy bench gallery clean
+.PHONY: demo test lint accuracy bench gallery readmes clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "crankorder needs Python 3.11 or newer; set PYTHON=…")'
@@ -32,6 +32,9 @@ bench: $(STAMP)
 
 gallery: $(STAMP)
 	$(BIN)/python reports/make_gallery.py
+
+readmes: $(STAMP)
+	$(BIN)/python reports/make_readmes.py
 
 clean:
 	rm -rf $(VENV) build dist crankorder-demo

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from crankorder.errors import CrankorderError, EnvironmentFailure
+from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
     from crankorder.batch.execute import Outcome
@@ -27,6 +27,7 @@ class Guarded(click.Group):
     """A group whose commands end with the documented exit status and one clear line for every known fault."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        """Run the command of ``ctx``; known faults become one line on stderr and an exit status."""
         try:
             return super().invoke(ctx)
         except CrankorderError as error:
@@ -62,7 +63,13 @@ def main() -> None:
 def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(
         [
-            click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all cores"),
+            click.option(
+                "--jobs",
+                type=click.IntRange(1),
+                default=os.cpu_count() or 1,
+                show_default="all cores",
+                help="Recordings at a time.",
+            ),
             click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout."),
             click.option("-q", "--quiet", is_flag=True, help="Only faults."),
             click.option("-v", "--verbose", is_flag=True, help="Also flags, timings, tracebacks."),
@@ -143,10 +150,14 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     plan = outcome.plan
     for fault in outcome.faults:
         click.echo(f"crankorder: {plan.name}: {fault}", err=True)
+    alike: dict[str, list[BaseException]] = {}
     for error in outcome.internal:
-        click.echo(f"crankorder: {plan.name}: internal fault: {type(error).__name__}: {error}", err=True)
+        alike.setdefault(f"{type(error).__name__}: {error}", []).append(error)
+    for said, errors in alike.items():
+        count = f" ({len(errors)} recordings)" if len(errors) > 1 else ""
+        click.echo(f"crankorder: {plan.name}: internal fault{count}: {printable(said, 1000)}", err=True)
         if verbose:
-            click.echo("".join(traceback.format_exception(error)), err=True)
+            click.echo("".join(traceback.format_exception(errors[0])), err=True)
     if quiet:
         return
     if outcome.findings is not None:
@@ -194,8 +205,9 @@ def check(folder: Path, manifest: Path | None) -> None:
 
     load_manifest(folder, manifest)
     from crankorder.ingest.check import check_folder
+    from crankorder.settings import load_settings
 
-    faults = check_folder(folder, manifest)
+    faults = check_folder(folder, manifest, settings=load_settings())
     for fault in faults:
         click.echo(f"crankorder: {fault}", err=True)
     if faults:
@@ -241,7 +253,9 @@ def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> None:
 
 
 @main.command()
-@click.option("--out", type=FOLDER, default=Path("crankorder-demo"), show_default=True)
+@click.option(
+    "--out", type=FOLDER, default=Path("crankorder-demo"), show_default=True, help="Folder for recordings and results."
+)
 @click.option("--quick", is_flag=True, help="A short version, for a first look.")
 @_run_options
 def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose: bool) -> None:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 
+LONGEST_PROBLEM = 500
+"""Characters of a problem or remedy that are shown: they may quote a name from a file."""
+
+
 class CrankorderError(Exception):
     """Base of every error that crankorder raises on purpose; ``exit_status`` is what the command line returns."""
 
     exit_status = 1
 
     def __init__(
-        self, problem: str, *, file: object = "", place: str = "", found: object = "", allowed: str = "", remedy: str = ""
+        self,
+        problem: str,
+        *,
+        file: object = "",
+        place: str = "",
+        found: object = "",
+        allowed: str = "",
+        remedy: str = "",
     ) -> None:
         self.problem = problem
         self.file = str(file)
@@ -21,12 +32,13 @@ class CrankorderError(Exception):
 
     def __str__(self) -> str:
         where = ": ".join(printable(part) for part in (self.file, self.place) if part)
-        text = f"{where}: {self.problem}" if where else self.problem
+        problem = printable(self.problem, LONGEST_PROBLEM)
+        text = f"{where}: {problem}" if where else problem
         if self.found:
             text += f"; found {self.found}"
         if self.allowed:
             text += f"; allowed: {self.allowed}"
-        return f"{text}. {self.remedy}".rstrip() if self.remedy else f"{text}."
+        return f"{text}. {printable(self.remedy, LONGEST_PROBLEM)}".rstrip() if self.remedy else f"{text}."
 
     def __reduce__(self) -> tuple[object, ...]:
         keywords = {key: getattr(self, key) for key in ("file", "place", "found", "allowed", "remedy")}

@@ -102,7 +102,10 @@ def check_dataset(dataset: xr.Dataset, noun: str) -> None:
         units = dataset[name].attrs.get("units")
         if units is None or ("const" in rule["units"] and units != rule["units"]["const"]):
             raise SchemaError(
-                "wrong units", place=f"{noun}.{name}", found=units, allowed=rule["units"].get("const", "any, but stated")
+                "wrong units",
+                place=f"{noun}.{name}",
+                found=units,
+                allowed=rule["units"].get("const", "any, but stated"),
             )
     for name in schema_of(noun)["properties"]["attrs"]["required"]:
         if name not in dataset.attrs:

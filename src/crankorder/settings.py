@@ -83,7 +83,6 @@ class IdentifySettings(StageSettings):
     min_speed_fraction: Fraction
     min_speeds: Count
     order_match: Positive
-    mode_floor_width_hz: Positive
     mode_prominence_db: Positive
     mode_min_width_bins: Positive
     max_damping_ratio: Fraction
@@ -131,7 +130,7 @@ def _defaults() -> dict[str, dict[str, Any]]:
 
 
 def shipped(kind: str) -> dict[str, str]:
-    """Names and texts of the TOML files of one folder of ``pipeline/``: ``"recipes"``, ``"engines"`` or ``"scenes"``."""
+    """Names and texts of the TOML files of the folder ``kind`` of ``pipeline/``: "recipes", "engines" or "scenes"."""
     folder = files("crankorder.pipeline").joinpath(kind)
     texts = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
     return {name.removesuffix(".toml"): texts[name].read_text(encoding="utf-8") for name in sorted(texts)}
@@ -140,7 +139,8 @@ def shipped(kind: str) -> dict[str, str]:
 def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dict[str, Any], str]:
     """Table of a shipped or a user's TOML file, and the name by which errors call it.
 
-    ``name`` is a shipped file's stem, or the path of a TOML file (tried from ``beside`` first where given).
+    ``name`` is a shipped file's stem in the folder ``kind``, or the path of a TOML file (tried from ``beside`` first
+    where given).
     Raises RequestError where no such file exists or its TOML is wrong (with line and column).
     """
     ours = shipped(kind)
@@ -148,18 +148,23 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
     found = next((path for path in candidates if path.suffix == ".toml" and path.is_file()), None)
     if found is None and name not in ours:
         raise RequestError(
-            f"no such {kind.removesuffix('s')}", found=name, allowed=f"{', '.join(ours) or 'none shipped'}, or a path of a .toml file"
+            f"no such {kind.removesuffix('s')}",
+            found=name,
+            allowed=f"{', '.join(ours) or 'none shipped'}, or a path of a .toml file",
         )
     try:
         text = ours[name] if found is None else found.read_text(encoding="utf-8")
         return tomllib.loads(text), f"{kind}/{name}.toml" if found is None else found.name
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RequestError("not valid TOML", file=found or name, found=error, remedy="Mend the line that it names") from None
+        raise RequestError(
+            "not valid TOML", file=found or name, found=error, remedy="Mend the line that it names"
+        ) from None
 
 
 def load_settings(recipe: str | None = None, *, beside: Path | None = None) -> Settings:
     """Settings of all stages with the differences of ``recipe`` (a shipped name or a path of a TOML file) applied.
 
+    A relative path is tried from the folder ``beside`` first.
     Raises ManyErrors that lists every unknown key and every value out of range, or RequestError for a missing file.
     """
     tables, source = dict(_defaults()), "pipeline"
@@ -177,7 +182,7 @@ def load_settings(recipe: str | None = None, *, beside: Path | None = None) -> S
 
 
 def validation_fault(fault: Any, source: str, place_of: dict[str, int] | None = None) -> RequestError:
-    """One pydantic fault as a RequestError with the key path (and the line, where ``place_of`` knows it)."""
+    """One pydantic ``fault`` of file ``source`` as a RequestError with key path and, from ``place_of``, the line."""
     key = ".".join(str(part) for part in fault["loc"])
     line = (place_of or {}).get(key)
     unknown = fault["type"] == "extra_forbidden"

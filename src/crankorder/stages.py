@@ -8,6 +8,7 @@ what it gives with a line of history.
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,15 +68,18 @@ def stage(function: Stage) -> Stage:
     hints = get_type_hints(function)
     schemas = {name: SCHEMAS[kind] for name, kind in hints.items() if kind in SCHEMAS}
 
+    names = tuple(inspect.signature(function).parameters)
+
     @functools.wraps(function)
-    def checked(**inputs: Any) -> Any:
-        for name, dataset in inputs.items():
+    def checked(*inputs: Any, **named: Any) -> Any:
+        for name, dataset in {**dict(zip(names, inputs, strict=False)), **named}.items():
             if name in schemas:
                 check_dataset(dataset, schemas[name])
-        result = function(**inputs)
+        result = function(*inputs, **named)
         if "return" in schemas:
             check_dataset(result, schemas["return"])
-            history = [result.attrs.get("history", ""), f"{function.__name__}: {(function.__doc__ or '').rstrip('.')}"]
+            said = (function.__doc__ or "").replace("``", "").rstrip(".")
+            history = [result.attrs.get("history", ""), f"{function.__name__}: {said}"]
             result.attrs["history"] = "\n".join(line for line in history if line)
         return result
 
@@ -84,19 +88,19 @@ def stage(function: Stage) -> Stage:
 
 @stage
 def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recording:
-    """Read the file, convert units, find the pulses."""
+    """Recording of ``file`` as ``manifest`` describes it, units converted, pulses found (``settings``: limits)."""
     return Recording(read_recording(file, manifest, settings=settings.ingest, shaft=settings.shaft))
 
 
 @stage
 def shaft(recording: Recording, settings: Settings) -> ShaftAngle:
-    """Turn pulses into crank angle and speed."""
+    """Crank angle and speed from the pulses of ``recording`` (``settings`` of shaft)."""
     return ShaftAngle(shaft_angle(recording, settings=settings.shaft))
 
 
 @stage
 def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRecording:
-    """Limit the recording to the band that the orders and the map need."""
+    """``recording`` limited to the band that orders and map need at the speeds of ``shaft`` (``settings`` of both)."""
     fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
     needed = max(settings.campbell.max_frequency_hz, settings.orders.max_order * fastest_hz)
     return BandRecording(band_limited(recording, band_hz=needed, grid_hz=settings.campbell.resolution_hz))
@@ -104,25 +108,25 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
 
 @stage
 def frames_by_order(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> OrderFrames:
-    """Resample by crank angle, transform whole cycles."""
+    """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
     return OrderFrames(order_frames(band, shaft, settings=settings.orders))
 
 
 @stage
 def frames_by_frequency(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FrequencyFrames:
-    """Transform pieces by time."""
+    """Spectra of pieces of ``band`` by time, with the speeds of ``shaft`` (``settings`` of campbell)."""
     return FrequencyFrames(frequency_frames(band, shaft, settings=settings.campbell))
 
 
 @stage
 def map_by_order(frames: AllOrderFrames, settings: Settings) -> OrderMap:
-    """Average the order frames of all recordings at like speed."""
+    """Order ``frames`` of all recordings averaged at like speed (``settings`` of orders)."""
     return OrderMap(order_map(frames, settings=settings.orders))
 
 
 @stage
 def map_by_frequency(frames: AllFrequencyFrames, settings: Settings) -> CampbellMap:
-    """Average the frequency frames of all recordings at like speed."""
+    """Frequency ``frames`` of all recordings averaged at like speed (``settings`` of orders: the width of a group)."""
     return CampbellMap(campbell_map(frames, speed_bin_rpm=settings.orders.speed_bin_rpm))
 
 
@@ -130,13 +134,13 @@ def map_by_frequency(frames: AllFrequencyFrames, settings: Settings) -> Campbell
 def findings(
     order_map: OrderMap, campbell: CampbellMap, test: TestName, sources: Sources, settings: Settings
 ) -> Findings:
-    """Name orders, natural frequencies, bearings and crossings."""
+    """What ``order_map`` and ``campbell`` show of ``test`` and what ``sources`` explain (``settings`` of identify)."""
     return Findings(find(order_map, campbell, test=test, sources=sources, settings=settings))
 
 
 @stage
 def tracks(order_map: OrderMap, findings: Findings, settings: Settings) -> OrderTracks:
-    """Follow the found and the asked-for orders over speed."""
+    """Orders that ``findings`` name or ``settings`` ask for, followed over speed in ``order_map``."""
     resolution = 1.0 / float(order_map.attrs["revs_per_frame"])
     found = {round(round(record["order"] / resolution) * resolution, 6) for record in findings["orders"]}
     asked = {float(order) for order in settings.orders.track_orders}
@@ -174,13 +178,11 @@ def analyse_recording(file: Path, manifest: Manifest, settings: Settings) -> Rec
     Raises InputError, naming the file, where the recording cannot be used.
     """
     plan = sciline.Pipeline(OF_RECORDING, params={RecordingFile: file, Manifest: manifest, Settings: settings})
-    made = plan.compute((ShaftAngle, OrderFrames, FrequencyFrames), scheduler=NaiveScheduler())
+    made: dict[Any, Any] = plan.compute((ShaftAngle, OrderFrames, FrequencyFrames), scheduler=NaiveScheduler())
     return RecordingResult(made[ShaftAngle], made[OrderFrames], made[FrequencyFrames])
 
 
-def analyse_test(
-    recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings
-) -> TestResult:
+def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings) -> TestResult:
     """Maps, findings and tracks of the test named ``test`` from the results of its ``recordings``.
 
     ``sources`` says what the machine is made of; ``settings`` are those of all stages.
@@ -193,5 +195,5 @@ def analyse_test(
         Settings: settings,
     }
     plan = sciline.Pipeline(OF_TEST, params=given)
-    made = plan.compute((OrderMap, CampbellMap, OrderTracks, Findings), scheduler=NaiveScheduler())
+    made: dict[Any, Any] = plan.compute((OrderMap, CampbellMap, OrderTracks, Findings), scheduler=NaiveScheduler())
     return TestResult(made[OrderMap], made[CampbellMap], made[OrderTracks], made[Findings])

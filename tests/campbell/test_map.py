@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 import xarray as xr
-from made.recordings import line, named, shaft, steady
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings
+from made.recordings import line, named, shaft, steady
 
 SETTINGS = load_settings().campbell
 

@@ -97,7 +97,7 @@ def test_all_faults_of_one_manifest_are_listed_with_key_and_line(tmp_path):
     faults = faults_of(tmp_path, text.replace('unit = "m/s²"\n', ""))
     assert len(faults) == 4
     text = "\n".join(faults)
-    assert "run.toml:13: channels.0.unit: this key is missing. Add it." in text
+    assert "run.toml:13: channels.0.unit: this key is missing. Add it\n" in text
     assert "run.toml:17: channels.0.sensitivity: the sensitivity must be above 0; found '-100 mV/g'" in text
     assert "run.toml:22: encoder.pulses_per_rev: must be a valid integer; found '360'" in text
     assert "run.toml:23: encoder.idnex: unknown key" in text

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from made.recordings import line, named, run_up, shaft, steady, total
 
 from crankorder.errors import InputError
 from crankorder.orders.frames import order_frames
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
+from made.recordings import line, named, run_up, shaft, steady, total
 
 SETTINGS = load_settings().orders
 

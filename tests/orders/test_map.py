@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made.recordings import line, run_up, steady, total
 
 from crankorder.orders.floor import floor_bins, local_floor
 from crankorder.orders.frames import order_frames
@@ -12,6 +11,7 @@ from crankorder.orders.map import order_map
 from crankorder.orders.tracks import order_tracks
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
+from made.recordings import line, run_up, steady, total
 
 SETTINGS = load_settings().orders
 

@@ -73,7 +73,8 @@ def _campbell(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, .
             "psd": (dims, power / 1.5, {"units": "see unit, squared per Hz", "long_name": "power spectral density"}),
             "n_frames": ("speed", np.full(len(speeds), 14), {"units": "1"}),
         },
-        coords | {"speed": ("speed", speeds, {"units": "min-1"}), "frequency": ("frequency", frequency, {"units": "Hz"})},
+        coords
+        | {"speed": ("speed", speeds, {"units": "min-1"}), "frequency": ("frequency", frequency, {"units": "Hz"})},
         {"window": "hann", "enbw_hz": 0.75, "resolution_hz": 0.5, "amplitude_scaling": "peak"},
     )
 
@@ -168,7 +169,10 @@ def _mode_records(channels: tuple[str, ...]) -> list[dict[str, Any]]:
         for mode_hz in MODES_HZ
     ]
     mains = {**modes[0], "frequency_hz": 300.0, "frequency_hz_ci95": [299.9, 300.1], "damping_ratio": None}
-    return [*modes, {**mains, "damping_ratio_ci95": None, "explained_by": "mains", "evidence": "5 x 60 Hz, a pure tone"}]
+    return [
+        *modes,
+        {**mains, "damping_ratio_ci95": None, "explained_by": "mains", "evidence": "5 x 60 Hz, a pure tone"},
+    ]
 
 
 def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity: str, name: str) -> dict[str, Any]:
@@ -262,7 +266,9 @@ def hard_tests() -> dict[str, DrawnTest]:
     return {
         "one speed": drawn_test(np.array([1800.0]), orders=(1.0, 2.0, 5.5)),
         "two speeds": drawn_test(np.array([600.0, 1800.0]), orders=(1.0, 2.0, 4.0)),
-        "run-up": drawn_test(run_up, orders=(2.0, 4.0, 10.0, 15.0), unit="Pa", quantity="sound_pressure", channels=("mic",)),
+        "run-up": drawn_test(
+            run_up, orders=(2.0, 4.0, 10.0, 15.0), unit="Pa", quantity="sound_pressure", channels=("mic",)
+        ),
         "hostile": drawn_test(steps, channels=(HOSTILE,), name="$\\frac{ </title><script>" + "x" * 10_000),
         "all zero": drawn_test(steps[:5], gains=(0.0,)),
         "thirty orders": drawn_test(steps, orders=thirty),

@@ -16,9 +16,17 @@ import xarray as xr
 
 from crankorder.batch.plan import TestPlan
 from crankorder.batch.publish import test_files
-from crankorder.batch.store import code_sha256, file_sha256, finished_with, json_bytes, publish, text_sha256, write_atomically
+from crankorder.batch.store import (
+    code_sha256,
+    file_sha256,
+    finished_with,
+    json_bytes,
+    publish,
+    text_sha256,
+    write_atomically,
+)
 from crankorder.engine.definition import load_engine
-from crankorder.engine.forces import orders_of_engine
+from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.explain import Sources
 from crankorder.quantities import flags_of
@@ -76,7 +84,9 @@ def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: 
             _apply_strict(results, outcome)
         if not results:
             raise NoUsableRecordingError(
-                "no recording could be used", file=plan.folder, remedy="Mend the faults listed; `crankorder check` repeats them"
+                "no recording could be used",
+                file=plan.folder,
+                remedy="Mend the faults listed; `crankorder check` repeats them",
             )
         _finish(plan, results, provenance, key, outcome, clock)
     except CrankorderError as error:
@@ -148,7 +158,9 @@ def _analyse(
     wanted = [path for path in plan.recordings if first_of.setdefault(hashes[path], path) == path]
     copies = [path for path in plan.recordings if path not in wanted]
     outcome.faults += [
-        InputError("the same bytes as another recording: counted once", file=path.name, found=first_of[hashes[path]].name)
+        InputError(
+            "the same bytes as another recording: counted once", file=path.name, found=first_of[hashes[path]].name
+        )
         for path in copies
     ]
     with ThreadPoolExecutor(max_workers=jobs) as pool:
@@ -192,15 +204,20 @@ def _apply_strict(results: dict[Path, RecordingResult], outcome: Outcome) -> Non
             outcome.faults.append(InputError("refused by --strict", file=path.name, found=found))
 
 
+KINEMATIC_SHARE = 1e-3
+"""An order with less than this share of the largest inertia force is not called engine kinematics."""
+
+
 def _sources(plan: TestPlan) -> Sources:
-    """What the manifest says of the machine."""
-    engine_orders: tuple[float, ...] = ()
+    """What the manifest and the engine say of the machine."""
+    orders: tuple[float, ...] = ()
+    bearings = plan.manifest.bearings
     if plan.manifest.test.engine is not None:
         engine = load_engine(plan.manifest.test.engine, beside=plan.folder)
-        engine_orders = orders_of_engine(engine)
-    return Sources(
-        revs_per_cycle=plan.manifest.revs_per_cycle, engine_orders=engine_orders, bearings=plan.manifest.bearing_models()
-    )
+        orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(plan.settings.orders.max_order))
+        named = {bearing.name for bearing in bearings}
+        bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
+    return Sources(revs_per_cycle=plan.manifest.revs_per_cycle, engine_orders=orders, bearings=bearings)
 
 
 def _provenance(plan: TestPlan, hashes: dict[Path, str]) -> dict[str, Any]:
@@ -252,5 +269,6 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
 
 def _fault_flags(faults: list[CrankorderError]) -> list[dict[str, Any]]:
     return [
-        {"recording": Path(fault.file).name, "flag": "not_used", "severity": "bad", "detail": str(fault)} for fault in faults
+        {"recording": Path(fault.file).name, "flag": "not_used", "severity": "bad", "detail": str(fault)}
+        for fault in faults
     ]

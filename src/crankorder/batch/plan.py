@@ -57,7 +57,9 @@ def plan_tests(
 
 def _plan(folder: Path, out: Path, manifest: Path | None, recipe: str | None, taken: set[str]) -> TestPlan:
     if not folder.is_dir():
-        raise RequestError("no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings")
+        raise RequestError(
+            "no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings"
+        )
     _refuse_inside(folder, out)
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
@@ -89,7 +91,7 @@ def _refuse_inside(folder: Path, out: Path) -> None:
 
 
 def folder_name(name: str, taken: set[str]) -> str:
-    """A file name made of the letters, digits, ``-``, ``_`` and ``.`` of ``name``, not yet in ``taken`` (which it joins)."""
+    """File name made of the letters, digits, ``-``, ``_``, ``.`` of ``name``, not yet in ``taken`` (which it joins)."""
     plain = unicodedata.normalize("NFKD", printable(name)).encode("ascii", "ignore").decode()
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip("-.")[:LONGEST_NAME] or "test"
     unique, number = plain, 2

@@ -13,14 +13,14 @@ from crankorder.report.netcdf import findings_datasets, results_bytes
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.page import report_page
 from crankorder.report.spectra_figure import spectra_figure
-from crankorder.report.style import png_bytes
+from crankorder.report.figures import png_bytes
 from crankorder.settings import ReportSettings
 
 
 def pictures(
     groups: dict[str, xr.Dataset], findings: dict[str, Any], *, settings: ReportSettings
 ) -> dict[str, tuple[bytes, str]]:
-    """PNG and caption of every picture of a test, by file name, from its result ``groups`` and ``findings``."""
+    """PNG and caption of every picture by file name, from ``groups`` and ``findings``, drawn by ``settings``."""
     campbell, tracks = groups["campbell_map"], groups["order_tracks"]
     made: dict[str, tuple[bytes, str]] = {}
     taken: set[str] = set()
@@ -47,7 +47,8 @@ def test_files(
 ) -> dict[str, bytes]:
     """All files of a test by name: results.nc, findings.json, pictures, report.html, run.json.
 
-    ``groups`` are the datasets by group name, ``provenance`` is what ``run.json`` states.
+    ``groups`` are the datasets by group name, ``findings`` what they say, ``provenance`` what ``run.json`` states;
+    ``settings`` shape pictures and page.
     """
     drawn = pictures(groups, findings, settings=settings)
     captions = [(name, caption) for name, (_, caption) in drawn.items()]

@@ -9,6 +9,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,12 @@ from crankorder.errors import EnvironmentFailure
 DONE = "done.json"
 CHUNK = 1 << 22
 
+DIGITS = 10
+"""Significant digits of a number in JSON: beyond any measurement, short of the noise of arithmetic."""
+
 
 def json_bytes(document: Any) -> bytes:
-    """``document`` as UTF-8 JSON with sorted lists kept, NaN and infinity as null, and a final newline."""
+    """``document`` as UTF-8 JSON with sorted lists kept, ten significant digits, NaN and infinity as null."""
     text = json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False)
     return (text + "\n").encode("utf-8", "backslashreplace")
 
@@ -30,7 +34,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     if hasattr(value, "item"):
         return _plain(value.item())
     return value
@@ -59,12 +63,10 @@ def text_sha256(*parts: str) -> str:
 @cache
 def code_sha256() -> str:
     """SHA-256 of the program's own source and pipeline files: other code means other results."""
-    import crankorder
-    import crankorder.pipeline
-
-    roots = [Path(str(package.__file__)).parent for package in (crankorder, crankorder.pipeline)]
-    files = sorted({path for root in roots for path in root.rglob("*") if path.suffix in (".py", ".toml", ".html")})
-    return text_sha256(*(f"{path.name}\n{path.read_text(encoding='utf-8')}" for path in files))
+    roots = [Path(str(files(package))) for package in ("crankorder", "crankorder.pipeline", "crankorder.data_schema")]
+    kinds = (".py", ".toml", ".json", ".html", ".css")
+    sources = sorted({path for root in roots for path in root.rglob("*") if path.suffix in kinds})
+    return text_sha256(*(f"{path.name}\n{path.read_text(encoding='utf-8')}" for path in sources))
 
 
 def publish(folder: Path, contents: Mapping[str, bytes], *, key: str) -> None:

@@ -34,12 +34,18 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     spectra = FrameTransform(window, n_fft=n_fft, n_bins=n_bins).spectra(signals, starts)
     power = spectra.real**2 + spectra.imag**2
     speed = _frame_speed(band, shaft, starts, len(window.values), rate)
-    frequency = np.arange(n_bins) * settings.resolution_hz
+    frequency = np.arange(n_bins, dtype=np.float64) * settings.resolution_hz
     if not math.isclose(resolution, settings.resolution_hz, rel_tol=1e-9):
-        power = _on_grid(power, np.arange(power.shape[2]) * resolution, frequency)
+        power = _on_grid(power, np.arange(power.shape[2], dtype=np.float64) * resolution, frequency)
     named = {name: band[name] for name in ("channel", "unit", "quantity", "direction") if name in band.variables}
     frames = xr.Dataset(
-        {"power": (("channel", "frame", "frequency"), power, {"units": "see unit, squared", "long_name": "tone power"})},
+        {
+            "power": (
+                ("channel", "frame", "frequency"),
+                power,
+                {"units": "see unit, squared", "long_name": "tone power"},
+            )
+        },
         coords={
             **named,
             "frequency": ("frequency", frequency[: power.shape[2]], {"units": "Hz", "long_name": "frequency"}),

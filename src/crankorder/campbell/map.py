@@ -13,9 +13,9 @@ from crankorder.shaft.speed_groups import speed_groups
 def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
     """CampbellMap of a test from the FrequencyFrames of its recordings.
 
-    Frames whose speeds differ by less than ``speed_bin_rpm`` are averaged by energy. ``amplitude`` is the peak of a
-    tone wherever it lies between two bins (the energy of three bins of a Hann window), so that an order line does
-    not fade at every other speed; ``psd`` is the one-sided power spectral density.
+    Of all ``frames``, those whose speeds differ by less than ``speed_bin_rpm`` are averaged by energy. ``amplitude``
+    is the peak of a tone wherever it lies between two bins (the energy of three bins of a Hann window), so that an
+    order line does not fade at every other speed; ``psd`` is the one-sided power spectral density.
     """
     frames = [item for item in frames if item.sizes["frame"]] or frames[:1]
     n_bins = min(item.sizes["frequency"] for item in frames)
@@ -33,7 +33,11 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
         coords={
             **named,
             "frequency": first["frequency"][:n_bins],
-            "speed": ("speed", np.array([speed[group].mean() for group in groups]), {"units": "min-1", "long_name": "speed"}),
+            "speed": (
+                "speed",
+                np.array([speed[group].mean() for group in groups]),
+                {"units": "min-1", "long_name": "speed"},
+            ),
         }
     )
     dims = ("channel", "speed", "frequency")

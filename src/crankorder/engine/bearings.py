@@ -21,7 +21,7 @@ class Bearing(BaseModel):
 
     name: Annotated[str, Field(min_length=1)]
     shaft_ratio: Positive = 1.0
-    rolling_elements: Annotated[int, Field(ge=1)]
+    rolling_elements: Annotated[int, Field(ge=1)] | None = None
     ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = None
     contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
     bpfo: Positive | None = None
@@ -31,14 +31,16 @@ class Bearing(BaseModel):
 
 
 def bearing_orders(bearing: Bearing) -> dict[str, float]:
-    """Crank orders of the lines of ``bearing``: ``N*fs`` always; BPFO, BPFI, BSF, FTF as far as its data tell them.
+    """Crank orders of the lines of ``bearing``: ``N*fs``, BPFO, BPFI, BSF, FTF as far as its data tell them.
 
     ``N*fs`` (rolling elements times shaft speed) equals BPFO + BPFI for every geometry and contact angle.
     Source: the kinematics of pure rolling with a fixed outer ring; truth sheet section 2.9.
     """
     ratio, elements = bearing.shaft_ratio, bearing.rolling_elements
-    orders = {"N*fs": elements * ratio}
-    if bearing.ball_over_pitch is not None:
+    orders: dict[str, float] = {}
+    if elements is not None:
+        orders["N*fs"] = elements * ratio
+    if elements is not None and bearing.ball_over_pitch is not None:
         lean = bearing.ball_over_pitch * math.cos(math.radians(bearing.contact_angle_deg))
         orders |= {
             "BPFO": elements * ratio / 2 * (1 - lean),

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.harmonics import acceleration_harmonics
 
-DIRECTIONS = ("X", "Y", "Z")
+DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
 """X across, Y along the crankshaft, Z along the cylinder away from the crankshaft; the crank turns from Z to X."""
 
 
 def reciprocating_mass_by_order(engine: Engine, max_order: int) -> NDArray[np.complex128]:
     """Complex mass (kg) that still shakes the crankcase at each order times its harmonic, shape (max_order + 1,).
 
-    Times crank radius times ω² it is the force along the cylinder. Orders that ``engine`` cancels by shafts keep only the
-    mass that the shafts leave (and, where they are timed to the crank, the quadrature part that an offset makes).
+    Times crank radius times ω² it is the force along the cylinder. Orders that ``engine`` cancels by shafts keep only
+    the mass that the shafts leave (and, where they are timed to the crank, the quadrature part that an offset makes).
     ``max_order``: ≥ 1.
     """
     harmonics = acceleration_harmonics(engine.mechanism, max_order)
@@ -46,3 +48,12 @@ def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) ->
     per_omega_squared[0, 1] += -1j * rotating
     forces: NDArray[np.complex128] = omega_squared[..., None, None] * per_omega_squared
     return forces
+
+
+def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float, ...]:
+    """Orders up to ``max_order`` at which ``engine`` shakes its crankcase with at least ``share`` of the largest force.
+
+    The share does not depend on speed, for every inertia force grows with its square.
+    """
+    forces = np.abs(crankcase_forces(engine, 1000.0, max_order=max_order)).max(axis=0)
+    return tuple(float(order) for order in np.flatnonzero(forces >= share * forces.max()) if order > 0)

@@ -25,7 +25,9 @@ def even_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
     from scipy.special import hyp2f1
 
     if not 0 < crank_ratio < 1 or count < 0:
-        raise RequestError("no such harmonics", found=f"count {count}, crank ratio {crank_ratio}", allowed="count ≥ 0, 0 < λ < 1")
+        raise RequestError(
+            "no such harmonics", found=f"count {count}, crank ratio {crank_ratio}", allowed="count ≥ 0, 0 < λ < 1"
+        )
     k = np.arange(1, count + 1, dtype=np.float64)
     kappa = math.sqrt((1 - crank_ratio) * (1 + crank_ratio))
     q = (crank_ratio / (1 + kappa)) ** 2
@@ -35,11 +37,13 @@ def even_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
 
 
 def acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> NDArray[np.complex128]:
-    """Complex harmonics of −ẍ/(rω²) by order 0 … ``max_order``: term k is Re(c_k exp(2πi k rev)), shape (max_order + 1,).
+    """Complex harmonics of −ẍ/(rω²) by order 0 … ``max_order``, shape (max_order + 1,).
 
-    ``mechanism``: lengths in metres. Without offset they come from the hypergeometric form (odd orders above 1 are exactly
-    zero); with offset from the Fourier transform of the exact acceleration on enough angles (absolute error near 1e-16).
-    ``max_order``: ≥ 1. Raises RequestError below it.
+    Term k of the acceleration is Re(c_k exp(2πi k rev)).
+
+    ``mechanism``: lengths in metres. Without offset they come from the hypergeometric form (odd orders above 1 are
+    exactly zero); with offset from the Fourier transform of the exact acceleration on enough angles (absolute error
+    near 1e-16). ``max_order``: ≥ 1. Raises RequestError below it.
     """
     if max_order < 1:
         raise RequestError("no such order", found=max_order, allowed="≥ 1")

@@ -1,4 +1,4 @@
-"""Exact motion of a slider-crank with piston or pin offset, free of cancellation for every crank-to-rod ratio below one.
+"""Exact motion of a slider-crank with piston or pin offset, free of cancellation however short the rod.
 
 Crank angle is counted from the dead centre of the crank (crank along the cylinder axis, piston up). With an offset the
 piston stands highest a little beside it. All derivatives are by crank angle in radians: times speed in rad/s (squared)
@@ -92,8 +92,8 @@ def piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> A
 def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angles, Angles, Angles]:
     """Rod angle from the cylinder axis (rad) with its first and second derivative by crank angle.
 
-    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the angles.
-    Source: truth sheet section 0; ψ'' = −λ (κ'² sin φ + ε (λ (1 + sin² φ) − ε sin φ)) / cos³ψ.
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the
+    angles. Source: truth sheet section 0; ψ'' = −λ (κ'² sin φ + ε (λ (1 + sin² φ) − ε sin φ)) / cos³ψ.
     """
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     sine, cosine = _sine_cosine(crank_angle_rev)
@@ -117,7 +117,7 @@ def _sine_cosine(crank_angle_rev: ArrayLike) -> tuple[Angles, Angles]:
 
 
 def _rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
-    """Sine and cosine of the rod angle; 1 ∓ λ sin φ is rewritten so that it keeps its digits where the rod lies flat."""
+    """Sine and cosine of the rod angle; 1 ∓ λ sin φ is rewritten to keep its digits where the rod lies flat."""
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     side = np.where(sine < 0, -1.0, 1.0)
     rod_sine = ratio * sine - offset

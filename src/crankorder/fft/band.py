@@ -16,7 +16,9 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float) -> xr
     """
     by_time = recording.attrs["domain"] == "time"
     signals = recording["signal"].values
-    named = {name: recording[name] for name in ("channel", "unit", "quantity", "direction") if name in recording.variables}
+    named = {
+        name: recording[name] for name in ("channel", "unit", "quantity", "direction") if name in recording.variables
+    }
     attrs = dict(recording.attrs)
     if by_time:
         rate = float(attrs["rate_hz"])
@@ -27,9 +29,8 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float) -> xr
         signals = signals.astype(np.float64)
         signals = signals - signals.mean(axis=1, keepdims=True)
     axis = "time" if by_time else "crank_angle"
-    band = xr.Dataset(
+    return xr.Dataset(
         {"signal": (("channel", axis), signals, {"units": "see unit", "long_name": "signal in the analysis band"})},
         coords=named,
         attrs=attrs | {"band_hz": band_hz},
     )
-    return band

@@ -13,7 +13,7 @@ RIPPLE_DB = 120.0
 """Pass-band ripple and stop-band rejection of every stage: 1e-6, below the resolution of a 20-bit converter."""
 
 DESIGN_DB = RIPPLE_DB + 12.0
-"""Designed for more than is stated: passing a constant exactly moves the whole ripple to one side, and it grows at the edge."""
+"""More than is stated: passing a constant exactly moves the whole ripple to one side, and it grows at the edge."""
 
 LARGEST_STAGE = 8
 """A stage of more would need a longer filter than two smaller ones together."""
@@ -35,7 +35,7 @@ ON_GRID_SHARE = 0.7
 
 
 def decimation_factor(rate_hz: float, band_hz: float, *, grid_hz: float | None = None) -> int:
-    """Largest factor that leaves 2.5 times ``band_hz`` of the sample rate ``rate_hz`` and splits into stages of at most 8.
+    """Largest factor that leaves 2.5 times ``band_hz`` of the rate ``rate_hz`` and splits into stages of at most 8.
 
     A factor down to 0.7 of it is preferred where the rate left is then a multiple of ``grid_hz``, so that the bins of
     a transform fall on that grid.

@@ -43,9 +43,9 @@ class FrameTransform:
         return plans[self.n_fft]
 
     def spectra(self, signals: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """Spectra (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,) of ``signals`` (channels, samples).
+        """Spectra (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
 
-        Every frame must lie inside the signals; phases are those at the first sample of each frame.
+        ``signals`` is (channels, samples). Every frame must lie inside the signals; phases are those at the first sample of each frame.
         """
         plan = self._plan()
         source, target = plan.input_array, plan.output_array

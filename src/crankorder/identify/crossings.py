@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.identify.order_lines import OrderLine
+from crankorder.identify.order_lines import OrderLine, orders_agreed
 from crankorder.settings import IdentifySettings
 
 NEAR = 0.04
@@ -29,13 +29,13 @@ def crossings(
     """Crossings of the found orders with the natural frequencies, by speed, as records of ``findings.json``.
 
     ``lines`` are the order lines of all channels, ``modes`` the natural frequencies in Hz with their standard errors,
-    ``speed_rpm`` the slowest and the fastest tested speed. A crossing is excited where the amplitude of the order, in
-    at least one channel, stands 1.5 times above the trend beside the crossing.
+    ``speed_rpm`` the slowest and the fastest tested speed; ``settings`` say how near to them counts as tested. A
+    crossing is excited where the amplitude of the order, in at least one channel, stands 1.5 times above the trend
+    beside the crossing.
     """
     low, high = speed_rpm[0] - settings.crossing_band_rpm, speed_rpm[1] + settings.crossing_band_rpm
     records = []
-    for order in sorted({round(line.order, 2) for line in lines}):
-        of_order = [line for line in lines if abs(line.order - order) < 0.05]
+    for order, of_order in orders_agreed(lines):
         for frequency, error in modes:
             rpm = 60.0 * frequency / order
             inside = bool(low <= rpm <= high)

@@ -10,7 +10,7 @@ import xarray as xr
 from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Sources, explain_fixed, explain_order
 from crankorder.identify.modes import Mode, find_modes
-from crankorder.identify.order_lines import Z95, OrderLine, order_lines
+from crankorder.identify.order_lines import Z95, OrderLine, order_lines, orders_agreed
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
 
@@ -24,11 +24,11 @@ def find(
 ) -> dict[str, Any]:
     """Findings of a test, in the words of ``data_schema/findings.json``.
 
-    ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``; ``sources``
-    says what the machine is made of; ``settings`` are those of all stages.
+    ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``;
+    ``sources`` says what the machine is made of; ``settings`` are those of all stages.
     """
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders)
-    orders = sorted({round(line.order, 3) for line in lines})
+    orders = [order for order, _ in orders_agreed(lines)]
     modes = find_modes(campbell, orders, settings=settings.identify) if campbell.sizes["speed"] else []
     quantity = dict(zip(order_map["channel"].values.tolist(), order_map["quantity"].values.tolist(), strict=True))
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
@@ -101,8 +101,8 @@ def _mode_record(mode: Mode, settings: Settings) -> dict[str, Any]:
         "damping_ratio": damping,
         "damping_ratio_ci95": [max(0.0, damping - Z95 * damping_error), damping + Z95 * damping_error],
         "channels": [line.channel for line in mode.lines],
-        "evidence": f"stays at its frequency at all speeds; {strongest.prominence_db:.1f} dB over the broadband floor "
-        f"in {strongest.channel} after removal of the order lines",
+        "evidence": f"stays at its frequency at all speeds; {strongest.prominence_db:.1f} dB above the valleys "
+        f"beside it in {strongest.channel} after removal of the order lines",
         "prominence_db": strongest.prominence_db,
         "explained_by": explained,
     }
@@ -141,7 +141,7 @@ def _half_width(record: dict[str, Any]) -> float:
     return float(record["order_ci95"][1] - record["order_ci95"][0]) / 2.0
 
 
-def _teeth(sources: Sources, name: str) -> int:
+def _teeth(sources: Sources, name: str) -> int | None:
     return next(bearing.rolling_elements for bearing in sources.bearings if bearing.name == name)
 
 
@@ -168,7 +168,7 @@ def _line_records(
 
 
 def _unexplained(orders: list[dict[str, Any]]) -> float:
-    """Share of the energy of the order lines (each at its strongest, per channel, channels alike) that nothing explains."""
+    """Share of the order lines' energy (each at its strongest, all channels alike) that nothing explains."""
     total: dict[str, float] = {}
     unknown: dict[str, float] = {}
     for record in orders:

@@ -16,6 +16,9 @@ MASKED_BINS = 3
 TONE_SKIRT = 0.008
 """Largest share of a tone's power three bins away (a Hann window gives 0.0006 at worst; the rest is noise)."""
 
+CLEAR_SIGMAS = 6.0
+"""Standard deviations of the spectrum's scatter by which a mode stands above its valleys: a thousand bins are looked at."""
+
 PAIR_BINS = 4
 """Peaks closer than this many bins are one."""
 
@@ -68,7 +71,9 @@ def quiet_spectrum(campbell: xr.Dataset, orders: list[float]) -> NDArray[np.floa
     width = MASKED_BINS * max(1.0, float(campbell.attrs["enbw_hz"]) / (1.5 * resolution)) * resolution
     for k, rpm in enumerate(speed):
         for order in orders:
-            psd[:, k, np.abs(frequency - order * rpm / 60.0) <= width + 0.5 * order * _half_bin(campbell) / 60.0] = np.nan
+            psd[:, k, np.abs(frequency - order * rpm / 60.0) <= width + 0.5 * order * _half_bin(campbell) / 60.0] = (
+                np.nan
+            )
     count = np.count_nonzero(~np.isnan(psd), axis=1)
     ordered = np.sort(psd, axis=1)
     middle = np.maximum(count - 1, 0)[:, None, :] // 2
@@ -83,8 +88,8 @@ def _half_bin(campbell: xr.Dataset) -> float:
 def find_modes(campbell: xr.Dataset, orders: list[float], *, settings: IdentifySettings) -> list[Mode]:
     """Natural frequencies and tones of the CampbellMap ``campbell``, lowest first, after removal of ``orders``.
 
-    A peak of the quiet spectrum that stands ``settings.mode_prominence_db`` over the broadband floor is fitted by a
-    damped resonance seen through the window; channels are joined where their frequencies agree.
+    A peak of the quiet spectrum that stands ``settings.mode_prominence_db`` over the valleys beside it (and clear of
+    the scatter) is fitted by a damped resonance seen through the window; channels are joined where their frequencies agree.
     """
     spectrum = quiet_spectrum(campbell, orders)
     frequency = campbell["frequency"].values
@@ -104,15 +109,17 @@ def _lines(
     settings: IdentifySettings,
 ) -> list[FixedLine]:
     resolution = float(campbell.attrs["resolution_hz"])
-    level = 10.0 * np.log10(density)
-    reach = max(3, round(0.5 * settings.mode_floor_width_hz / resolution))
-    floor = _moving_quantile(level, reach, 0.3)
+    level = 10.0 * np.log10(_smoothed(density))
     n_averages = float(campbell["n_frames"].values.sum())
+    # a median of n spectra of three smoothed bins scatters by so much; a mode must stand clear of that
+    scatter_db = 4.34 * 1.25 / np.sqrt(1.5 * n_averages)
     peaks = _local_maxima(level, PAIR_BINS)
-    peaks = peaks[level[peaks] - floor[peaks] >= settings.mode_prominence_db]
+    prominences = _prominences(level, peaks)
+    clear = prominences >= max(settings.mode_prominence_db, CLEAR_SIGMAS * scatter_db)
+    peaks, prominences = peaks[clear], prominences[clear]
     found = []
     for number, peak in enumerate(peaks.tolist()):
-        prominence = float(level[peak] - floor[peak])
+        prominence = float(prominences[number])
         low = (peaks[number - 1] + peak) // 2 if number else 0
         high = (peaks[number + 1] + peak) // 2 if number + 1 < len(peaks) else len(density) - 1
         tone = _tone(frequency, density, peak, resolution)
@@ -166,12 +173,26 @@ def _local_maxima(level: NDArray[np.float64], reach: int) -> NDArray[np.int64]:
     return np.flatnonzero((level >= highest) & (inner > 1) & (inner < len(level) - 2))
 
 
-def _moving_quantile(level: NDArray[np.float64], reach: int, quantile: float) -> NDArray[np.float64]:
-    """Quantile of ``level`` within ``reach`` bins on both sides (mirrored at the ends)."""
-    reach = min(reach, len(level) - 1)
-    padded = np.pad(level, reach, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return np.asarray(np.quantile(windows, quantile, axis=-1))
+def _smoothed(density: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of three neighbouring bins, ends kept: a Hann window's main lobe, within which a peak has no structure."""
+    smooth = density.copy()
+    smooth[1:-1] = (density[:-2] + density[1:-1] + density[2:]) / 3.0
+    return smooth
+
+
+def _prominences(level: NDArray[np.float64], peaks: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Height of each peak above the higher of the two valleys that part it from higher ground (or from the ends)."""
+    prominences = np.empty(len(peaks))
+    for number, peak in enumerate(peaks):
+        higher = np.flatnonzero(level > level[peak])
+        left = higher[higher < peak]
+        right = higher[higher > peak]
+        valleys = (
+            level[(left[-1] if len(left) else 0) : peak + 1].min(),
+            level[peak : (right[0] if len(right) else len(level) - 1) + 1].min(),
+        )
+        prominences[number] = level[peak] - max(valleys)
+    return prominences
 
 
 def _fit(
@@ -204,7 +225,9 @@ def _fit(
     def residual(p: NDArray[np.float64]) -> NDArray[np.float64]:
         x = f[:, None] + offsets - p[0]
         bell = np.exp(2.0 * p[1]) / (x**2 + np.exp(2.0 * p[1]))
-        basis = np.stack([np.ones(len(f)), (f - p[0]) / reach, bell @ kernel, (bell * x) @ kernel / np.exp(p[1])], axis=1)
+        basis = np.stack(
+            [np.ones(len(f)), (f - p[0]) / reach, bell @ kernel, (bell * x) @ kernel / np.exp(p[1])], axis=1
+        )
         weighted = basis / s[:, None]
         linear = np.linalg.lstsq(weighted, np.ones(len(f)), rcond=None)[0]
         return np.asarray(weighted @ linear - 1.0)
@@ -244,7 +267,9 @@ def _join(lines: list[FixedLine], resolution: float) -> list[Mode]:
     """Lines of all channels, grouped where neighbours lie within 1 % or two bins and no channel counts twice."""
     groups: list[list[FixedLine]] = []
     for line in lines:
-        near = groups and line.frequency_hz - groups[-1][-1].frequency_hz < max(2.0 * resolution, 0.01 * line.frequency_hz)
+        near = groups and line.frequency_hz - groups[-1][-1].frequency_hz < max(
+            2.0 * resolution, 0.01 * line.frequency_hz
+        )
         if near and line.channel not in {other.channel for other in groups[-1]}:
             groups[-1].append(line)
         else:

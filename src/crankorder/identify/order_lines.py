@@ -163,22 +163,25 @@ def _line(
     locked: bool,
 ) -> OrderLine:
     axis = order_map["order"].values
+    resolution = float(axis[1] - axis[0])
+    beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
     energy = order_map["amplitude"].values[channel, seen, peak] ** 2
     coherent = order_map["coherent_amplitude"].values[channel, seen, peak]
     coherent_error = order_map["standard_error"].values[channel, seen, peak]
     noise = floor[channel, seen, peak]
+    n_frames = np.maximum(1, order_map["n_frames"].values[seen])
     if locked:
         amplitude, error = coherent, coherent_error
     else:
         amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
-        n_frames = order_map["n_frames"].values[seen]
-        error = np.sqrt((noise * energy + 0.5 * noise**2) / np.maximum(1, n_frames)) / (2.0 * amplitude)
-    order, order_error = _refined(order_map["amplitude"].values[channel][seen], noise, axis, peak)
+        error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
+    lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
+    distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         bin=peak,
-        order=order,
-        order_error=order_error,
+        order=float(axis[peak]) + resolution * distance,
+        order_error=resolution * distance_error,
         seen=seen,
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,
@@ -189,22 +192,38 @@ def _line(
     )
 
 
-def _refined(
-    amplitude: NDArray[np.float64], noise: NDArray[np.float64], axis: NDArray[np.float64], peak: int
-) -> tuple[float, float]:
-    """Order between the bins and its standard error, from the two strongest bins of a Hann window at each speed.
+def _refined(lobe: NDArray[np.float64], noise: NDArray[np.float64]) -> tuple[float, float]:
+    """Distance of a line from its bin, in bins, and its standard error, from the three bins of its main lobe.
 
-    ``amplitude`` is (speeds, orders), ``noise`` (speeds,) the floor's power. Two-point interpolation for the Hann
-    window: Rife and Vincent (1970); speeds count by their signal-to-noise ratio.
+    ``lobe`` is (speeds, 3) amplitudes, ``noise`` (speeds,) the noise power in each. Both neighbours of the Hann
+    window's main lobe tell the distance, (2 r - 1) / (1 + r) on the right and (1 - 2 l) / (1 + l) on the left (Rife
+    and Vincent 1970); their mean has no bias from noise and errs by 0.61 / sqrt(signal-to-noise ratio). Speeds count
+    by that ratio.
     """
-    resolution = float(axis[1] - axis[0])
-    left, mid, right = (amplitude[:, min(max(peak + k, 0), len(axis) - 1)] for k in (-1, 0, 1))
-    left, right = np.nan_to_num(left), np.nan_to_num(right)
-    side = np.where(right >= left, 1.0, -1.0)
-    share = np.maximum(left, right) / mid
-    offset = side * (2.0 * share - 1.0) / (share + 1.0)
-    weight = mid**2 / np.maximum(noise, 1e-12 * mid**2)
+    left, right = lobe[:, 0] / lobe[:, 1], lobe[:, 2] / lobe[:, 1]
+    offset = 0.5 * ((2.0 * right - 1.0) / (1.0 + right) + (1.0 - 2.0 * left) / (1.0 + left))
+    weight = lobe[:, 1] ** 2 / np.maximum(noise, 1e-12 * lobe[:, 1] ** 2)
     mean = float(np.average(offset, weights=weight))
-    spread = float(np.sqrt(np.average((offset - mean) ** 2, weights=weight) / len(offset)))
-    bound = float(np.sqrt(1.0 / weight.sum()))
-    return float(axis[peak]) + resolution * mean, resolution * max(spread, bound)
+    spread = float(np.sqrt(np.average((offset - mean) ** 2, weights=weight) / max(1, len(offset) - 1)))
+    return mean, max(spread, 0.61 / float(np.sqrt(weight.sum())))
+
+
+def orders_agreed(lines: list[OrderLine]) -> list[tuple[float, list[OrderLine]]]:
+    """Orders of the test, each with the ``lines`` of the channels that show it.
+
+    The order is their mean weighted by precision: channels see the same shaft. Lines closer than NEIGHBOUR_ORDERS
+    are one order; a channel has no two such.
+    """
+    groups: list[list[OrderLine]] = []
+    for line in sorted(lines, key=lambda item: item.order):
+        channels = {other.channel for other in groups[-1]} if groups else set()
+        if groups and line.order - groups[-1][0].order < 0.5 * NEIGHBOUR_ORDERS and line.channel not in channels:
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    return [(_agreed(group), group) for group in groups]
+
+
+def _agreed(group: list[OrderLine]) -> float:
+    weights = [1.0 / line.order_error**2 for line in group]
+    return float(np.average([line.order for line in group], weights=weights))

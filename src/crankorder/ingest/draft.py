@@ -59,7 +59,8 @@ def _recordings(folder: Path) -> tuple[str, Contents]:
         if is_leftover(path.name) or path.suffix.lower() in (".toml", ".md", ".json") or path.is_dir():
             continue
         try:
-            groups.setdefault(path.suffix, []).append(contents_of(path, settings=settings))
+            contents = contents_of(path, settings=settings)
+            groups.setdefault(path.suffix, []).append(contents)
         except CrankorderError as error:
             faults.append(error)
     if not groups:

@@ -114,7 +114,7 @@ def _check_superblock(path: Path) -> None:
     wide = block[13 if version < 2 else 9 : 14 if version < 2 else 10] in (b"\x08", b"")
     if len(block) < offset + 8:
         raise InputError(f"truncated: only {size} bytes are left of an HDF5 file", file=path, remedy="Copy it again")
-    end = struct.unpack_from("<Q", block, offset)[0] + base if wide else 0
+    end = struct.unpack_from("<Q", block, offset)[0] if wide else 0
     marked_open = version >= 3 and block[11] & 0b101
     if marked_open:
         raise InputError(

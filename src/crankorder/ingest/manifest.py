@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, ValidationError, WithJsonSchema
 from pydantic import field_validator as field_check
 
+from crankorder.engine.bearings import Bearing
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.ingest.toml_lines import key_lines
 from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, parse_sensitivity, unit_of
@@ -138,20 +139,6 @@ class Encoder(_Table):
     speed_rpm: Positive | None = None
 
 
-class Bearing(_Table):
-    """``[[bearings]]``: one rolling bearing, by geometry or by published orders of its shaft."""
-
-    name: Name
-    shaft_ratio: Positive = 1.0
-    rolling_elements: Count | None = None
-    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = None
-    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
-    bpfo: Positive | None = None
-    bpfi: Positive | None = None
-    bsf: Positive | None = None
-    ftf: Positive | None = None
-
-
 class Manifest(_Table):
     """A test-run folder, as ``run.toml`` describes it."""
 
@@ -162,6 +149,11 @@ class Manifest(_Table):
     sampling: Sampling = Sampling()
     encoder: Encoder = Encoder()
     bearings: Annotated[tuple[Bearing, ...], Field(strict=False)] = ()
+
+    @property
+    def revs_per_cycle(self) -> int:
+        """Crank revolutions per cycle: 2 for a four-stroke engine, else 1."""
+        return 2 if self.test.cycle == "four-stroke" else 1
 
     def speed_of(self, path: Path) -> float | None:
         """Speed in rpm that the manifest states for the recording at ``path``, or None."""

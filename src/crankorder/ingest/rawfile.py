@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crankorder.errors import InputError, UnsafeInputError
+from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.quantities import QualityFlag, Severity
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -63,12 +63,14 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
                 return candidate
     if (isinstance(source, int) or source.isdecimal()) and int(source) < len(names):
         return names[int(source)]
-    shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    shown = ", ".join(printable(name, 60) for name in names[:20]) + (
+        f" and {len(names) - 20} more" if len(names) > 20 else ""
+    )
     close = difflib.get_close_matches(str(source), names, n=1)
     raise InputError(
-        f"channel {source} not in file; has {shown or 'nothing that holds samples'}",
+        f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}",
         file=path,
-        remedy=f"Did you mean {close[0]!r}?" if close else "Mend the source in the manifest",
+        remedy=f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest",
     )
 
 

@@ -22,7 +22,6 @@ from crankorder.quantities import QualityFlag, Recording, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import find_pulses
 
-_REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
 _MIN_SAMPLES = 3
 
 
@@ -63,7 +62,7 @@ def _axis(
     """An empty dataset with the attributes of the sampling, its rate in Hz (NaN by crank angle), and its start."""
     sampling = manifest.sampling
     attrs: dict[str, object] = {"recording": path.name, "domain": sampling.domain}
-    attrs["revs_per_cycle"] = _REVS_PER_CYCLE[manifest.test.cycle]
+    attrs["revs_per_cycle"] = manifest.revs_per_cycle
     if sampling.domain == "crank_angle":
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
         return xr.Dataset(attrs=attrs), math.nan, 0.0

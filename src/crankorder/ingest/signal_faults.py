@@ -9,12 +9,14 @@ import numpy.typing as npt
 
 from crankorder.errors import InputError
 from crankorder.ingest.rawfile import FloatArray, flag
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import QualityFlag, Severity
 from crankorder.settings import IngestSettings
 
 # beyond any physical signal: fill values of NetCDF (9.97e36) and of LabVIEW lie above it
 _FILL_ABOVE = 1e30
 _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0)
+# a flat top that falls by more than this many rounding steps within its own length was cut off: twice the smooth fall
+_STEEP_STEPS = 10.0
 
 
 def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSettings) -> list[QualityFlag]:
@@ -74,24 +76,42 @@ def _bridge(
 def _clipping(
     signal: FloatArray, low: float, high: float, name: str, path: Path, settings: IngestSettings
 ) -> list[QualityFlag]:
-    """Flag runs of equal samples at an extreme; one lone flat top may be a smooth one, coarsely quantised."""
-    clipped, first = 0, signal.size
+    """Flag runs of equal samples at an extreme, where they are cut off and not the smooth top of a quantised signal."""
+    clipped, first, n_runs = 0, signal.size, 0
     for extreme in (low, high):
-        places = np.flatnonzero(signal == signal.dtype.type(extreme))
-        if places.size < 2 * settings.clip_run_samples:
+        flat = signal == signal.dtype.type(extreme)
+        if np.count_nonzero(flat) < 2 * settings.clip_run_samples:
             continue
-        edges = np.flatnonzero(np.diff(places) > 1) + 1
-        starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [places.size]))
-        long_runs = ends - starts >= settings.clip_run_samples
-        if np.count_nonzero(long_runs) >= 2:
-            clipped += int((ends - starts)[long_runs].sum())
-            first = min(first, int(places[starts[long_runs][0]]))
-    if not clipped:
+        starts, ends = _runs(flat)
+        long = ends - starts >= settings.clip_run_samples
+        starts, ends = starts[long], ends[long]
+        cut_off = _is_cut_off(signal, extreme, starts, ends)
+        if cut_off.any():
+            n_runs += int(cut_off.sum())
+            clipped += int((ends - starts)[cut_off].sum())
+            first = min(first, int(starts[cut_off][0]))
+    if n_runs < 2:
         return []
     share = clipped / signal.size
-    severity = "bad" if share > settings.max_clipped_fraction else "suspect"
+    severity: Severity = "bad" if share > settings.max_clipped_fraction else "suspect"
     detail = f"channel {name}: {share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {first}"
-    return [flag(path, "clipped", "bad" if severity == "bad" else "suspect", detail)]
+    return [flag(path, "clipped", severity, detail)]
+
+
+def _is_cut_off(
+    signal: FloatArray, extreme: float, starts: npt.NDArray[np.intp], ends: npt.NDArray[np.intp]
+) -> npt.NDArray[np.bool_]:
+    """Which flat runs the signal enters or leaves steeply.
+
+    The top of a parabola that rounding flattens over L samples has fallen by 4.5 rounding steps L samples further on.
+    """
+    steps = np.abs(np.diff(signal))
+    rounding_step = float(steps[steps > 0].min())
+    lengths = ends - starts
+    before = np.abs(signal[np.maximum(starts - lengths, 0)] - extreme)
+    after = np.abs(signal[np.minimum(ends - 1 + lengths, signal.size - 1)] - extreme)
+    steep: npt.NDArray[np.bool_] = np.maximum(before, after) > _STEEP_STEPS * rounding_step
+    return steep
 
 
 def _runs(mask: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

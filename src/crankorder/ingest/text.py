@@ -19,7 +19,8 @@ _HEAD_BYTES = 65_536
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
 )
-_NAN_WORDS = ("nan", "NaN", "NAN", "Nan")
+# an empty cell becomes NaN too, and is then looked for: pandas says the same of lines that end with a separator
+_NAN_WORDS = ("", "nan", "NaN", "NAN", "Nan")
 _RATE = re.compile(
     r"\b(?:sample_?freq|sampling_frequency|sample_?rate|sampling_?rate|rate_hz|fs)(?:_hz)?[\"']?\s*[:=]\s*([0-9.eE+]{1,20})\s*(k?Hz)?",
     re.IGNORECASE,

@@ -109,13 +109,16 @@ def _header_of(path: Path) -> _Header:
     calibrations: tuple[_Calibration, ...] = ()
     data_start, data_bytes = -1, 0
     with path.open("rb") as stream:
+        declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
         position = 12
-        while position + 8 <= size:
+        # what stands behind the end that the file declares is no chunk, whatever its bytes
+        while position + 8 <= min(size, declared):
             stream.seek(position)
             name, length = struct.unpack("<4sI", stream.read(8))
+            cut = position + 8 + length > size
             if name == b"data":
                 data_start, data_bytes = position + 8, length
-            elif position + 8 + length > size:
+            elif cut and (data_start < 0 or name == b"LEA "):
                 raise InputError(
                     f"truncated: {size} of {position + 8 + length} bytes", file=path, remedy="Copy it again"
                 )
@@ -124,11 +127,8 @@ def _header_of(path: Path) -> _Header:
             elif name == b"LEA ":
                 calibrations = _calibrations(stream.read(min(length, 1_000_000)), path)
             position += 8 + length + length % 2
-        stream.seek(0)
-        riff = stream.read(8)
     if layout is None or len(layout) < 16 or data_start < 0:
         raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy="Copy it again")
-    declared = struct.unpack("<I", riff[4:8])[0] + 8
     if data_bytes in (0xFFFFFFFF, 0) and size > data_start:
         raise InputError("was not closed by its writer: the length of the samples is not filled in", file=path)
     if data_start + data_bytes <= size < declared:

@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def floor_bins(
-    order: NDArray[np.float64], *, line_step: float, guard_bins: int, n_bins: int
-) -> NDArray[np.int64]:
+def floor_bins(order: NDArray[np.float64], *, line_step: float, guard_bins: int, n_bins: int) -> NDArray[np.int64]:
     """Indices (orders, n_bins) of the bins next to each bin of ``order`` (orders,) that hold noise only.
 
     Bins within ``guard_bins`` of a multiple of ``line_step`` (1/2 for a four-stroke engine, where half orders live)
@@ -21,10 +19,12 @@ def floor_bins(
         quiet = np.flatnonzero(order > 1.5 * resolution)
     n_bins = min(n_bins, len(quiet))
     first = np.clip(np.searchsorted(quiet, np.arange(len(order))) - n_bins // 2, 0, len(quiet) - n_bins)
-    return quiet[first[:, None] + np.arange(n_bins)]
+    return np.asarray(quiet[first[:, None] + np.arange(n_bins)])
 
 
-def local_floor(power: NDArray[np.float64], bins: NDArray[np.int64], *, n_averages: NDArray[np.float64]) -> NDArray[np.float64]:
+def local_floor(
+    power: NDArray[np.float64], bins: NDArray[np.int64], *, n_averages: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Expected noise power (…, orders) at each bin of ``power`` (…, orders), from the median of its ``bins``.
 
     ``n_averages`` (broadcast against ``power``) is the number of independent spectra in each power: their mean is

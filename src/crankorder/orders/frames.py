@@ -169,6 +169,6 @@ def _flags(band: xr.Dataset, revs: int, settings: OrderSettings, cycle: int) -> 
             "recording": band.attrs["recording"],
             "flag": "short_recording",
             "severity": "info",
-            "detail": f"frames of {revs} instead of {settings.revs_per_frame} revolutions: order resolution {1 / revs:.3g}",
+            "detail": f"frames of {revs} instead of {settings.revs_per_frame} revolutions",
         }
     ]

@@ -13,6 +13,12 @@ from crankorder.quantities import QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
+RESIDUAL_FRAMES = 4
+"""From so many frames on their scatter tells the noise; with fewer it is taken from quiet bins beside the line."""
+
+RESIDUAL_OFFSETS = (-3, -2, 2, 3)
+"""Bins beside a line that hold noise only: the main lobe of a Hann window ends at two."""
+
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
     """OrderMap of a test from the OrderFrames of its recordings.
@@ -39,6 +45,10 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
     bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
     floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=n_coherent)
+    count = np.array([len(group) for group in groups], dtype=np.int64)
+    residual = _residual_power(energy, coherent, count, factor)
+    enough = (count[None, :, None] >= RESIDUAL_FRAMES) & (n_coherent == 1) & np.isfinite(residual)
+    floor = np.where(enough, residual, floor)
     result = _dataset(used[0], order, np.array([np.mean(speed[group]) for group in groups]), settings)
     dims = ("channel", "speed", "order")
     _put(result, "amplitude", dims, np.sqrt(energy), "peak amplitude, energy average")
@@ -47,10 +57,28 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
     _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
     _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
-    count = np.array([len(group) for group in groups], dtype=np.int64)
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
     result.attrs["mean_variance_factor"] = factor
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(dropped, longest))
+
+
+def _residual_power(
+    energy: NDArray[np.float64], coherent: NDArray[np.complex128], count: NDArray[np.int64], factor: float
+) -> NDArray[np.float64]:
+    """Noise power (channels, speeds, orders) of a ``coherent`` average of ``count`` (speeds,) frames.
+
+    The median of the bin's own scatter about the average and of the ``energy`` two and three bins beside it, where a
+    Hann window shows nothing of a line: local, so that a resonance near the line does not count. ``factor`` is what
+    overlap costs.
+    """
+    frames = count[None, :, None].astype(np.float64)
+    own = (energy - np.abs(coherent) ** 2) * frames / np.maximum(frames - factor, 0.5)
+    reach = max(RESIDUAL_OFFSETS)
+    padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), mode="reflect")
+    n_bins = energy.shape[-1]
+    beside = [padded[..., reach + k : reach + k + n_bins] for k in RESIDUAL_OFFSETS]
+    middle = np.median(np.stack([own, *beside]), axis=0) / (1.0 - 1.0 / (9.0 * frames)) ** 3
+    return np.asarray(np.maximum(middle, 0.0) * factor / frames)
 
 
 def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:

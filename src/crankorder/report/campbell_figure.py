@@ -8,13 +8,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
 from crankorder.report.labels import EdgeLabel, fitted, label_right, label_top
-from crankorder.report.notation import frequency_text, is_number, level_reference, order_text
+from crankorder.report.notation import frequency_text, is_number, is_tone, level_reference, nominal_order, order_text
 from crankorder.report.sentences import strongest_sentence
 from crankorder.report.style import (
     INK,
@@ -24,8 +24,8 @@ from crankorder.report.style import (
     MAP,
     MODE,
     MODE_ON_MAP,
-    NOTE,
     NOT_MEASURED,
+    NOTE,
     SMALL,
     axes_at,
     drawable,
@@ -39,25 +39,27 @@ from crankorder.report.style import (
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
-_COMMON_SCALE_DB = 20.0  # channels of one unit share a colour scale unless one is so much weaker than the strongest
+_LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
 
 
-def campbell_figure(campbell: xr.Dataset, channel: str, findings: dict[str, Any], *, settings: ReportSettings) -> Figure:
+def campbell_figure(
+    campbell: xr.Dataset, channel: str, findings: dict[str, Any], *, settings: ReportSettings
+) -> Figure:
     """Campbell diagram of one channel, ready for :func:`crankorder.report.figures.png_bytes`.
 
-    Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of speed
-    reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram, natural
-    frequencies dashed lines labelled at the top, mains dotted, excited crossings circles.
+    Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
+    speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,
+    natural frequencies dashed lines labelled at the top, mains dotted, excited crossings circles.
 
-    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the report.
-    Raises KeyError for an unknown channel.
+    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
+    report. Raises KeyError for an unknown channel.
     """
     with house_style():
         figure = new_figure(settings.width_in, settings.height_in)
         box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
         axes = axes_at(figure, *box)
         one = campbell.sel(channel=channel).dropna("speed", how="all", subset=["amplitude"]).sortby("speed")
-        _draw_map(axes, one, _level_limits(campbell, channel, settings=settings), box, settings=settings)
+        _draw_map(axes, one, box, settings=settings)
         orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
         modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
         _draw_orders(axes, orders)
@@ -76,67 +78,63 @@ def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dic
     return sorted(records[:limit], key=lambda record: float(record["order"]))
 
 
-def _level_limits(campbell: xr.Dataset, channel: str, *, settings: ReportSettings) -> tuple[float, float]:
-    alike = (campbell["unit"].values == str(campbell["unit"].sel(channel=channel).item())) & (
-        campbell["quantity"].values == str(campbell["quantity"].sel(channel=channel).item())
-    )
-    own = campbell["amplitude"].sel(channel=channel).values
-    strongest = campbell["amplitude"].values[alike]
-    top, own_top = float(np.nanmax(strongest, initial=0.0)), float(np.nanmax(own, initial=0.0))
-    if own_top <= 0:
+def _level_limits(one: xr.Dataset, *, settings: ReportSettings) -> tuple[float, float]:
+    """Ends of the colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range."""
+    values = one["amplitude"].values
+    values = values[np.isfinite(values) & (values > 0)]
+    if not len(values):
         return 0.0, settings.dynamic_range_db
-    reference, _ = level_reference(
-        str(campbell["quantity"].sel(channel=channel).item()), str(campbell["unit"].sel(channel=channel).item()), settings=settings
+    reference, _ = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
+    ends = 5 * np.array(
+        [np.floor(_level(np.quantile(values, 0.05), reference) / 5), np.ceil(_level(values.max(), reference) / 5)]
     )
-    values = strongest if 20 * np.log10(top / own_top) <= _COMMON_SCALE_DB else own
-    high = 5 * np.ceil(20 * np.log10(float(np.nanmax(values)) / reference) / 5)
-    quiet = np.nanquantile(values[values > 0], 0.05)
-    low = max(high - settings.dynamic_range_db, 5 * np.floor(20 * np.log10(float(quiet) / reference) / 5))
-    return float(min(low, high - 20)), float(high)
+    low = max(float(ends[0]), float(ends[1]) - settings.dynamic_range_db)
+    return min(low, float(ends[1]) - _LEAST_RANGE_DB), float(ends[1])
 
 
-def _draw_map(
-    axes: Axes,
-    one: xr.Dataset,
-    limits: tuple[float, float],
-    box: tuple[float, float, float, float],
-    *,
-    settings: ReportSettings,
-) -> None:
-    reference, unit = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
-    frequency = one["frequency"].values
+def _level(values: Any, reference: float) -> Any:
+    return 20 * np.log10(np.maximum(values / reference, 1e-300))
+
+
+def _draw_map(axes: Axes, one: xr.Dataset, box: tuple[float, float, float, float], *, settings: ReportSettings) -> None:
+    frequency, cells = one["frequency"].values, speed_cells(one["speed"].values)
+    amplitude = np.nan_to_num(one["amplitude"].transpose("speed", "frequency").values)
+    values, edges = cells_with_gaps(amplitude, cells)
     half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
-    columns, rows = round(box[2] * settings.dpi), round(box[3] * settings.dpi)
-    left, right = float(frequency[0]), float(frequency[-1])
-    values = np.nan_to_num(one["amplitude"].transpose("speed", "frequency").values)
-    cells = speed_cells(one["speed"].values)
-    values, edges = cells_with_gaps(values, cells)
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
+    left, right, low, high = (float(end) for end in (frequency[0], frequency[-1], edges[0], edges[-1]))
+    columns, rows = round(box[2] * settings.dpi), round(box[3] * settings.dpi)
     pooled = pixel_maximum(values, bins, (left, right), n=min(columns, 4 * len(frequency)), axis=1)
-    pooled = pixel_maximum(pooled, edges, (float(edges[0]), float(edges[-1])), n=rows, axis=0)
-    level = np.ma.masked_where(pooled < 0, 20 * np.log10(np.maximum(pooled / reference, 1e-300)))
+    pooled = pixel_maximum(pooled, edges, (low, high), n=rows, axis=0)
+    reference, unit = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
+    limits = _level_limits(one, settings=settings)
     image = axes.imshow(
-        level, origin="lower", aspect="auto", interpolation="nearest", cmap=MAP, vmin=limits[0], vmax=limits[1],
-        extent=(left, right, float(edges[0]), float(edges[-1])),
+        np.ma.masked_where(pooled < 0, _level(pooled, reference)), extent=(left, right, low, high), origin="lower",
+        aspect="auto", interpolation="nearest", cmap=MAP, vmin=limits[0], vmax=limits[1],
     )  # fmt: skip
-    if not np.any(pooled > 0):
-        axes.text(0.5, 0.5, "no signal: every value is zero", transform=axes.transAxes, **NOTE)
     axes.set_facecolor(NOT_MEASURED)
-    for low, high in gaps_between(cells):
-        if (high - low) * box[3] > 0.3 * (edges[-1] - edges[0]):
-            axes.text((left + right) / 2, (low + high) / 2, "not measured", **NOTE)
     axes.set_xlabel("Frequency, Hz")
     axes.set_ylabel("Speed, rpm")
     axes.tick_params(length=3)
     axes.autoscale(False)
+    for start, end in gaps_between(cells):
+        if (end - start) * box[3] > 0.3 * (high - low):
+            axes.text((left + right) / 2, (start + end) / 2, "not measured", **NOTE)
+    if not np.any(pooled > 0):
+        axes.text(0.5, 0.5, "no signal: every value is zero", transform=axes.transAxes, **NOTE)
+    _colour_bar(axes, image, limits, unit, box)
+
+
+def _colour_bar(
+    axes: Axes, image: AxesImage, limits: tuple[float, float], unit: str, box: tuple[float, float, float, float]
+) -> None:
     figure = axes.figure
     assert isinstance(figure, Figure)
-    bar_axes = axes_at(figure, box[0] + box[2] + 0.62, box[1], 0.17, box[3])
-    bar = figure.colorbar(image, cax=bar_axes)
+    bar = figure.colorbar(image, cax=axes_at(figure, box[0] + box[2] + 0.62, box[1], 0.17, box[3]))
     bar.set_ticks(np.arange(10 * np.ceil(limits[0] / 10), limits[1] + 0.1, 10).tolist())
     bar.set_label(f"Level, {unit}", parse_math=False)
     bar.ax.tick_params(length=3)
-    bar.outline.set_linewidth(0.5)  # type: ignore[operator]  # a Spine, typed as a plain artist
+    bar.outline.set_linewidth(0.5)
 
 
 def _draw_orders(axes: Axes, orders: list[dict[str, Any]]) -> None:
@@ -146,22 +144,17 @@ def _draw_orders(axes: Axes, orders: list[dict[str, Any]]) -> None:
         span = record.get("speed_range_rpm") or [low, high]
         seen = np.clip(np.array([span[0], span[1]], dtype=float), low, high)
         everywhere = np.array([low, high])
-        look: dict[str, Any] = {"color": "white", "linewidth": 0.7, "gid": f"order-{order_text(order)}"}
+        look: dict[str, Any] = {"color": "white", "linewidth": 0.7, "gid": f"order-{order_text(nominal_order(record))}"}
         axes.plot(order * everywhere / 60, everywhere, alpha=0.22, **look)
         axes.plot(order * seen / 60, seen, alpha=0.45, **look)
 
 
-def is_mains(mode: dict[str, Any]) -> bool:
-    """True for a ``mode`` record of the findings that is explained by the electric mains."""
-    return str(mode.get("explained_by", "")).startswith("mains")
-
-
 def _draw_modes(axes: Axes, modes: list[dict[str, Any]]) -> None:
     for mode in modes:
-        mains = is_mains(mode)
+        mains = is_tone(mode)
         axes.axvline(
             float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP, linewidth=0.8, alpha=0.75,
-            linestyle=(0, (1, 2)) if mains else (0, (5, 4)), gid="mains" if mains else "mode",
+            linestyle=(0, (1, 2)) if mains else (0, (5, 4)), gid="tone" if mains else "mode",
         )  # fmt: skip
 
 
@@ -174,7 +167,8 @@ def _draw_crossings(axes: Axes, findings: dict[str, Any], channel: str) -> bool:
     if places:
         axes.plot(
             *zip(*places, strict=True), linestyle="none", marker="o", markersize=11, markerfacecolor="none",
-            markeredgecolor="white", markeredgewidth=1.5, gid="crossings", path_effects=[withStroke(linewidth=3, foreground="#00000090")],
+            markeredgecolor="white", markeredgewidth=1.5, gid="crossings",
+            path_effects=[withStroke(linewidth=3, foreground="#00000090")],
         )  # fmt: skip
     return bool(places)
 
@@ -191,12 +185,21 @@ def _label_edges(
         weight = "bold" if loudest > 0 and float(record.get("amplitude") or 0) == loudest else "normal"
         if f_low <= order * high / 60 <= f_high:
             place = left + width * (order * high / 60 - f_low) / (f_high - f_low)
-            top.append(EdgeLabel(place, order_text(order), INK, number, weight))
+            top.append(EdgeLabel(place, order_text(nominal_order(record)), INK, number, weight))
         elif low < 60 * f_high / order < high:
-            side.append(EdgeLabel(bottom + height * (60 * f_high / order - low) / (high - low), order_text(order), INK, number, weight))
+            side.append(
+                EdgeLabel(
+                    bottom + height * (60 * f_high / order - low) / (high - low),
+                    order_text(nominal_order(record)),
+                    INK,
+                    number,
+                    weight,
+                )
+            )
     named = [
-        EdgeLabel(left + width * (float(mode["frequency_hz"]) - f_low) / (f_high - f_low), f"{frequency_text(float(mode['frequency_hz']))} Hz",
-                  MAINS if is_mains(mode) else MODE, number)
+        EdgeLabel(left + width * (float(mode["frequency_hz"]) - f_low) / (f_high - f_low),
+                  f"{frequency_text(float(mode['frequency_hz']))} Hz",
+                  MAINS if is_tone(mode) else MODE, number)
         for number, mode in enumerate(modes) if f_low <= float(mode["frequency_hz"]) <= f_high
     ]  # fmt: skip
     figure = axes.figure
@@ -206,7 +209,16 @@ def _label_edges(
     if top:
         write(figure, left - 0.3, lines[0], "order", ha="right", va="bottom", fontsize=SMALL, color=INK)
     if side:
-        write(figure, left + width + 0.06, bottom + height + 0.14, "order", ha="left", va="bottom", fontsize=SMALL, color=INK)
+        write(
+            figure,
+            left + width + 0.06,
+            bottom + height + 0.14,
+            "order",
+            ha="left",
+            va="bottom",
+            fontsize=SMALL,
+            color=INK,
+        )
 
 
 def _legend(figure: Figure, *, orders: bool, modes: list[dict[str, Any]], circles: bool) -> None:
@@ -214,23 +226,26 @@ def _legend(figure: Figure, *, orders: bool, modes: list[dict[str, Any]], circle
     dark: dict[str, Any] = {"linewidth": 1.2}
     if orders:
         handles.append(Line2D([], [], color=INK, label="order found (bold number: strongest)", **dark))
-    if any(not is_mains(mode) for mode in modes):
+    if any(not is_tone(mode) for mode in modes):
         handles.append(Line2D([], [], color=MODE, linestyle=(0, (5, 3)), label="natural frequency", **dark))
-    if any(is_mains(mode) for mode in modes):
-        handles.append(Line2D([], [], color=MAINS, linestyle=(0, (1, 1.5)), label="mains", **dark))
+    tones = {str(mode.get("explained_by")) for mode in modes if is_tone(mode)}
+    if tones:
+        label = "mains" if tones == {"mains"} else "fixed tone" if "mains" not in tones else "mains or fixed tone"
+        handles.append(Line2D([], [], color=MAINS, linestyle=(0, (1, 1.5)), label=label, **dark))
     if circles:
         ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4}
         handles.append(Line2D([], [], color=INK, linestyle="none", label="excited crossing", **ring))
     if handles:
         width, height = figure.get_size_inches()
         figure.legend(
-            handles=handles, loc="lower left", bbox_to_anchor=(_LEFT / width, 0.12 / height), ncols=len(handles), frameon=False,
-            fontsize=SMALL + 0.5, borderpad=0, borderaxespad=0, handlelength=2.6, columnspacing=2.2,
+            handles=handles, loc="lower left", bbox_to_anchor=(_LEFT / width, 0.12 / height), ncols=len(handles),
+            frameon=False, fontsize=SMALL + 0.5, borderpad=0, borderaxespad=0, handlelength=2.6, columnspacing=2.2,
         )  # fmt: skip
 
 
 def _title(figure: Figure, findings: dict[str, Any], channel: str, *, settings: ReportSettings) -> None:
     name = drawable(findings.get("test", ""), settings.max_name_characters)
-    title = f"{shortened(name, LARGE * 1.1, 0.62 * settings.width_in)} · channel {drawable(channel, settings.max_name_characters)}"
+    name = shortened(name, LARGE * 1.1, 0.62 * settings.width_in)
+    title = f"{name} · channel {drawable(channel, settings.max_name_characters)}"
     title_lines(figure, _LEFT, title, drawable(strongest_sentence(findings, channel), 300))
     quality_note(figure, findings)

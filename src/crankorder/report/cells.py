@@ -58,7 +58,7 @@ def pixel_maximum(
 ) -> NDArray[Any]:
     """Largest value under each of ``n`` equal pixels: thin lines survive, pixels narrower than a cell repeat it.
 
-    ``values`` of cells with ascending ``edges`` (one more than cells) along ``axis``; ``ends`` first and last place shown.
+    ``values`` of cells with ascending ``edges`` (one more than cells) along ``axis``; ``ends`` first and last place.
     """
     places = np.linspace(ends[0], ends[1], n, endpoint=False)
     first = np.clip(np.searchsorted(edges, places, side="right") - 1, 0, values.shape[axis] - 1)

@@ -21,5 +21,7 @@ def png_bytes(figure: Figure, *, dpi: int) -> bytes:
     """
     buffer = BytesIO()
     with house_style():
-        figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": "crankorder"}, pil_kwargs={"compress_level": 4})
+        figure.savefig(
+            buffer, format="png", dpi=dpi, metadata={"Software": "crankorder"}, pil_kwargs={"compress_level": 4}
+        )
     return buffer.getvalue()

@@ -31,9 +31,9 @@ class EdgeLabel:
 def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
     """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
 
-    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all in
-    one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression by
-    pooling adjacent violators (Ayer et al. 1955).
+    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all
+    in one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression
+    by pooling adjacent violators (Ayer et al. 1955).
     """
     width = np.asarray(widths, dtype=float)
     if width.sum() >= high - low:
@@ -45,7 +45,10 @@ def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, hig
         blocks.append([float(value), 1.0])
         while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
             mean, count = blocks.pop()
-            blocks[-1] = [(blocks[-1][0] * blocks[-1][1] + mean * count) / (blocks[-1][1] + count), blocks[-1][1] + count]
+            blocks[-1] = [
+                (blocks[-1][0] * blocks[-1][1] + mean * count) / (blocks[-1][1] + count),
+                blocks[-1][1] + count,
+            ]
     starts = np.concatenate([np.full(int(count), mean) for mean, count in blocks]) if blocks else np.empty(0)
     return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
 
@@ -76,9 +79,13 @@ def _leader(figure: Figure, points_in: Sequence[tuple[float, float]], color: str
 
 
 def label_top(
-    figure: Figure, box_in: tuple[float, float, float, float], tiers: Sequence[Sequence[EdgeLabel]], *, size: float = SMALL
+    figure: Figure,
+    box_in: tuple[float, float, float, float],
+    tiers: Sequence[Sequence[EdgeLabel]],
+    *,
+    size: float = SMALL,
 ) -> list[float]:
-    """Heights in inches of the text lines (one per tier that is not empty, then the top of all) of labels above a diagram.
+    """Heights in inches of the labels above a diagram: one per tier that is not empty, then the top of all.
 
     Leaders of the upper tiers pass between the labels of the lower ones.
 
@@ -94,15 +101,17 @@ def label_top(
             continue
         through = [key for key in at if key[0] >= row]
         through.sort(key=lambda key: at[key])
-        widths = [text_width_in(waiting[key[0]][key[1]].text, size) + GAP_IN if key[0] == row else GAP_IN for key in through]
+        widths = [
+            text_width_in(waiting[key[0]][key[1]].text, size) + GAP_IN if key[0] == row else GAP_IN for key in through
+        ]
         places = spread([at[key] for key in through], widths, low=left - 0.15, high=left + width + 0.15)
         fan, text_at = level + 0.11, level + 0.11 + LINE_HEIGHT_IN
         for key, place in zip(through, places, strict=True):
             label = waiting[key[0]][key[1]]
             points = [(at[key], level), (at[key], level + 0.03), (float(place), fan)]
             if key[0] == row:
-                write(figure, float(place), fan + 0.01, label.text, ha="center", va="bottom", fontsize=size, color=label.color,
-                      fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip
+                write(figure, float(place), fan + 0.01, label.text, ha="center", va="bottom", fontsize=size,
+                      color=label.color, fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip
             else:
                 points.append((float(place), text_at))
             _leader(figure, points, label.color, "-")
@@ -126,6 +135,11 @@ def label_right(
     places = spread([label.target_in for label in ordered], room, low=bottom - 0.05, high=bottom + height + 0.05)
     edge = left + width
     for label, place in zip(ordered, places, strict=True):
-        _leader(figure, [(edge, label.target_in), (edge + 0.03, label.target_in), (edge + 0.12, float(place))], label.color, "-")
+        _leader(
+            figure,
+            [(edge, label.target_in), (edge + 0.03, label.target_in), (edge + 0.12, float(place))],
+            label.color,
+            "-",
+        )
         write(figure, edge + 0.14, float(place), label.text, ha="left", va="center_baseline", fontsize=size,
               color=label.color, fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip

@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from crankorder.errors import InputError, UnsafeInputError, printable
 
 CONVENTIONS = "CF-1.11"
-COMPRESSION_LEVEL = 1  # level 4: 1.1 % smaller at the same time for a campaign (0.155 s either way), slower on wide bands
+COMPRESSION_LEVEL = (
+    1  # level 4: 1.1 % smaller at the same time for a campaign (0.155 s either way), slower on wide bands
+)
 _DOUBLE = ("speed", "order", "frequency", "time", "crank_angle")  # axes keep 64 bits; estimates carry less than 24
 _MAX_BYTES = 2_000_000_000  # of all variables of a results file that is read back
 _UNIT_OF = {
-    "_hz": "Hz", "_rpm": "min-1", "_deg": "degree", "_g": "g", "_gmm": "g mm", "_s": "s", "order": "1", "order_expected": "1",
-    "damping_ratio": "1", "rpm": "min-1", "unexplained_energy_fraction": "1", "speed_exponent": "1",
+    "_hz": "Hz", "_rpm": "min-1", "_deg": "degree", "_g": "g", "_gmm": "g mm", "_s": "s", "order": "1",
+    "order_expected": "1", "damping_ratio": "1", "rpm": "min-1", "unexplained_energy_fraction": "1",
+    "speed_exponent": "1",
 }  # fmt: skip
 _TABLES = ("channels", "orders", "modes", "crossings", "bearings", "lines", "quality")
 
@@ -30,9 +33,9 @@ _TABLES = ("channels", "orders", "modes", "crossings", "bearings", "lines", "qua
 def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any]) -> bytes:
     """Bytes of a NetCDF-4 file with one group per dataset; publish them whole.
 
-    ``groups`` datasets by group name such as ``"order_map"`` or ``"findings/orders"``; complex variables become two with
-    ``_real`` and ``_imag``, estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of the
-    file: text and numbers stay, None is left out, anything else becomes JSON. No time of writing is stored.
+    ``groups`` datasets by group name such as ``"order_map"`` or ``"findings/orders"``; complex variables become two
+    with ``_real`` and ``_imag``, estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of
+    the file: text and numbers stay, None is left out, anything else becomes JSON. No time of writing is stored.
     """
     buffer = BytesIO()
     # v110 checksums the metadata too and is readable by every HDF5 since 1.10
@@ -57,8 +60,8 @@ def _write_group(group: Any, dataset: xr.Dataset) -> None:
             packed = values.ndim > 0 and values.size > 0 and values.dtype.kind in "iuf"
             filters: dict[str, Any] = {}
             if packed:
-                filters = {"compression": "gzip", "compression_opts": COMPRESSION_LEVEL, "shuffle": True, "fletcher32": True,
-                           "chunks": _chunks(values)}  # fmt: skip
+                filters = {"compression": "gzip", "compression_opts": COMPRESSION_LEVEL, "shuffle": True}
+                filters |= {"fletcher32": True, "chunks": _chunks(values)}
             dtype = h5py.string_dtype() if values.dtype.kind == "O" else values.dtype
             _write_attrs(group.create_variable(name + suffix, dims, dtype, data=values, **filters), about)
 
@@ -114,8 +117,8 @@ def _write_attrs(owner: Any, attrs: Mapping[str, Any]) -> None:
 def findings_datasets(findings: Mapping[str, Any]) -> dict[str, xr.Dataset]:
     """Small tables for the groups ``findings/orders``, ``findings/modes`` … from the lists of records of ``findings``.
 
-    Every key is a column over ``record``; an interval is a column over (record, bound) with the low end first; a missing
-    number is NaN. Single numbers and texts become attributes of the group ``findings``, the balance ones of
+    Every key is a column over ``record``; an interval is a column over (record, bound) with the low end first; a
+    missing number is NaN. Single numbers and texts become attributes of the group ``findings``, the balance ones of
     ``findings/balance``.
     """
     single = {key: value for key, value in findings.items() if key not in (*_TABLES, "balance")}
@@ -150,7 +153,11 @@ def _column(key: str, values: list[Any]) -> tuple[tuple[str, ...], NDArray[Any],
 
 
 def _is_pair(value: Any) -> bool:
-    return isinstance(value, list | tuple) and len(value) == 2 and all(end is None or isinstance(end, int | float) for end in value)
+    return (
+        isinstance(value, list | tuple)
+        and len(value) == 2
+        and all(end is None or isinstance(end, int | float) for end in value)
+    )
 
 
 def _as_text(value: Any) -> str:
@@ -173,7 +180,9 @@ def read_results(path: Path) -> dict[str, xr.Dataset]:
             conventions = str(file.attrs.get("Conventions", ""))
             names = _safe_groups(file, path)
         if not conventions.startswith("CF-"):
-            raise InputError("not a results file of crankorder", file=path, place="attribute Conventions", found=conventions)
+            raise InputError(
+                "not a results file of crankorder", file=path, place="attribute Conventions", found=conventions
+            )
         with h5netcdf.File(image, "r") as results:
             return {name: _read_group(results[name]) for name in names}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
@@ -189,7 +198,9 @@ def _read_group(group: Any) -> xr.Dataset:
         values, attrs = np.asarray(variable[...]), dict(variable.attrs)
         coords |= set(str(attrs.pop("coordinates", "")).split())
         variables[name] = (variable.dimensions, values.astype(str) if values.dtype.kind == "O" else values, attrs)
-    for name in [name.removesuffix("_real") for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables]:
+    for name in [
+        name.removesuffix("_real") for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables
+    ]:
         (dims, real, attrs), (_, imaginary, _) = variables.pop(f"{name}_real"), variables.pop(f"{name}_imag")
         variables[name] = (dims, real + 1j * imaginary, attrs)
     return xr.Dataset(variables, attrs=dict(group.attrs)).set_coords(sorted(coords & set(variables)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 from crankorder.errors import printable
 from crankorder.settings import ReportSettings
@@ -35,8 +35,32 @@ def order_text(order: float) -> str:
     return f"{order:.3f}".rstrip("0").rstrip(".")
 
 
+def nominal_order(record: dict[str, Any] | float) -> float:
+    """Order by which a line is called: the half order that it agrees with, else its value to two decimals.
+
+    ``record`` of the findings, or a measured order. It agrees with a half order within its 95 % interval, and
+    at least within 0.005.
+    """
+    order = float(record["order"] if isinstance(record, dict) else record)
+    half = round(2 * order) / 2
+    interval = interval_of(record, "order") if isinstance(record, dict) else None
+    within = interval is not None and interval[0] <= half <= interval[1] and abs(order - half) < 0.05
+    return half if within or abs(order - half) < 0.005 else round(order, 2)
+
+
+def is_tone(mode: dict[str, Any]) -> bool:
+    """True for a ``mode`` record of the findings that is no natural frequency: mains or another fixed tone."""
+    return str(mode.get("explained_by", "mode")) != "mode"
+
+
+def unit_of(findings: dict[str, Any], record: dict[str, Any]) -> str:
+    """Typographic unit of a ``record``: its own, else that of its channel in ``findings``; empty where unknown."""
+    units = {channel.get("name"): channel.get("unit", "") for channel in findings.get("channels", [])}
+    return unit_text(str(record.get("unit") or units.get(record.get("channel")) or ""))
+
+
 def number_text(value: float, *, digits: int = 3) -> str:
-    """``value`` to ``digits`` significant digits without exponent between 1e-4 and 1e6; ``"–"`` for NaN and infinity."""
+    """``value`` to ``digits`` significant digits, without exponent from 1e-4 to 1e6; ``"–"`` for NaN and infinity."""
     if not math.isfinite(value):
         return "–"
     if value == 0:
@@ -49,9 +73,9 @@ def number_text(value: float, *, digits: int = 3) -> str:
 
 
 def _decimals(width: float, value: float) -> int:
-    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
+    """Decimals that resolve about a quarter of an interval of ``width``, and never more than six digits of ``value``."""
     size = math.floor(math.log10(max(abs(value), width, 1e-300)))
-    wanted = -math.floor(math.log10(width / 4)) if width > 0 else 2 - size
+    wanted = -math.floor(math.log10(0.26 * width)) if width > 0 else 2 - size
     return min(wanted, 5 - size)
 
 
@@ -63,7 +87,7 @@ def interval_of(record: dict[str, Any], key: str) -> tuple[float, float] | None:
     return float(interval[0]), float(interval[1])
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """True for a finite number ``value`` (and no bool)."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
@@ -79,20 +103,20 @@ def estimate_text(record: dict[str, Any], key: str, *, unit: str = "") -> str:
     tail = f" {unit}" if unit else ""
     interval = interval_of(record, key)
     if interval is None:
-        return number_text(float(value)) + tail  # type: ignore[arg-type]  # is_number has looked
+        return number_text(float(value)) + tail
     low, high = interval
-    decimals = _decimals(high - low, float(value))  # type: ignore[arg-type]  # as above
+    decimals = _decimals(high - low, float(value))
     if not -1 <= decimals <= 6:
-        return f"{number_text(float(value))} ({number_text(low)}…{number_text(high)}){tail}"  # type: ignore[arg-type]
-    texts = [f"{number:.{max(decimals, 0)}f}".replace("-", "−") for number in (float(value), low, high)]  # type: ignore[arg-type]
+        return f"{number_text(float(value))} ({number_text(low)}…{number_text(high)}){tail}"
+    texts = [f"{number:.{max(decimals, 0)}f}".replace("-", "−") for number in (float(value), low, high)]
     return f"{texts[0]} ({texts[1]}…{texts[2]}){tail}"
 
 
 def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tuple[float, str]:
     """Reference of a level in the channel's own unit, and its text for the colour bar.
 
-    ``quantity`` and ``unit`` of the channel; ``settings`` hold the references for acceleration [m/s²] and sound pressure
-    [Pa]. Returns (reference, text); any other quantity refers to one unit. Source: ISO 1683:2015, table 1.
+    ``quantity`` and ``unit`` of the channel; ``settings`` hold the references for acceleration [m/s²] and sound
+    pressure [Pa]. Returns (reference, text); any other quantity refers to one unit. Source: ISO 1683:2015, table 1.
     """
     if quantity == "acceleration" and unit in _SI_ACCELERATION:
         reference = settings.acceleration_reference_m_s2

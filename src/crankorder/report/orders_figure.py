@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from crankorder.report.cells import gaps_between, speed_cells
 from crankorder.report.labels import EdgeLabel, label_right
-from crankorder.report.notation import order_text, unit_text
+from crankorder.report.notation import nominal_order, order_text, unit_text
 from crankorder.report.style import (
     BAND_FACTOR,
     FAINT,
@@ -52,8 +52,8 @@ _PHASE_OF = {
 def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Figure:
     """Peak amplitude with its 95 % band, and phase, of the strongest orders against speed, for every channel.
 
-    Each line is labelled with its order at its right end. The axis is logarithmic where the orders differ much; channels
-    of one unit share it. ``tracks`` an OrderTracks; ``findings`` of the same test; ``settings`` of the report.
+    Each line is labelled with its order at its right end. The axis is logarithmic where the orders differ much;
+    channels of one unit share it. ``tracks`` an OrderTracks; ``findings`` of the same test; ``settings`` of the report.
     """
     with house_style():
         channels = [str(name) for name in tracks["channel"].values]
@@ -76,7 +76,9 @@ def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: Rep
 
 def _strongest(tracks: xr.Dataset, *, limit: int) -> list[float]:
     """Orders by their largest amplitude relative to their channel's largest; the ``limit`` first, ascending."""
-    peak = np.nanmax(np.nan_to_num(tracks["amplitude"].transpose("channel", "order", "speed").values), axis=2, initial=0.0)
+    peak = np.nanmax(
+        np.nan_to_num(tracks["amplitude"].transpose("channel", "order", "speed").values), axis=2, initial=0.0
+    )
     share = (peak / np.maximum(peak.max(axis=1, initial=0.0, keepdims=True), 1e-300)).max(axis=0, initial=0.0)
     kept = np.argsort(-share, kind="stable")[:limit]
     return sorted(float(order) for order in tracks["order"].values[kept])
@@ -87,7 +89,9 @@ def _subtitle(tracks: xr.Dataset, shown: int) -> str:
     if not shown:
         return "No order was found."
     colour = " in the colours of their lines" if shown > 1 else ""
-    return f"{many}Peak amplitude with 95 % band, drawn where it exceeds 3 standard errors; orders at the right{colour}."
+    return (
+        f"{many}Peak amplitude with 95 % band, drawn where it exceeds 3 standard errors; orders at the right{colour}."
+    )
 
 
 def _draw_channel(
@@ -124,7 +128,9 @@ def _draw_channel(
 
 def _sure(line: xr.Dataset) -> NDArray[np.bool_]:
     """Where a line stands clear of its noise (an unknown error counts as clear)."""
-    return np.asarray((line["amplitude"].values > 0) & ~(line["amplitude"].values < _CLEAR * line["standard_error"].values))
+    return np.asarray(
+        (line["amplitude"].values > 0) & ~(line["amplitude"].values < _CLEAR * line["standard_error"].values)
+    )
 
 
 def _broken(speed: NDArray[np.float64], values: NDArray[np.float64], *, wrap: float = np.inf) -> NDArray[np.intp]:
@@ -139,20 +145,22 @@ def _draw_line(axes: Axes, line: xr.Dataset, look: dict[str, Any], order: float)
     speed = line["speed"].values
     amplitude = np.where(_sure(line), line["amplitude"].values, np.nan)
     reach = np.nan_to_num(BAND_FACTOR * line["standard_error"].values)
-    size = {"markersize": 2.4 if len(speed) <= _WITHOUT_MARKERS else 0}
+    size: dict[str, Any] = {"markersize": 2.4 if len(speed) <= _WITHOUT_MARKERS else 0}
     if len(speed) == 1:
         axes.errorbar(speed, amplitude, yerr=reach, color=look["color"], capsize=3, linewidth=1)
     breaks = _broken(speed, amplitude)
     speed, amplitude, reach = (np.insert(values, breaks, np.nan) for values in (speed, amplitude, reach))
-    axes.fill_between(speed, np.maximum(amplitude - reach, 0), amplitude + reach, color=look["color"], alpha=0.22, linewidth=0)
-    axes.plot(speed, amplitude, gid=f"order-{order_text(order)}", **look, **size)
+    axes.fill_between(
+        speed, np.maximum(amplitude - reach, 0), amplitude + reach, color=look["color"], alpha=0.22, linewidth=0
+    )
+    axes.plot(speed, amplitude, gid=f"order-{order_text(nominal_order(order))}", **look, **size)
 
 
 def _draw_phase(axes: Axes, line: xr.Dataset, look: dict[str, Any]) -> None:
     """Phase where the line stands clear of its noise, broken where it wraps."""
     phase = (np.where(_sure(line), line["phase"].values, np.nan) + 180) % 360 - 180
     speed = line["speed"].values
-    size = {"markersize": 2.0 if len(speed) <= _WITHOUT_MARKERS else 0}
+    size: dict[str, Any] = {"markersize": 2.0 if len(speed) <= _WITHOUT_MARKERS else 0}
     breaks = _broken(speed, phase, wrap=180)
     axes.plot(np.insert(speed, breaks, np.nan), np.insert(phase, breaks, np.nan), **look | {"linewidth": 0.8}, **size)
 
@@ -216,7 +224,11 @@ def _label_lines(
             continue
         value = float(np.clip(known[-1], low, high))
         share = np.log(value / low) / np.log(high / low) if logarithmic else (value - low) / (high - low)
-        labels.append(EdgeLabel(box[1] + box[3] * float(share), order_text(order), line_look(number)["color"], number))
+        labels.append(
+            EdgeLabel(
+                box[1] + box[3] * float(share), order_text(nominal_order(order)), line_look(number)["color"], number
+            )
+        )
     label_right(figure, box, labels)
     if not labels:
         axes.text(0.5, 0.5, "no order stands clear\nof the noise", transform=axes.transAxes, **NOTE)

@@ -6,7 +6,7 @@ import base64
 import hashlib
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote
 
 from jinja2 import Environment, StrictUndefined, Template
@@ -19,7 +19,12 @@ from crankorder.settings import ReportSettings
 
 _NAME_CHARACTERS = 60
 _ERROR_CHARACTERS = 400
-_ANSWERS = (("what", "What shakes"), ("why", "Why"), ("how_sure", "How sure"), ("what_to_do", "What to do"))
+_ANSWERS: tuple[tuple[Literal["what", "why", "how_sure", "what_to_do"], str], ...] = (
+    ("what", "What shakes"),
+    ("why", "Why"),
+    ("how_sure", "How sure"),
+    ("what_to_do", "What to do"),
+)
 _MARKED = frozenset({"excited", "suspect", "bad"})
 
 
@@ -33,13 +38,14 @@ def report_page(
     nothing but its pictures.
     """
     limit = settings.max_name_characters
-    story = story_of(findings)
+    lead = headline(findings)[0]
+    said = story_of(findings)
     return _template("report.html").render(
         policy=_policy(),
-        style=Markup(_style()),  # noqa: S704  # our own file, never text from data
+        style=Markup(_style()),  # our own file, never text from data
         test=named(findings.get("test", ""), limit=limit),
-        headline=headline(findings),
-        story=[(title, story[key]) for key, title in _ANSWERS],  # type: ignore[literal-required]  # keys of Story
+        lead=lead,
+        story=[(title, [one for one in said[key] if one != lead]) for key, title in _ANSWERS],
         pictures=[(_beside(file), named(caption, limit=4 * limit)) for file, caption in pictures],
         tables=tables_of(findings, limit=limit),
         provenance=provenance_table(provenance),
@@ -58,7 +64,10 @@ def index_page(tests: list[dict[str, Any]]) -> str:
         status, said = str(test.get("status", "")), test.get("headline") or []
         sentences = [said] if isinstance(said, str) else list(said)
         failed = [
-            (named(record.get("recording", ""), limit=_NAME_CHARACTERS), named(record.get("error", ""), limit=_ERROR_CHARACTERS))
+            (
+                named(record.get("recording", ""), limit=_NAME_CHARACTERS),
+                named(record.get("error", ""), limit=_ERROR_CHARACTERS),
+            )
             for record in test.get("failed") or []
         ]
         shown.append(
@@ -71,7 +80,7 @@ def index_page(tests: list[dict[str, Any]]) -> str:
                 "failed": failed,
             }
         )
-    style = Markup(_style())  # noqa: S704  # our own file, never text from data
+    style = Markup(_style())  # our own file, never text from data
     return _template("index.html").render(policy=_policy(), style=style, tests=shown)
 
 

@@ -1,4 +1,4 @@
-"""Spectra of every channel: averaged over all speeds with the natural frequencies, and at the highest speed with the orders."""
+"""Spectra of every channel: over all speeds with the natural frequencies, at the highest speed with the orders."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from crankorder.report.campbell_figure import is_mains
 from crankorder.report.labels import EdgeLabel, fitted, label_top
-from crankorder.report.notation import frequency_text, is_number, order_text, unit_text
+from crankorder.report.notation import frequency_text, is_number, is_tone, nominal_order, order_text, unit_text
 from crankorder.report.style import (
     INK,
     LINES,
@@ -43,8 +42,8 @@ _DECADES = 7.0  # shown below the strongest line
 def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Figure:
     """Per channel the median power spectral density over all speeds, and the peak spectrum at the highest speed.
 
-    Natural frequencies are marked and named over the left column, orders over the right one. ``campbell`` a CampbellMap;
-    ``findings`` of the same test; ``settings`` of the report.
+    Natural frequencies are marked and named over the left column, orders over the right one. ``campbell`` a
+    CampbellMap; ``findings`` of the same test; ``settings`` of the report.
     """
     with house_style():
         campbell = campbell.sortby("speed")
@@ -72,7 +71,8 @@ def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: 
 def _subtitle(n_speeds: int, rpm: float) -> str:
     left = f"median over {n_speeds} speeds" if n_speeds > 1 else "the one speed"
     which = "highest speed" if n_speeds > 1 else "same speed"
-    return f"Left: power spectral density, {left}, with natural frequencies. Right: peak amplitude, {which}, {rpm:.0f} rpm, with orders."
+    left = f"Left: power spectral density, {left}, with natural frequencies."
+    return f"{left} Right: peak amplitude, {which}, {rpm:.0f} rpm, with orders."
 
 
 def _median_psd(campbell: xr.Dataset) -> NDArray[np.float64]:
@@ -120,10 +120,17 @@ def _mark_modes(panels: list[Axes], findings: dict[str, Any]) -> list[tuple[floa
     modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
     for axes in panels:
         for mode in modes:
-            look: dict[str, Any] = {"color": MAINS if is_mains(mode) else MODE, "linestyle": (0, (1, 2) if is_mains(mode) else (5, 4))}
+            look: dict[str, Any] = {
+                "color": MAINS if is_tone(mode) else MODE,
+                "linestyle": (0, (1, 2) if is_tone(mode) else (5, 4)),
+            }
             axes.axvline(float(mode["frequency_hz"]), linewidth=0.8, alpha=0.7, zorder=0.8, **look)
     return [
-        (float(mode["frequency_hz"]), f"{frequency_text(float(mode['frequency_hz']))} Hz", MAINS if is_mains(mode) else MODE)
+        (
+            float(mode["frequency_hz"]),
+            f"{frequency_text(float(mode['frequency_hz']))} Hz",
+            MAINS if is_tone(mode) else MODE,
+        )
         for mode in modes
     ]
 
@@ -134,19 +141,30 @@ def _mark_orders(
     strength: dict[float, float] = {}
     found: set[tuple[str, float]] = set()
     for record in findings.get("orders", []):
-        order = float(record["order"])
+        order = nominal_order(record)
         strength[order] = max(strength.get(order, 0.0), float(record.get("amplitude") or 0))
         found.add((str(record.get("channel")), order))
     kept = sorted(sorted(strength, key=lambda order: -strength[order])[:limit])
     for axes, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
         for order in kept:
             alpha = 0.55 if (channel, order) in found else 0.2
-            axes.axvline(order * rpm / 60, color=LINES[1], linewidth=0.7, alpha=alpha, zorder=0.8, gid=f"order-{order_text(order)}")
+            axes.axvline(
+                order * rpm / 60,
+                color=LINES[1],
+                linewidth=0.7,
+                alpha=alpha,
+                zorder=0.8,
+                gid=f"order-{order_text(order)}",
+            )
     return [(order * rpm / 60, order_text(order), LINES[1]) for order in kept]
 
 
 def _label(
-    figure: Figure, box: tuple[float, float, float, float], axes: Axes, marks: list[tuple[float, str, str]], caption: str
+    figure: Figure,
+    box: tuple[float, float, float, float],
+    axes: Axes,
+    marks: list[tuple[float, str, str]],
+    caption: str,
 ) -> None:
     low, high = axes.get_xlim()
     labels = [

@@ -31,17 +31,25 @@ MAP = "inferno"
 BAND_FACTOR = 1.959964  # half a 95 % interval in standard errors of a normal estimate
 LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.4)), (0, (1, 1.2)))
-NOTE: dict[str, Any] = {"ha": "center", "va": "center", "color": FAINT, "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 2}}
+NOTE: dict[str, Any] = {
+    "ha": "center",
+    "va": "center",
+    "color": FAINT,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 2},
+}
 MARKERS = ("o", "s", "^")
 SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
 
-_FONT = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"  # ships with matplotlib: same bytes anywhere
+_FONT = (
+    Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+)  # ships with matplotlib: same bytes anywhere
 _LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
 _HOUSE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
-    "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID, "grid.linewidth": 0.6,
-    "text.color": INK, "text.parse_math": False, "text.usetex": False, "xtick.color": FAINT, "ytick.color": FAINT,
-    "xtick.labelcolor": INK, "ytick.labelcolor": INK, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
+    "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID,
+    "grid.linewidth": 0.6, "text.color": INK, "text.parse_math": False, "text.usetex": False,
+    "xtick.color": FAINT, "ytick.color": FAINT, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
     "lines.linewidth": 1.3, "figure.facecolor": "white", "axes.facecolor": "white", "savefig.facecolor": "white",
     "axes.unicode_minus": True, "axes.formatter.use_mathtext": False, "path.simplify": True,
 }  # fmt: skip
@@ -57,13 +65,13 @@ def _look() -> dict[str, Any]:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The house's settings for the time of a ``with`` block, whatever the user's matplotlibrc says; one thread at a time."""
-    with _LOCK, matplotlib.rc_context(_look()):
+    """The house's settings for the time of a ``with`` block, whatever matplotlibrc says; one thread at a time."""
+    with _LOCK, matplotlib.rc_context(_look()):  # type: ignore[arg-type]  # its keys are a Literal of every setting
         yield
 
 
 def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> None:
-    """Bold ``title`` and a ``sentence`` under it at the top of ``figure``, from ``left_in`` inches, cut at its width."""
+    """Bold ``title`` and a ``sentence`` under it, from ``left_in`` inches at the top of ``figure``, cut to fit."""
     width, height = figure.get_size_inches()
     room = width - left_in - 0.2
     write(figure, left_in, height - 0.34, shortened(title, LARGE * 1.1, room), fontsize=LARGE, fontweight="bold")
@@ -94,13 +102,13 @@ def axes_at(figure: Figure, left_in: float, bottom_in: float, width_in: float, h
 
 
 def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> Text:
-    """``text``, taken literally, at (``x_in``, ``y_in``) inches on ``figure``; ``look`` are matplotlib text properties."""
+    """``text``, taken literally, at (``x_in``, ``y_in``) inches on ``figure``; ``look``: matplotlib text properties."""
     width, height = figure.get_size_inches()
     return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
 
 
 def drawable(value: object, limit: int) -> str:
-    """Text from a file as a picture can show it: ``value`` escaped and cut at ``limit``, unknown glyphs as ``\\uNNNN``."""
+    """Text from a file as a picture can show it: ``value`` escaped, cut at ``limit``, unknown glyphs as ``\\uNNNN``."""
     known = _glyphs()
     text = "".join(char if ord(char) in known else f"\\u{ord(char):04x}" for char in printable(value, limit))
     return printable(text, limit)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypedDict
 
-from crankorder.report.notation import estimate_text, is_number, named, number_text, order_text, unit_text
+from crankorder.report.notation import estimate_text, is_number, named, number_text, order_text, unit_of
 
 _LINES = 60  # rows of a table that a page shows at once; the files hold all
 _PROVENANCE_ROWS = 400
@@ -33,9 +33,13 @@ class Table(TypedDict):
     more: Table | None
 
 
-def _table(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str = "", more: Table | None = None) -> Table:
+def _table(
+    title: str, heads: str, rows: list[list[str]], *, empty: str, note: str = "", more: Table | None = None
+) -> Table:
     """Table with ``heads`` separated by ``|``; a head that ends in ``#`` is a column of numbers."""
-    columns = [Column(title=head.strip().removesuffix("#"), number=head.strip().endswith("#")) for head in heads.split("|")]
+    columns = [
+        Column(title=head.strip().removesuffix("#"), number=head.strip().endswith("#")) for head in heads.split("|")
+    ]
     if len(rows) > _LINES:
         note = f"{note} The first {_LINES} of {len(rows)}; findings.json holds all.".strip()
     return Table(title=title, note=note, empty=empty, columns=columns, rows=rows[:_LINES], more=more)
@@ -56,14 +60,18 @@ def tables_of(findings: dict[str, Any], *, limit: int) -> list[tuple[str, Table]
 
 def _orders(findings: dict[str, Any], limit: int) -> Table:
     rows = []
+    note = (
+        "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
+        if findings.get("orders")
+        else ""
+    )
     for record in sorted(findings.get("orders", []), key=lambda one: (str(one.get("channel")), float(one["order"]))):
         span = record.get("speed_range_rpm") or []
         rows.append(
             [
                 named(record.get("channel", ""), limit=limit),
                 _order(record, "order"),
-                estimate_text(record, "amplitude"),
-                unit_text(str(record.get("unit", ""))),
+                estimate_text(record, "amplitude", unit=unit_of(findings, record)),
                 _whole(record.get("speed_rpm_at_max")),
                 estimate_text(record, "phase_deg"),
                 estimate_text(record, "speed_exponent"),
@@ -71,8 +79,8 @@ def _orders(findings: dict[str, Any], limit: int) -> Table:
                 named(record.get("explained_by") or "", limit=2 * limit),
             ]
         )
-    heads = "Channel|Order#|Largest amplitude (peak)#|Unit|at rpm#|Phase, °#|Grows as speed to the power#|Seen, rpm#|Explained by"
-    return _table("Orders", heads, rows, empty="No order stands above the noise.")
+    heads = "Channel|Order#|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|Seen, rpm#|Explained by"
+    return _table("Orders", heads, rows, note=note, empty="No order stands above the noise.")
 
 
 def _modes(findings: dict[str, Any], limit: int) -> Table:
@@ -92,17 +100,19 @@ def _modes(findings: dict[str, Any], limit: int) -> Table:
 
 def _in_percent(record: dict[str, Any]) -> dict[str, Any]:
     value, interval = record.get("damping_ratio"), record.get("damping_ratio_ci95")
-    percent: dict[str, Any] = {"damping_ratio": 100 * float(value) if is_number(value) else None}  # type: ignore[arg-type]
+    percent: dict[str, Any] = {"damping_ratio": 100 * float(value) if is_number(value) else None}
     if isinstance(interval, list | tuple):
         percent["damping_ratio_ci95"] = [100 * float(end) if is_number(end) else None for end in interval]
     return percent
 
 
 def _crossings(findings: dict[str, Any]) -> Table:
-    records = sorted(findings.get("crossings", []), key=lambda one: (not one.get("excited"), float(one.get("rpm") or 0)))
+    records = sorted(
+        findings.get("crossings", []), key=lambda one: (not one.get("excited"), float(one.get("rpm") or 0))
+    )
     inside = [record for record in records if record.get("in_range")]
     outside = [record for record in records if not record.get("in_range")]
-    heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Response"
+    heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification#|Response"
     more = None
     if outside:
         title = f"{len(outside)} crossings outside the tested speeds"
@@ -114,7 +124,10 @@ def _crossings(findings: dict[str, Any]) -> Table:
 
 def _crossing(record: dict[str, Any]) -> list[str]:
     response = "excited" if record.get("excited") else "not excited" if record.get("in_range") else "not measured"
-    return [_order(record, "order"), estimate_text(record, "mode_hz"), _whole(record.get("rpm")), response]
+    speed = estimate_text(record, "rpm") if "rpm_ci95" in record else _whole(record.get("rpm"))
+    factor = record.get("amplification")
+    times = f"× {number_text(float(factor), digits=2)}" if is_number(factor) and record.get("in_range") else "–"
+    return [_order(record, "order"), estimate_text(record, "mode_hz"), speed, times, response]
 
 
 def _bearings(findings: dict[str, Any], limit: int) -> Table:
@@ -124,7 +137,7 @@ def _bearings(findings: dict[str, Any], limit: int) -> Table:
             named(record.get("line") or "", limit=limit),
             _order(record, "order"),
             _order(record, "order_expected"),
-            estimate_text(record, "amplitude", unit=unit_text(str(record.get("unit", "")))),
+            estimate_text(record, "amplitude", unit=unit_of(findings, record)),
             named(record.get("verdict") or "", limit=4 * limit),
         ]
         for record in findings.get("bearings", [])
@@ -154,13 +167,15 @@ def _lines(findings: dict[str, Any], limit: int) -> Table:
     for record in records:
         by_order = is_number(record.get("order"))
         place = f"order {_order(record, 'order')}" if by_order else f"{estimate_text(record, 'frequency_hz')} Hz"
-        level = estimate_text(record, "amplitude", unit=unit_text(str(record.get("unit", ""))))
+        level = estimate_text(record, "amplitude", unit=unit_of(findings, record))
         explained = named(record.get("explained_by") or "unexplained", limit=2 * limit)
         rows.append([named(record.get("channel", ""), limit=limit), place, level, explained])
     fraction = findings.get("unexplained_energy_fraction")
     note = ""
     if is_number(fraction):
-        note = f"Unexplained share of the energy: {number_text(100 * float(fraction), digits=2)} %."  # type: ignore[arg-type]
+        note = (
+            f"Share of the energy of the lines that nothing explains: {number_text(100 * float(fraction), digits=2)} %."
+        )
     heads = "Channel|Line|Amplitude (peak)#|Explained by"
     return _table("All lines", heads, rows, note=note, empty="No line stands above the false-alarm level.")
 
@@ -169,12 +184,15 @@ def _quality(findings: dict[str, Any], limit: int) -> Table:
     rank = {"bad": 0, "suspect": 1}
     records = sorted(findings.get("quality", []), key=lambda one: rank.get(str(one.get("severity")), 2))
     keys = ("recording", "severity", "flag", "detail")
-    rows = [[named(record.get(key, ""), limit=4 * limit if key == "detail" else limit) for key in keys] for record in records]
+    rows = [
+        [named(record.get(key, ""), limit=4 * limit if key == "detail" else limit) for key in keys]
+        for record in records
+    ]
     return _table("Quality", "Recording|Severity|Flag|Detail", rows, empty="No remark on any recording.")
 
 
 def provenance_table(provenance: dict[str, Any]) -> Table:
-    """Inputs, versions and settings of ``provenance`` (as in ``data_schema/run.json``), one row per value, folded away."""
+    """Inputs, versions and settings of ``provenance`` (as in ``data_schema/run.json``), one row per value, folded."""
     rows = [[named(key, limit=120), named(value, limit=200)] for key, value in _flat("", provenance)][:_PROVENANCE_ROWS]
     everything = Table(
         title="Inputs with hashes, versions and settings",
@@ -201,7 +219,7 @@ def _order(record: dict[str, Any], key: str) -> str:
     value = record.get(key)
     if not is_number(value):
         return "–"
-    return estimate_text(record, key) if f"{key}_ci95" in record else order_text(float(value))  # type: ignore[arg-type]
+    return estimate_text(record, key) if f"{key}_ci95" in record else order_text(float(value))
 
 
 def _whole(value: object) -> str:

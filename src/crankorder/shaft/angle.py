@@ -89,11 +89,13 @@ def angle_knots(
 
 
 def _on_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Pulse times on the even grid of tooth numbers, and weights: 0 where a tooth has no pulse."""
+    """Pulse times on the even grid of teeth, and weights: 0 where a tooth has no pulse (its time is bridged)."""
     place = tooth - tooth[0]
-    grid, weight = np.zeros(place[-1] + 1), np.zeros(place[-1] + 1)
-    grid[place], weight[place] = time_s, 1.0
-    return grid, weight
+    weight = np.zeros(place[-1] + 1)
+    weight[place] = 1.0
+    if weight.size == time_s.size:
+        return time_s, weight
+    return np.interp(np.arange(weight.size), place, time_s), weight
 
 
 @njit(cache=True, nogil=True)
@@ -201,14 +203,14 @@ def time_at(
 @njit(cache=True, nogil=True)
 def _interval(knots, wanted, k):  # type: ignore[no-untyped-def]
     """Number of the knot interval that holds ``wanted``, sought from ``k`` upwards, then by bisection."""
-    if knots[k] <= wanted:
+    if knots[k] < wanted:
         for near in range(k, min(k + 4, knots.size - 1)):
             if wanted <= knots[near + 1]:
                 return near
     low, high = 0, knots.size - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if knots[middle] <= wanted:
+        if knots[middle] < wanted:
             low = middle
         else:
             high = middle
@@ -234,7 +236,7 @@ def _hermite(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
             c2 = (3.0 * rise - 2.0 * rate[k] - rate[k + 1]) / step
             c3 = (rate[k] + rate[k + 1] - 2.0 * rise) / (step * step)
         x = t - start
-        out[i] = c0 + x * (c1 + x * (c2 + x * c3))
+        out[i] = min(max(c0 + x * (c1 + x * (c2 + x * c3)), c0), angle[k + 1])
     return out
 
 
@@ -270,10 +272,11 @@ def _hermite_inverse(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
             else:
                 low = x
             slope = c1 + x * (2.0 * c2 + 3.0 * x * c3)
-            change = miss / slope if slope > 0.0 else np.inf
-            x -= change
+            change = miss / slope if slope > 0.0 else 1.0
             # the next step of Newton's method would change x by the square of this one
-            if abs(change) < 1e-8 or high - low < 1e-16:
+            if miss == 0.0 or abs(change) < 1e-8 or high - low < 1e-16:
+                x = x if slope == 0.0 else x - change
                 break
-        out[i] = time[k] + min(max(x, 0.0), 1.0) * step
+            x -= change
+        out[i] = time[k] + min(max(x, low), high) * step
     return out

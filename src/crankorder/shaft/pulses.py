@@ -33,8 +33,13 @@ SETTLED_SHARE = 0.1
 REST_SHARE, REST_WIDTH = 0.25, 0.06
 # The cut of a pickup stays so many standard deviations of its noise off the baseline.
 NOISE_MULTIPLE = 6.0
-# The local height of a pickup never shrinks below this share of the largest pulses': standstill is not a pulse train.
-QUIET_SHARE = 0.02
+# A pulse of a pickup is sure so far from the cut, as shares of the height of the largest pulses: between standstill
+# that is not quite still, and a noise that cannot be told from fast pulses.
+MIN_SURE_SHARE, MAX_SURE_SHARE = 0.0025, 0.02
+# Samples, or a 64th of the trace if that is more, that show the height of the first pulses.
+FIRST_BLOCK = 512
+# A square wave whose levels scatter by more than this share of their distance may be noise.
+OVERLAP_SHARE = 0.3
 # Samples that are enough to find the two levels of a trace.
 LEVEL_SAMPLES = 1 << 17
 
@@ -86,43 +91,50 @@ def find_pulses(
         raise InputError("the encoder trace has no samples", found=samples.shape, allowed="one axis, 2 samples or more")
     sign = 1.0 if edge == "rising" else -1.0
     some = _some(samples)
-    low, high = sorted(sign * level for level in _levels(some))
-    if not high > low:
-        raise InputError(
-            "no encoder pulse found: the trace is constant",
-            found=f"{sign * low:g} throughout" if np.isfinite(low) else "no finite sample",
-            allowed=f"{pulses_per_rev} pulses per revolution",
-            remedy="Check the encoder's source and cable, or state another [encoder] in run.toml",
-        )
+    levels = _levels(some)
+    low, high = sorted(sign * level for level in levels)
+    if not levels[1] > levels[0]:
+        raise _no_pulses(edge, pulses_per_rev, "a constant" if np.isfinite(low) else "no finite sample")
     if kind == "square":
         half = 0.5 * settings.hysteresis_fraction * (high - low)
         fired, n_missing = _fired(samples, sign, 0.5 * (low + high) - half, 0.5 * (low + high) + half)
         level = np.full(fired.size, 0.5 * (low + high))
     else:
-        low, high, rest, share = _pickup_levels(sign * some, settings.pickup_level_fraction)
+        low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction)
         fired, level, n_missing = _fired_pickup(
-            samples, sign, low, high, rest, share, settings.hysteresis_fraction, settings.envelope_teeth
+            samples, sign, low, high, rest, share, settings.hysteresis_fraction, sure, settings.envelope_teeth
         )
     position, settled, variance = _crossings(samples, sign, fired, level, low, high)
     if position.size == 0:
-        raise InputError(
-            f"no {edge} encoder edge found",
-            found=f"levels {min(sign * low, sign * high):g} and {max(sign * low, sign * high):g}",
-            allowed=f"{pulses_per_rev} pulses per revolution",
-            remedy="Check the encoder's source, kind and edge in run.toml",
-        )
+        raise _no_pulses(edge, pulses_per_rev, f"levels {levels[0]:g} and {levels[1]:g}")
     noise_samples = float(np.sqrt(variance))
-    quantised = 2 * settled > position.size
-    flags: list[Remark] = [
-        (
-            "encoder_edge_quantised" if quantised else "encoder_edge_interpolated",
-            "info",
-            f"{settled} of {position.size} edges lie between settled samples: pulse noise {noise_samples:.3g} samples",
-        )
-    ]
+    how = "quantised" if 2 * settled > position.size else "interpolated"
+    detail = f"{settled} of {position.size} edges lie between settled samples: pulse noise {noise_samples:.3g} samples"
+    flags: list[Remark] = [(f"encoder_edge_{how}", "info", detail)]
+    spread = _spread(some, *levels) if kind == "square" else 0.0
+    if spread > OVERLAP_SHARE:
+        detail = f"not a square wave: its two levels scatter by {spread:.2f} of their distance"
+        flags.append(("encoder_unclear", "suspect", detail))
     if n_missing:
         flags.append(("encoder_gap", "suspect", f"{n_missing} of {samples.size} encoder samples are not a number"))
     return Pulses(time_s=position / rate_hz, noise_s=noise_samples / rate_hz, flags=flags)
+
+
+def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> InputError:
+    return InputError(
+        f"no {edge} encoder edge found",
+        place="encoder",
+        found=found,
+        allowed=f"{pulses_per_rev} pulses per revolution",
+        remedy="Check the encoder's cable, and its source, kind and edge in run.toml",
+    )
+
+
+def _spread(some: npt.NDArray[Any], low: float, high: float) -> float:
+    """Scatter of a trace about the nearer of its two levels, over their distance; 0.24 for a sine, 0.38 for noise."""
+    finite = some[:: 1 + some.size // 20_000]
+    finite = finite[np.isfinite(finite)]
+    return float(np.std(np.abs(finite - 0.5 * (low + high)))) / (high - low)
 
 
 @njit(cache=True, nogil=True)
@@ -171,38 +183,47 @@ def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return samples[: samples.size // 64 * 64].reshape(64, -1)[:, : LEVEL_SAMPLES // 64].ravel()
 
 
-def _pickup_levels(some: npt.NDArray[Any], share: float) -> tuple[float, float, int, float]:
-    """Extremes of a pickup trace, where it rests (-1 low, 1 high, 0 neither), and the share of height to cut at."""
+def _pickup_levels(some: npt.NDArray[Any], share: float) -> tuple[float, float, int, float, float]:
+    """Extremes of a pickup trace, where it rests (-1 low, 1 high, 0 neither), where to cut it, and how far from noise.
+
+    The cut is a share of the height; the least distance from it that makes a pulse sure is in the trace's unit.
+    """
     finite = some[np.isfinite(some)]
     ordered = np.sort(finite[:: max(1, finite.size >> 13)])
     low, high = float(ordered[ordered.size // 50]), float(ordered[-1 - ordered.size // 50])
-    width = REST_WIDTH * (high - low)
+    height, width = high - low, REST_WIDTH * (high - low)
+    rows = finite[: finite.size // 8 * 8].reshape(-1, 8)
+    bend = np.sort(np.sqrt(np.mean(np.diff(rows, n=2, axis=1) ** 2, axis=1) / 6.0))
+    noise = NOISE_MULTIPLE * float(bend[bend.size // 4]) if bend.size else 0.0
+    sure = min(MAX_SURE_SHARE * height, max(MIN_SURE_SHARE * height, noise))
     at_low, at_high = float(np.mean(ordered < low + width)), float(np.mean(ordered > high - width))
     if max(at_low, at_high) < REST_SHARE or max(at_low, at_high) < 1.5 * min(at_low, at_high):
-        return low, high, 0, 0.5
-    resting = finite < low + width if at_low > at_high else finite > high - width
-    whole = finite.size // 8 * 8
-    rows = finite[:whole].reshape(-1, 8)[np.all(resting[:whole].reshape(-1, 8), axis=1)]
-    noise = float(np.sqrt(np.mean(np.diff(rows, n=2, axis=1) ** 2) / 6.0)) if rows.size else 0.0
-    return low, high, (-1 if at_low > at_high else 1), min(0.5, max(share, NOISE_MULTIPLE * noise / (high - low)))
+        return low, high, 0, 0.5, sure
+    return low, high, (-1 if at_low > at_high else 1), min(0.5, max(share, noise / height)), sure
 
 
 @njit(cache=True, nogil=True)
-def _fired_pickup(trace, sign, low, high, rest, share, hysteresis, envelope_teeth):  # type: ignore[no-untyped-def]
+def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sure, envelope_teeth):  # type: ignore[no-untyped-def]
     """Samples at which each pulse of ``sign * trace`` is sure, the level at which to cut it, and the count of NaN."""
     at, level_at = np.empty(trace.size // 2 + 2, dtype=np.int64), np.empty(trace.size // 2 + 2)
-    quiet, n, missing, armed, last, interval = QUIET_SHARE * (high - low), 0, 0, False, 0.0, float(trace.size)
-    peak, trough = -np.inf, np.inf
+    n, missing, armed, last = 0, 0, False, 0.0
+    block = min(trace.size, max(FIRST_BLOCK, trace.size // 64))
+    interval = block / 8.0
+    low, high = full_high, full_low
+    for i in range(block):
+        low, high = min(low, max(sign * trace[i], full_low)), max(high, min(sign * trace[i], full_high))
+    peak = trough = level = low
     for i in range(trace.size):
         value = sign * trace[i]
         missing += value != value
-        height = max(high - low, quiet)
+        height = max(high - low, 0.0)
         if rest == 0:
             level = 0.0 if low < 0.0 < high and min(-low, high) > 0.25 * height else 0.5 * (low + high)
-            band = 0.5 * hysteresis * height
+            band = max(sure, 0.5 * hysteresis * height)
         else:
-            level = low + share * height if rest < 0 else high - share * height
-            band = hysteresis * share * height
+            off = max(2.0 * sure, share * height)
+            level = low + off if rest < 0 else high - off
+            band = max(sure, hysteresis * share * height)
         if armed:
             trough = min(trough, value)
             if value > level + band:

@@ -41,8 +41,8 @@ def penalty_of(cut_off: float) -> float:
 
 
 def _residual_moments(penalty: float) -> FloatArray:
-    """Autocovariance at lags 0 to WHITE_LAGS of the residual that white noise of variance 1 leaves in an even record."""
-    frequency = (np.arange(4096) + 0.5) / 8192.0
+    """Autocovariance at lags 0 to WHITE_LAGS of the residual that white noise of variance 1 leaves, ends apart."""
+    frequency = (np.arange(1024) + 0.5) / 2048.0
     kept = 1.0 - 1.0 / (1.0 + penalty * (2.0 * np.sin(np.pi * frequency)) ** 6)
     lags = np.arange(WHITE_LAGS + 1)[:, None]
     moments: FloatArray = np.mean(kept**2 * np.cos(2.0 * np.pi * frequency * lags), axis=1)
@@ -88,11 +88,12 @@ def cut_off_of(
 
 def _is_white(residual: FloatArray, white: FloatArray, count: float) -> bool:
     """Whether the correlation of ``residual`` at every lag is what white noise would leave, within three deviations."""
-    if count < 4 * WHITE_LAGS:
+    lags = min(WHITE_LAGS, int(count) // 4)
+    if lags < 3:
         return False
     total = float(residual @ residual)
-    found = np.array([float(residual[:-lag] @ residual[lag:]) / total for lag in range(1, WHITE_LAGS + 1)])
-    return bool(np.max(np.abs(found - white[1:] / white[0])) < 3.0 / np.sqrt(count))
+    found = np.array([float(residual[:-lag] @ residual[lag:]) / total for lag in range(1, lags + 1)])
+    return bool(np.max(np.abs(found - white[1 : lags + 1] / white[0])) < 3.0 / np.sqrt(count))
 
 
 def smoothed(value: FloatArray, weight: FloatArray, penalty: float) -> FloatArray:
@@ -100,11 +101,11 @@ def smoothed(value: FloatArray, weight: FloatArray, penalty: float) -> FloatArra
 
     Parameters
     ----------
-    value : (teeth,), s; the line through its ends is taken out first: D does not see it, and round-off is of the rest
+    value : (teeth,), s; where ``weight`` is 0, anything not far from its neighbours
     weight : (teeth,), 1 where a tooth has a pulse, else 0; at least three are 1
     penalty : above 0
     """
-    result: FloatArray = _solved(value, weight, *_factors(weight, penalty))
+    result: FloatArray = _solved(value, penalty, *_factors(weight, penalty))
     return result
 
 
@@ -149,13 +150,19 @@ def _factors(weight, penalty):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _solved(value, weight, d, a, b, c):  # type: ignore[no-untyped-def]
+def _solved(value, penalty, d, a, b, c):  # type: ignore[no-untyped-def]
+    """``value`` less the solution u of (W + penalty D'D) u = penalty D'D value, which is small: so is its round-off."""
     n = value.size
-    slope = (value[n - 1] - value[0]) / max(1, n - 1)
-    z = np.empty(n)
+    z = np.zeros(n)
+    for i in range(n - 3):
+        third = penalty * ((value[i + 3] - value[i]) - 3.0 * (value[i + 2] - value[i + 1]))
+        z[i] -= third
+        z[i + 1] += 3.0 * third
+        z[i + 2] -= 3.0 * third
+        z[i + 3] += third
     z1 = z2 = z3 = a1 = b1 = b2 = c1 = c2 = c3 = 0.0
     for i in range(n):
-        now = weight[i] * (value[i] - value[0] - slope * i) - a1 * z1 - b2 * z2 - c3 * z3
+        now = z[i] - a1 * z1 - b2 * z2 - c3 * z3
         z[i] = now
         z1, z2, z3 = now, z1, z2
         a1, b1, b2, c1, c2, c3 = a[i], b[i], b1, c[i], c1, c2
@@ -163,7 +170,7 @@ def _solved(value, weight, d, a, b, c):  # type: ignore[no-untyped-def]
     for i in range(n - 1, -1, -1):
         now = z[i] / d[i] - a[i] * z1 - b[i] * z2 - c[i] * z3
         z1, z2, z3 = now, z1, z2
-        z[i] = now + value[0] + slope * i
+        z[i] = value[i] - now
     return z
 
 

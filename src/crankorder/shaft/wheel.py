@@ -167,7 +167,9 @@ def _slips(place: FloatArray, period: float) -> tuple[float, FloatArray]:
     anchor += float(np.median(_wrapped(first - anchor, period)))
     off = _wrapped(place - anchor, period)
     slip = np.round(off)
-    return anchor + float(np.mean((off - slip)[np.abs(slip) < 0.5 * period])), slip
+    rest = off - slip
+    near = np.abs(rest - np.median(rest))
+    return anchor + float(np.mean(rest[near <= 4.5 * np.median(near)])), slip
 
 
 def _unslipped(tooth: IntArray, mark_pulse: IntArray, slip: FloatArray) -> tuple[IntArray, int, int]:
@@ -262,6 +264,7 @@ def _at_index(
             )
     anchor, slip = _slips(place, period)
     renumbered, n_slips, n_odd = _unslipped(tooth, np.searchsorted(time_s, marks), slip)
+    n_odd += int(np.sum((np.diff(place) < 0.25 * period) & (np.diff(slip) == 0)))
     n_lost = int(np.sum(np.maximum(0, np.round(np.diff(place) / period) - 1)))
     for count, flag, detail in (
         (n_slips, "encoder_slip", f"pulse count put right at {n_slips} index marks"),

@@ -16,11 +16,18 @@ if TYPE_CHECKING:
 MAX_SAMPLES = 50_000_000
 """Of one channel of one recording: more would not fit into the memory of a small machine."""
 
+Fault = tuple[str, str, str, str]
+"""Problem, place, found, allowed."""
 
-def unmet_demands(scene: Scene, source: str) -> list[RequestError]:
-    """Every fault of ``scene`` that its parts alone do not show; ``source`` is the file's name for the messages."""
+
+def unmet_demands(scene: Scene, source: str, kept: dict[str, list[int]]) -> list[RequestError]:
+    """Every fault of ``scene`` that its parts alone do not show.
+
+    ``source``: the file's name for the messages. ``kept``: for a list of effects that lost faulty items, the places in
+    the file of those that stayed.
+    """
     return [
-        RequestError(problem, file=source, place=place, found=found, allowed=allowed)
+        RequestError(problem, file=source, place=_place_in_file(place, kept), found=found, allowed=allowed)
         for problem, place, found, allowed in (
             *_names(scene),
             *_forces_without_structure(scene),
@@ -30,7 +37,10 @@ def unmet_demands(scene: Scene, source: str) -> list[RequestError]:
     ]
 
 
-Fault = tuple[str, str, str, str]
+def _place_in_file(place: str, kept: dict[str, list[int]]) -> str:
+    head, _, rest = place.partition(".")
+    item, _, key = rest.partition(".")
+    return f"{head}.{kept[head][int(item)]}.{key}".rstrip(".") if head in kept and item else place
 
 
 def _names(scene: Scene) -> Iterator[Fault]:
@@ -53,7 +63,12 @@ def _names(scene: Scene) -> Iterator[Fault]:
     bearings = {bearing.name: bearing for bearing in scene.engine.bearings}
     for k, line in enumerate(scene.bearing_lines):
         if line.bearing not in bearings:
-            yield "the engine has no such bearing", f"bearing_lines.{k}.bearing", line.bearing, ", ".join(bearings) or "none"
+            yield (
+                "the engine has no such bearing",
+                f"bearing_lines.{k}.bearing",
+                line.bearing,
+                ", ".join(bearings) or "none",
+            )
         elif line.line not in bearing_orders(bearings[line.bearing]):
             known = ", ".join(bearing_orders(bearings[line.bearing]))
             yield "the bearing's data do not tell this line", f"bearing_lines.{k}.line", line.line, known

@@ -110,7 +110,7 @@ class InjectedOrder(Part):
 
 
 class BearingLine(Part):
-    """A line of one of the engine's bearings, with the same response at every speed; its phase is random per recording."""
+    """A line of one of the engine's bearings: the same response at every speed, its phase by chance per recording."""
 
     bearing: str
     line: Literal["N*fs", "BPFO", "BPFI", "BSF", "FTF"]

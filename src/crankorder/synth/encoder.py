@@ -11,11 +11,12 @@ def sampled_encoder(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Square wave of the encoder (V) and index mark (0 or 1) at constant speed, each of shape (n_samples,).
 
-    A pulse rises at every whole 1/pulses_per_rev of a revolution and is high for the first half of it; the index is high
-    for the first pulse period after top dead centre of the crank, once per revolution.
+    A pulse rises at every whole 1/pulses_per_rev of a revolution and is high for the first half of it; the index is
+    high for the first pulse period after top dead centre of the crank, once per revolution.
 
-    ``start_rev``: crank angle of the first sample, ≥ 0. ``speed_rpm``: > 0. ``pulses_per_rev``: ≥ 1. ``high_v``: volts of
-    the high level. ``rate_hz``: samples per second; each half pulse needs at least one sample. ``n_samples``: ≥ 1.
+    ``start_rev``: crank angle of the first sample, ≥ 0. ``speed_rpm``: > 0. ``pulses_per_rev``: ≥ 1. ``high_v``:
+    volts of the high level. ``rate_hz``: samples per second; each half pulse needs at least one sample.
+    ``n_samples``: ≥ 1.
     """
     half_pulses_per_rev = 2 * pulses_per_rev
     per_sample = half_pulses_per_rev * speed_rpm / (60 * rate_hz)

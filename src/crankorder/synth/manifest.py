@@ -44,7 +44,9 @@ def manifest_text(scene: Scene, engine_name: str) -> str:
             "ratio": 1.0,
             "index_to_tdc_deg": 0.0,
         }
-    table["bearings"] = [bearing.model_dump(exclude_none=True, exclude_defaults=True) for bearing in scene.engine.bearings]
+    table["bearings"] = [
+        bearing.model_dump(exclude_none=True, exclude_defaults=True) for bearing in scene.engine.bearings
+    ]
     return toml_text(table)
 
 
@@ -69,5 +71,7 @@ def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_value(item) for item in value)}]"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # the one character where TOML is stricter
+        return json.dumps(value, ensure_ascii=False).replace(
+            "\x7f", "\\u007f"
+        )  # the one character where TOML is stricter
     return json.dumps(value)

@@ -38,8 +38,8 @@ def white_spectrum(
 def white_noise(stream: np.random.Generator, density: float, *, rate_hz: float, n_samples: int) -> NDArray[np.float32]:
     """Gaussian white noise of the one-sided density ``density`` (unit/√Hz), shape (n_samples,).
 
-    ``stream``: where the randomness comes from. ``rate_hz``: samples per second, up to half of which the noise is white.
-    ``n_samples``: ≥ 1.
+    ``stream``: where the randomness comes from. ``rate_hz``: samples per second, up to half of which the noise is
+    white. ``n_samples``: ≥ 1.
     """
     noise = stream.standard_normal(n_samples, dtype=np.float32)
     noise *= np.float32(density * math.sqrt(rate_hz / 2))
@@ -49,8 +49,8 @@ def white_noise(stream: np.random.Generator, density: float, *, rate_hz: float, 
 def padded_length(n_samples: int, tail_samples: int) -> int:
     """Even, quickly transformed length of at least ``n_samples + tail_samples``.
 
-    Noise made by an inverse transform repeats with its length; ``n_samples`` cut from a length with a tail as long as the
-    modes ring has a beginning that knows nothing of its end. ``tail_samples``: ≥ 0.
+    Noise made by an inverse transform repeats with its length; ``n_samples`` cut from a length with a tail as long as
+    the modes ring has a beginning that knows nothing of its end. ``tail_samples``: ≥ 0.
     """
     from scipy.fft import next_fast_len
 

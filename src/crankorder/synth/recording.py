@@ -21,7 +21,7 @@ RINGING_TIMES = 6.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SyntheticRecording:
-    """What one file holds: ``signal`` (channel, sample) in m/s², ``encoder`` (V) and ``index`` (0 or 1) where there are any."""
+    """What one file holds: ``signal`` (channel, sample) in m/s², and ``encoder`` (V) and ``index`` (0, 1) or None."""
 
     signal: NDArray[np.float32]
     encoder: NDArray[np.float32] | None
@@ -39,7 +39,8 @@ class BroadbandResponse:
 def broadband_response(scene: Scene, rate_hz: float) -> BroadbandResponse | None:
     """Response that turns white forces into the broadband floor, or None where the scene has none.
 
-    ``scene``: structure and broadband forces. ``rate_hz``: samples per second. Recordings of one rate and length share it.
+    ``scene``: structure and broadband forces. ``rate_hz``: samples per second. Recordings of one rate and length
+    share it.
     """
     if scene.broadband is None:
         return None
@@ -47,7 +48,7 @@ def broadband_response(scene: Scene, rate_hz: float) -> BroadbandResponse | None
     decay_s = np.max(1 / (2 * np.pi * structure.frequency_hz * structure.damping_ratio), initial=0.0)
     tail = min(int(RINGING_TIMES * decay_s * rate_hz), scene.n_samples)
     n_padded = padded_length(scene.n_samples, tail)
-    frequency = np.arange(n_padded // 2 + 1) * (rate_hz / n_padded)
+    frequency: NDArray[np.float64] = np.arange(n_padded // 2 + 1, dtype=np.float64) * (rate_hz / n_padded)
     response = np.empty((len(scene.channels), 3, frequency.size), dtype=np.complex64)
     for part in np.array_split(np.arange(frequency.size), max(1, frequency.size // 65536)):
         gain = broadband_roll_off(scene, frequency[part])
@@ -78,7 +79,8 @@ def start_angle_rev(scene: Scene, run: Run) -> float:
 def synthesise(scene: Scene, run: Run, broadband: BroadbandResponse | None) -> SyntheticRecording:
     """Signals of one recording as the sum of its effects.
 
-    ``scene``: what to make. ``run``: which recording. ``broadband``: of :func:`broadband_response` at the rate of the run.
+    ``scene``: what to make. ``run``: which recording. ``broadband``: of :func:`broadband_response` at the rate of the
+    run.
     """
     rate_hz, n_samples = scene.rate_hz(run.speed_rpm), scene.n_samples
     start_rev = start_angle_rev(scene, run)

@@ -15,9 +15,9 @@ BLOCK_SAMPLES = 1024
 class Structure:
     """Modes and rigid-body part between forces in X, Y, Z at the crankcase and the accelerometers.
 
-    ``frequency_hz`` and ``damping_ratio`` (mode); ``sensor_per_kg`` (mode, channel): motion of a sensor per unit of modal
-    force; ``drive`` (mode, direction): share of a force that works on a mode; ``rigid_body_per_kg`` (channel, direction).
-    The residue of a mode from a direction to a channel is ``sensor_per_kg · drive`` (1/kg).
+    ``frequency_hz`` and ``damping_ratio`` (mode); ``sensor_per_kg`` (mode, channel): motion of a sensor per unit of
+    modal force; ``drive`` (mode, direction): share of a force that works on a mode; ``rigid_body_per_kg`` (channel,
+    direction). The residue of a mode from a direction to a channel is ``sensor_per_kg · drive`` (1/kg).
     """
 
     frequency_hz: NDArray[np.float64]
@@ -53,7 +53,7 @@ def tones(
     """Sum of steady tones Re Σ amplitude · exp(2πi frequency t), t = sample / rate, shape (channel, n_samples).
 
     ``amplitude``: complex peak at the first sample, shape (channel, line). ``frequency_hz``: shape (line,), any sign.
-    ``rate_hz``: samples per second, > 0. ``n_samples``: ≥ 1. The error is round-off (some 1e-12 of the peak after 10⁴
+    ``rate_hz``: samples per second, > 0. ``n_samples``: ≥ 1. The error is round-off (some 1e-11 of the peak after 10⁴
     periods), for each block starts from its own exactly reduced phase.
     """
     n_channels, n_lines = amplitude.shape
@@ -65,4 +65,5 @@ def tones(
     start = np.exp(2j * np.pi * (block_rev - np.rint(block_rev)))
     phasor = (amplitude[:, :, None] * start).transpose(0, 2, 1)
     weights = np.concatenate([phasor.real, -phasor.imag], axis=2).reshape(n_channels * n_blocks, 2 * n_lines)
-    return (weights @ table).reshape(n_channels, n_blocks * BLOCK_SAMPLES)[:, :n_samples]
+    summed: NDArray[np.float64] = (weights @ table).reshape(n_channels, n_blocks * BLOCK_SAMPLES)
+    return summed[:, :n_samples]

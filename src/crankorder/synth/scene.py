@@ -58,7 +58,7 @@ class Scene(Part):
     quick: Quick = Quick()
     channels: tuple[Channel, ...] = Field(min_length=1, strict=False)
     modes: tuple[Mode, ...] = Field(default=(), strict=False)
-    rigid_body_per_kg: dict[str, ByDirection] = {}
+    rigid_body_per_kg: dict[str, ByDirection] = Field(default_factory=dict)
     engine_forces: EngineForces | None = None
     injected_orders: tuple[InjectedOrder, ...] = Field(default=(), strict=False)
     bearing_lines: tuple[BearingLine, ...] = Field(default=(), strict=False)
@@ -80,7 +80,10 @@ class Scene(Part):
             sensor_per_kg=np.array([self.by_channel(mode.sensor_per_kg) for mode in self.modes]),
             drive=np.array([[mode.drive.get(axis, 0.0) for axis in DIRECTIONS] for mode in self.modes]),
             rigid_body_per_kg=np.array(
-                [[self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in DIRECTIONS] for name in self.channel_names]
+                [
+                    [self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in DIRECTIONS]
+                    for name in self.channel_names
+                ]
             ),
         )
 
@@ -130,8 +133,8 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     """Scene from a shipped file of ``pipeline/scenes`` or a user's TOML file, its engine loaded and everything checked.
 
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which paths are tried first.
-    Raises RequestError where there is no such file, ManyErrors with every fault: unknown effects and keys, values out of
-    range, names that do not exist, speeds and orders that the sampling cannot carry.
+    Raises RequestError where there is no such file, ManyErrors with every fault: unknown effects and keys, values out
+    of range, names that do not exist, speeds and orders that the sampling cannot carry.
     """
     table, source = toml_table(name, "scenes", beside=beside)
     faults: list[CrankorderError] = []
@@ -145,18 +148,22 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
         faults += errors.faults
     except RequestError as error:
         faults.append(error)
-    scene = _validated(table, source, faults)
+    kept: dict[str, list[int]] = {}
+    scene = _validated(table, source, faults, kept)
     if scene is not None:
-        faults += unmet_demands(scene, source)
-        told = {str(fault) for fault in faults}
-        faults += [fault for fault in unmet_demands(scene.first_look(), source) if str(fault) not in told]
+        faults += unmet_demands(scene, source, kept)
+        told = {(fault.problem, fault.place) for fault in faults}
+        quick = unmet_demands(scene.first_look(), source, kept)
+        faults += [fault for fault in quick if (fault.problem, fault.place) not in told]
     if faults or scene is None:
         raise ManyErrors(faults)
     return scene
 
 
-def _validated(table: dict[str, Any], source: str, faults: list[CrankorderError]) -> Scene | None:
-    """Scene of ``table``; what is wrong in it goes to ``faults`` and is left out, so that the rest can be checked too."""
+def _validated(
+    table: dict[str, Any], source: str, faults: list[CrankorderError], kept: dict[str, list[int]]
+) -> Scene | None:
+    """Scene of ``table``; what is wrong goes to ``faults`` and is left out, so that the rest can be checked too."""
     effects = ", ".join(key for key, field in Scene.model_fields.items() if not field.is_required())
     for _ in range(2):
         try:
@@ -168,13 +175,13 @@ def _validated(table: dict[str, Any], source: str, faults: list[CrankorderError]
                 if text.problem == "unknown key" and len(fault["loc"]) == 1:
                     text = RequestError("unknown effect", file=source, place=text.place, allowed=effects)
                 faults.append(text)
-            if len(found) < error.error_count() or not _without(table, [fault["loc"] for fault in found]):
+            if len(found) < error.error_count() or not _without(table, [fault["loc"] for fault in found], kept):
                 return None
     return None
 
 
-def _without(table: dict[str, Any], places: list[tuple[int | str, ...]]) -> bool:
-    """Whether every effect (or item of a list of effects) at ``places`` could be taken out of ``table``."""
+def _without(table: dict[str, Any], places: list[tuple[int | str, ...]], kept: dict[str, list[int]]) -> bool:
+    """Whether every effect (or item of a list) at ``places`` could be taken out; ``kept`` gets the items that stay."""
     items: dict[str, set[int]] = {}
     for place in places:
         head = str(place[0]) if place else ""
@@ -186,5 +193,6 @@ def _without(table: dict[str, Any], places: list[tuple[int | str, ...]]) -> bool
         else:
             table.pop(head, None)
     for head, wrong in items.items():
-        table[head] = [item for k, item in enumerate(table.get(head, ())) if k not in wrong]
+        kept[head] = [k for k in range(len(table[head])) if k not in wrong]
+        table[head] = [table[head][k] for k in kept[head]]
     return True

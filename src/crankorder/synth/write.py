@@ -50,12 +50,12 @@ def write_scene(
         scene = scene.first_look()
     try:
         _claim(folder)
+        truth = json.dumps(truth_of(scene), ensure_ascii=False, indent=1, allow_nan=False)
+        _publish(folder / TRUTH, f"{truth}\n".encode())
         ours = scene.engine_file in shipped("engines")
         if not ours:
             engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
             _publish(folder / ENGINE, toml_text(engine).encode())
-        truth = json.dumps(truth_of(scene), ensure_ascii=False, indent=1, allow_nan=False)
-        _publish(folder / TRUTH, f"{truth}\n".encode())
         _write_recordings(scene, folder, progress)
         _publish(folder / MANIFEST, manifest_text(scene, scene.engine_file if ours else ENGINE).encode())
     except OSError as error:
@@ -116,7 +116,7 @@ def _claim(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise RequestError("not a folder", file=folder, remedy="Name a new folder")
     folder.mkdir(parents=True, exist_ok=True)
-    present = {path.name for path in folder.iterdir()}
+    present = {path.name for path in folder.iterdir() if path.suffix != ".part"}  # left by a write that was cut off
     if not present:
         return
     former = _former_recordings(folder / TRUTH)

@@ -1,0 +1,50 @@
+"""Bearing orders against the truth sheet."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crankorder.engine.bearings import Bearing, bearing_orders
+
+
+def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(truth: dict[str, Any]) -> None:
+    for ratio, known in truth["seed001"]["bearing_11_balls_half_speed_orders"].items():
+        orders = bearing_orders(
+            Bearing(name="jack", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=float(ratio))
+        )
+        assert list(orders) == ["N*fs", "BPFO", "BPFI", "BSF", "FTF"]
+        assert {line: orders[line] for line in ("FTF", "BSF", "BPFO", "BPFI")} == pytest.approx(
+            {line: known[line] for line in ("FTF", "BSF", "BPFO", "BPFI")}, rel=1e-14
+        )
+        assert orders["N*fs"] == 5.5
+
+
+@given(st.integers(3, 40), st.floats(0.05, 0.6), st.floats(0, 60), st.floats(0.1, 4))
+def test_inner_and_outer_race_lines_add_up_to_elements_times_shaft_speed(
+    elements: int, ball: float, contact_deg: float, ratio: float
+) -> None:
+    bearing = Bearing(
+        name="any", shaft_ratio=ratio, rolling_elements=elements, ball_over_pitch=ball, contact_angle_deg=contact_deg
+    )
+    orders = bearing_orders(bearing)
+    assert orders["BPFO"] + orders["BPFI"] == pytest.approx(orders["N*fs"], rel=1e-13)
+    assert orders["BPFO"] == pytest.approx(elements * orders["FTF"], rel=1e-13)
+    assert 0 < orders["BPFO"] < orders["BPFI"]
+
+
+def test_published_orders_win_over_geometry_and_turn_with_the_shaft() -> None:
+    # 6205-2RS as the CWRU bearing data centre publishes it, in multiples of shaft speed
+    published = {"bpfo": 3.5848, "bpfi": 5.4152, "bsf": 4.7135 / 2, "ftf": 0.39828}
+    bearing = Bearing(name="6205-2RS", shaft_ratio=2.0, rolling_elements=9, ball_over_pitch=0.2, **published)
+    orders = bearing_orders(bearing)
+    assert orders == {"N*fs": 18.0, "BPFO": 7.1696, "BPFI": 10.8304, "BSF": 4.7135, "FTF": 0.79656}
+    geometry = bearing_orders(Bearing(name="6205-2RS", rolling_elements=9, ball_over_pitch=0.3126 / 1.537))
+    assert {line: geometry[line] for line in ("BPFO", "BPFI", "BSF", "FTF")} == pytest.approx(
+        {"BPFO": 3.5848, "BPFI": 5.4152, "BSF": 4.7135 / 2, "FTF": 0.39828}, rel=2e-4
+    )
+
+
+def test_without_geometry_only_the_sure_line_is_given() -> None:
+    assert bearing_orders(Bearing(name="b", shaft_ratio=0.5, rolling_elements=11)) == {"N*fs": 5.5}

@@ -1,0 +1,301 @@
+"""One file becomes one Recording: right units, right times, every fault named or flagged."""
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.errors import InputError
+from crankorder.ingest.recording import read_recording
+from crankorder.quantities import check_dataset, flags_of
+
+RATE = 10_000.0
+N = 20_000
+TIME = np.arange(N) / RATE
+CHANNEL = '[[channels]]\nname = "Z"\nsource = "acc"\nunit = "m/s2"\n'
+ENCODER = '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 36\nindex = "idx"\n'
+
+
+def turned(rpm: float, per_rev: int) -> np.ndarray:
+    """A square trace of ``per_rev`` pulses per revolution."""
+    return ((TIME * rpm / 60 * per_rev + 0.25) % 1.0 < 0.5).astype(np.float32) * 5
+
+
+@pytest.fixture
+def write(tmp_path):
+    def make(rate=RATE, name="a.h5", **columns):
+        path = tmp_path / name
+        with h5py.File(path, "w") as file:
+            if rate is not None:
+                file.attrs["rate_hz"] = rate
+            for key, values in columns.items():
+                file[key] = values
+        return path
+
+    return make
+
+
+@pytest.fixture
+def read(manifest_of, settings):
+    def read_it(path, tables=CHANNEL) -> xr.Dataset:
+        recording = read_recording(path, manifest_of(tables), settings=settings.ingest, shaft=settings.shaft)
+        check_dataset(recording, "recording")
+        return recording
+
+    return read_it
+
+
+def flagged(recording) -> list[tuple[str, str]]:
+    return [(flag["flag"], flag["severity"]) for flag in flags_of(recording)]
+
+
+def test_a_recording_has_signals_pulses_and_everything_that_later_stages_need(write, read):
+    tone = np.sin(2 * np.pi * 50 * TIME).astype(np.float32)
+    path = write(acc=tone, enc=turned(1000, 36), idx=turned(1000, 1))
+    recording = read(path, CHANNEL + 'direction = "+Z"\n' + ENCODER)
+    np.testing.assert_array_equal(recording["signal"].values[0], tone)
+    assert recording["signal"].dtype == np.float32
+    assert recording["signal"].dims == ("channel", "time")
+    assert [str(recording[name].values[0]) for name in ("channel", "unit", "quantity", "direction")] == [
+        "Z",
+        "m/s2",
+        "acceleration",
+        "+Z",
+    ]
+    attrs = recording.attrs
+    assert (attrs["recording"], attrs["domain"], attrs["rate_hz"], attrs["revs_per_cycle"]) == ("a.h5", "time", RATE, 2)
+    assert (attrs["encoder_kind"], attrs["pulses_per_rev"], attrs["ratio"]) == ("square", 36, 1.0)
+    np.testing.assert_allclose(np.diff(recording["pulse_time"]), 60 / 1000 / 36, atol=1.01 / RATE)
+    np.testing.assert_allclose(np.diff(recording["index_time"]), 60 / 1000, atol=1.01 / RATE)
+    assert attrs["pulse_noise_s"] == pytest.approx(1 / RATE / np.sqrt(12), rel=0.2)
+
+
+def test_double_precision_stays_double(write, read):
+    values = np.random.default_rng(1).standard_normal(100)
+    np.testing.assert_array_equal(read(write(acc=values))["signal"].values[0], values)
+
+
+@pytest.mark.parametrize(
+    ("tables", "unit", "factor", "offset"),
+    [
+        ('unit = "m/s2"\nsensitivity = "100 mV/g"\n', None, 98.0665, 0.0),
+        ('unit = "m/s2"\nsensitivity = "100 mV/g"\n', "mV", 0.0980665, 0.0),
+        ('unit = "bar"\nsensitivity = "0.077 V/bar"\noffset = "0.575 V"\n', "V", 1 / 0.077, 0.575),
+        ('unit = "bar"\nsensitivity = "0.077 V/bar"\noffset = "575 mV"\n', None, 1 / 0.077, 0.575),
+        ('unit = "m/s2"\n', "g", 9.80665, 0.0),
+        ('unit = "Pa"\noffset = "1 bar"\n', "bar", 1e5, 1.0),
+        ('unit = "m/s²"\n', "m s-2", 1.0, 0.0),
+        ('unit = "V"\n', "EU", 1.0, 0.0),
+    ],
+)
+def test_values_are_turned_into_the_analysed_unit(write, read, tables, unit, factor, offset):
+    values = np.random.default_rng(2).standard_normal(100)
+    path = write(acc=values)
+    if unit is not None:
+        with h5py.File(path, "a") as file:
+            file["acc"].attrs["units"] = unit
+    recording = read(path, '[[channels]]\nname = "c"\nsource = "acc"\n' + tables)
+    np.testing.assert_allclose(recording["signal"].values[0], (values - offset) * factor, rtol=1e-12, atol=1e-12)
+    assert flagged(recording) == []
+
+
+def test_a_unit_of_the_file_that_contradicts_the_manifest_is_an_error(write, read):
+    path = write(acc=np.arange(10.0))
+    with h5py.File(path, "a") as file:
+        file["acc"].attrs["units"] = "Pa"
+    with pytest.raises(InputError, match=r"channel Z: Pa \(pressure\) cannot become m/s2.*found unit 'Pa' in the file"):
+        read(path)
+    with pytest.raises(InputError, match=r"channel Z: Pa \(pressure\) cannot become V"):
+        read(path, CHANNEL + 'sensitivity = "100 mV/g"\n')
+
+
+def test_a_unit_of_the_file_that_is_not_known_is_flagged(write, read):
+    path = write(acc=np.arange(10.0))
+    with h5py.File(path, "a") as file:
+        file["acc"].attrs["units"] = "furlong"
+    assert flagged(read(path)) == [("unit_unknown", "info")]
+
+
+def test_a_rate_on_which_file_and_manifest_disagree_is_an_error(write, read):
+    path = write(rate=51_200.0, acc=np.arange(10.0))
+    with pytest.raises(InputError, match="the sampling rate is 51200 Hz in the file, 50000 Hz in the manifest"):
+        read(path, "[sampling]\nrate_hz = 50000\n" + CHANNEL)
+    assert read(path, "[sampling]\nrate_hz = 51200.01\n" + CHANNEL).attrs["rate_hz"] == 51200.01
+
+
+def test_a_rate_that_nobody_states_is_an_error(write, read):
+    with pytest.raises(InputError, match=r"the sampling rate is not known. State .sampling. rate_hz"):
+        read(write(rate=None, acc=np.arange(10.0)))
+
+
+def test_a_time_column_gives_the_rate(write, read):
+    tables = '[sampling]\ntime_source = "t"\n' + CHANNEL
+    recording = read(write(rate=None, acc=np.arange(1000.0), t=5 + np.arange(1000) / 51_200), tables)
+    assert recording.attrs["rate_hz"] == pytest.approx(51_200.0, rel=1e-9)
+    assert flagged(recording) == []
+    with pytest.raises(InputError, match="51200 Hz in the time column, 50000 Hz in the file"):
+        read(write(rate=50_000.0, acc=np.arange(1000.0), t=np.arange(1000) / 51_200), tables)
+
+
+def test_a_rounded_time_column_is_flagged_and_still_gives_the_rate(write, read):
+    times = np.round(np.arange(14_000) * 1.388e-5, 6)
+    recording = read(write(rate=None, acc=TIME[:14_000], t=times), '[sampling]\ntime_source = "t"\n' + CHANNEL)
+    assert recording.attrs["rate_hz"] == pytest.approx(1 / 1.388e-5, rel=1e-5)
+    assert flagged(recording) == [("time_jitter", "info")]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda t: np.where(t >= 0.05, t + 0.01, t), r"100 samples are missing; found a step of 0\.0101 s"),
+        (lambda t: np.where(np.arange(t.size) == 70, t[69], t), "sample 70: time does not grow"),
+        (lambda t: np.where(np.arange(t.size) == 70, np.nan, t), "sample 70: a time is missing"),
+        (lambda t: t + 4e-5 * np.sin(np.arange(t.size) / 50), "the time column is not uniform: off by 0"),
+    ],
+)
+def test_a_time_column_that_is_not_uniform_is_an_error_with_its_place(write, read, spoil, words):
+    path = write(rate=None, acc=TIME[:1000], t=spoil(TIME[:1000].copy()))
+    with pytest.raises(InputError, match=words):
+        read(path, '[sampling]\ntime_source = "t"\n' + CHANNEL)
+
+
+@pytest.mark.parametrize(("n", "words"), [(0, "no samples"), (1, "too short: 1 samples"), (2, "too short: 2 samples")])
+def test_a_recording_of_no_length_is_an_error(write, read, n, words):
+    with pytest.raises(InputError, match=words):
+        read(write(acc=np.ones(n)))
+
+
+def test_lengths_that_differ_are_an_error_with_both_numbers(write, read):
+    path = write(acc=np.ones(100), enc=np.ones(90), idx=np.ones(100))
+    with pytest.raises(InputError, match="lengths differ: Z has 100 samples, the encoder has 90"):
+        read(path, CHANNEL + ENCODER)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30, 9.96921e36, -999.0, -9999.0])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_few_missing_samples_are_bridged_and_flagged(write, read, bad, dtype):
+    values = np.sin(2 * np.pi * 5 * TIME).astype(dtype)
+    values[500:503] = bad
+    recording = read(write(acc=values))
+    signal = recording["signal"].values[0]
+    assert np.isfinite(signal).all()
+    np.testing.assert_allclose(signal, np.sin(2 * np.pi * 5 * TIME), atol=1e-4)
+    assert flagged(recording) == [("non_finite_interpolated", "suspect")]
+    assert "channel Z: 3 missing samples bridged, first at sample 500" in flags_of(recording)[0]["detail"]
+
+
+@pytest.mark.parametrize(("bad", "n"), [(np.nan, 4), (np.nan, 10_000), (-999.0, 4), (np.inf, N)])
+def test_a_longer_gap_is_never_passed_on(write, read, bad, n):
+    values = np.sin(2 * np.pi * 5 * TIME)
+    values[:n] = bad
+    with pytest.raises(
+        InputError, match=rf"sample 0: channel Z has {n} missing samples .*found {n} in a row; allowed: 3"
+    ):
+        read(write(acc=values))
+
+
+def test_many_single_gaps_are_refused_too(write, read):
+    values = np.sin(2 * np.pi * 5 * TIME)
+    values[::100] = np.nan
+    with pytest.raises(InputError, match="channel Z has 200 missing samples"):
+        read(write(acc=values))
+
+
+def test_minus_999_among_values_like_it_is_a_value(write, read):
+    values = np.round(2000 * np.sin(2 * np.pi * 5 * TIME))
+    values[100] = -999.0
+    recording = read(write(acc=values))
+    assert recording["signal"].values[0, 100] == -999.0
+    assert flagged(recording) == []
+
+
+@pytest.mark.parametrize("sides", ["both", "one"])
+def test_clipping_is_flagged_with_its_share(write, read, sides):
+    values = np.clip(np.sin(2 * np.pi * 50 * TIME), -1 if sides == "one" else -0.6, 0.6)
+    recording = read(write(acc=values))
+    assert flagged(recording) == [("clipped", "bad")]
+    share = np.mean(np.abs(values) == 0.6)
+    assert f"{share:.3%} of its samples" in flags_of(recording)[0]["detail"]
+
+
+def test_a_clean_tone_with_noise_is_not_called_clipped(write, read):
+    noise = 1e-3 * np.random.default_rng(5).standard_normal(N)
+    counts = np.round(2000 * (np.sin(2 * np.pi * 50 * TIME) + noise))
+    assert flagged(read(write(acc=counts))) == []
+
+
+def test_a_constant_signal_is_flagged(write, read):
+    assert flagged(read(write(acc=np.full(100, 2.5)))) == [("constant_signal", "suspect")]
+
+
+def test_a_channel_that_is_also_the_encoder_is_not_spoilt_by_its_unit(write, read):
+    trace = turned(1000, 36)
+    tables = '[[channels]]\nname = "Z"\nsource = "enc"\nunit = "mV"\n' + ENCODER.replace('index = "idx"\n', "")
+    path = write(enc=trace)
+    with h5py.File(path, "a") as file:
+        file["enc"].attrs["units"] = "V"
+    recording = read(path, tables)
+    assert recording["signal"].values.max() == 5000.0
+    assert recording.sizes["pulse"] == pytest.approx(1000 / 60 * 36 * N / RATE, abs=2)
+
+
+@pytest.mark.parametrize("kind", ["pulse_times", "edge_list"])
+def test_times_of_pulses_are_taken_as_they_are(write, read, kind):
+    times = np.arange(1, 700) * 60 / 1000 / 36
+    tables = CHANNEL + f'[encoder]\nkind = "{kind}"\nsource = "enc"\npulses_per_rev = 36\nindex = "idx"\n'
+    recording = read(write(acc=TIME, enc=times, idx=times[::36]), tables)
+    np.testing.assert_array_equal(recording["pulse_time"], times)
+    np.testing.assert_array_equal(recording["index_time"], times[::36])
+    assert recording["signal"].sizes["time"] == N
+
+
+def test_times_of_pulses_that_go_back_are_an_error(write, read):
+    tables = CHANNEL + '[encoder]\nkind = "pulse_times"\nsource = "enc"\npulses_per_rev = 36\n'
+    with pytest.raises(InputError, match="pulse times must be finite and must not go back"):
+        read(write(acc=TIME, enc=np.array([0.0, 2.0, 1.0])), tables)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rpm", 1.0), ("tr/min", 1.0), ("Hz", 60.0), (None, 1.0)])
+def test_a_speed_signal_is_given_in_revolutions_per_minute(write, read, unit, factor):
+    path = write(acc=TIME, rpm=1000 + TIME)
+    if unit is not None:
+        with h5py.File(path, "a") as file:
+            file["rpm"].attrs["units"] = unit
+    recording = read(path, CHANNEL + '[encoder]\nkind = "speed"\nsource = "rpm"\n')
+    np.testing.assert_allclose(recording["speed_signal"], (1000 + TIME) * factor, rtol=1e-12)
+
+
+def test_a_speed_signal_in_volts_is_an_error(write, read):
+    path = write(acc=TIME, rpm=TIME)
+    with h5py.File(path, "a") as file:
+        file["rpm"].attrs["units"] = "V"
+    with pytest.raises(InputError, match="the speed signal has no unit of speed; found 'V'"):
+        read(path, CHANNEL + '[encoder]\nkind = "speed"\nsource = "rpm"\n')
+
+
+def test_a_stated_speed_goes_with_its_recording(write, read):
+    tables = '[recordings.speed_rpm]\n"a.h5" = 1234\n' + CHANNEL + '[encoder]\nkind = "constant"\n'
+    assert read(write(acc=TIME), tables).attrs["speed_rpm"] == 1234.0
+    with pytest.raises(InputError, match=r"b\.h5: .*the manifest states no speed for this recording; allowed: a\.h5"):
+        read(write(name="b.h5", acc=TIME), tables)
+    assert np.isnan(read(write(acc=TIME)).attrs["speed_rpm"])
+
+
+def test_samples_by_crank_angle_have_no_time(write, read):
+    tables = '[sampling]\ndomain = "crank_angle"\nsamples_per_rev = 360\nstart_deg = -180.0\n' + CHANNEL
+    recording = read(write(rate=None, acc=np.arange(720.0)), tables)
+    assert recording["signal"].dims == ("channel", "crank_angle")
+    assert (recording.attrs["samples_per_rev"], recording.attrs["start_deg"]) == (360, -180.0)
+    assert "rate_hz" not in recording.attrs
+
+
+def test_a_dead_encoder_is_an_error_that_names_the_file(write, read):
+    path = write(acc=TIME, enc=np.zeros(N), idx=turned(1000, 1))
+    with pytest.raises(InputError, match=r"a\.h5: .*enc"):
+        read(path, CHANNEL + ENCODER)
+
+
+def test_the_same_file_gives_the_same_recording(write, read):
+    path = write(acc=np.random.default_rng(3).standard_normal(N), enc=turned(900, 36), idx=turned(900, 1))
+    first, second = read(path, CHANNEL + ENCODER), read(path, CHANNEL + ENCODER)
+    xr.testing.assert_identical(first, second)

@@ -1,0 +1,138 @@
+"""Text tables of every common shape are read, and every cell that is no number is named."""
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.ingest.formats import contents_of, read_file
+
+
+@pytest.fixture
+def read(tmp_path, limits):
+    def read_lines(text, *sources, encoding="utf-8"):
+        path = tmp_path / "a.csv"
+        path.write_bytes(text.encode(encoding))
+        return read_file(path, sources=sources, settings=limits)
+
+    return read_lines
+
+
+VALUES = [[0.0, 1.5, -2.0], [0.1, 2.5e-3, 3.0], [0.2, -1e6, 4.25]]
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "   "])
+@pytest.mark.parametrize("head", ["", "a b c\n", "# made by hand\n\na b c\n", "% one\n% two\n"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_every_separator_and_head_gives_the_same_numbers(read, separator, head, end):
+    rows = [separator.join(f"{value!r}" for value in row) for row in VALUES]
+    names = ["a", "b", "c"] if "a b c" in head else [0, 1, 2]
+    text = head.replace("a b c", separator.join("abc")) + "\n".join(rows) + "\n"
+    raw = read(text.replace("\n", end), *names)
+    np.testing.assert_array_equal(np.array([raw.columns[name] for name in names]).T, VALUES)
+    assert not raw.flags
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " "])
+def test_a_decimal_comma_is_understood_and_flagged(read, separator):
+    rows = [separator.join(f"{value!r}".replace(".", ",") for value in row) for row in VALUES]
+    raw = read("\n".join(rows) + "\n", 0, 1, 2)
+    np.testing.assert_array_equal(np.array(list(raw.columns.values())).T, VALUES)
+    assert [flag["flag"] for flag in raw.flags] == ["decimal_comma"]
+
+
+def test_units_come_from_a_row_of_units_or_from_brackets(read):
+    assert dict(read("t,p\ns,bar\n0,1\n1,2\n", "t", "p").units) == {"t": "s", "p": "bar"}
+    assert dict(read("Time [s];p (kPa);x\n0;1;2\n1;2;3\n", "Time [s]", "p (kPa)", "x").units) == {
+        "Time [s]": "s",
+        "p (kPa)": "kPa",
+    }
+
+
+@pytest.mark.parametrize(
+    ("comment", "rate"),
+    [
+        ('# {"puls_freq": 10, "sample_freq": 952} commit 95729455', 952.0),
+        ("# fs = 51.2 kHz", 51_200.0),
+        ("% Sample rate: 100", None),
+        ("# sample_rate: 4.0e3", 4000.0),
+        ("# offset = 7", None),
+    ],
+)
+def test_a_rate_in_the_comments_is_found(read, comment, rate):
+    assert read(f"{comment}\na,b\n1,2\n3,4\n", "a").rate_hz == rate
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b\n1,2\n3,OVER\n5,6\n", r"line 3, column 1 \(b\): not a number; found 'OVER'"),
+        ("a,b\n1,2\n3,\n5,6\n", "line 3"),
+        ("a,b\n1,2\n,4\n5,6\n", r"line 3, column 0 \(a\): an empty cell"),
+        ("a,b\n1,2\n3,1.#QNAN\n", "not a number; found '1.#QNAN'"),
+        ("a,b\n1,2\n3,4,5\n6,7\n", "line 3: 3 cells where the lines above have 2"),
+        ("a,b,c\n1,2,3\n4,5\n6,7,8\n", "line 3: 2 cells where the lines above have 3"),
+        ("a b c\n1 2 3\n4 5\n6 7 8\n", "line 3: 2 cells where the lines above have 3"),
+        ("a;b\n1,5;2,5\n3.5;x\n", "not a number; found 'x'"),
+        ("# only\n# comments\n", "no line of numbers in the first 64 kB"),
+        ("once upon a time\nthere was a shaft\n", "no line of numbers.*found 'once upon a time'"),
+        ("a,a\n1,2\n3,4\n", "two columns have the same name; found 'a'"),
+        ("a,b\n1,2\n3,0x10\n", "not a number; found '0x10'"),
+        ("a,b\n1,2\n3,True\n", "not a number; found 'True'"),
+    ],
+)
+def test_what_is_no_table_of_numbers_is_named_with_line_and_cell(read, text, words):
+    with pytest.raises(InputError, match=words):
+        read(text, 0, 1)
+
+
+def test_a_missing_sample_written_as_nan_stays_one(read):
+    np.testing.assert_array_equal(read("a,b\n1,2\nnan,4\nNaN,6\n", "a").columns["a"], [1.0, np.nan, np.nan])
+
+
+def test_a_table_that_ends_every_line_with_its_separator_is_read(read):
+    np.testing.assert_array_equal(read("a;b;\n1;2;\n3;4;\n", "b").columns["b"], [2.0, 4.0])
+
+
+def test_a_byte_order_mark_and_latin_1_do_no_harm(read):
+    assert read("\ufeffa,b\n1,2\n3,4\n", "a").columns["a"][1] == 3.0
+    assert read("Größe,b\n1,2\n3,4\n", "Größe", encoding="latin-1").columns["Größe"][1] == 3.0
+
+
+def test_a_cut_inside_a_line_is_refused_and_one_inside_the_last_number_is_flagged(tmp_path, limits):
+    text = "".join(f"{k * 1e-5:.6E}\t{np.sin(k):.6E}\t{np.cos(k):.6E}\n" for k in range(400))
+    path = tmp_path / "a.txt"
+    line = len(text) // 2
+    cut = text.index("\n", line) + 20
+    path.write_text(text[:cut])
+    with pytest.raises(InputError, match=r"cells where the lines above have 3; the file seems to be truncated"):
+        read_file(path, sources=[0], settings=limits)
+    path.write_text(text[:-4])
+    try:
+        raw = read_file(path, sources=[0], settings=limits)
+    except InputError as error:
+        assert "not a number" in str(error)
+    else:
+        assert raw.flags[0]["severity"] == "suspect"
+    path.write_text(text[:-6])
+    (flag,) = read_file(path, sources=[0], settings=limits).flags
+    assert (flag["flag"], flag["severity"]) == ("last_line_open", "suspect")
+    path.write_text(text[:-1])
+    (flag,) = read_file(path, sources=[0], settings=limits).flags
+    assert (flag["flag"], flag["severity"]) == ("last_line_open", "info")
+
+
+def test_contents_read_the_head_only(tmp_path, limits):
+    (tmp_path / "a.csv").write_text("t [s],p [bar]\n0,1\nrubbish below\n")
+    contents = contents_of(tmp_path / "a.csv", settings=limits)
+    assert contents.names == ("t [s]", "p [bar]")
+    assert dict(contents.units) == {"t [s]": "s", "p [bar]": "bar"}
+
+
+def test_an_absent_column_is_named(read):
+    with pytest.raises(InputError, match="channel a4 not in file; has a1, a2, a3"):
+        read("a1,a2,a3\n1,2,3\n4,5,6\n", "a4")
+
+
+def test_names_from_a_file_are_data(read):
+    with pytest.raises(InputError, match=r"has \\x1b\[31mred, b"):
+        read("\x1b[31mred,b\n1,2\n3,4\n", "a")

@@ -1,0 +1,86 @@
+"""Cells reach half-way, thin lines survive the pixels, labels never overlap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
+from crankorder.report.labels import EdgeLabel, fitted, spread
+from crankorder.report.style import decade_text, drawable, text_width_in
+
+
+def test_stepped_speeds_reach_half_way_to_their_neighbours() -> None:
+    assert speed_cells(np.array([300.0, 400.0, 600.0])).tolist() == [[250, 350], [350, 500], [500, 700]]
+
+
+def test_a_single_speed_has_a_cell_and_no_cell_goes_below_standstill() -> None:
+    assert speed_cells(np.array([1000.0])).tolist() == [[975, 1025]]
+    assert speed_cells(np.array([100.0, 3000.0]))[0, 0] == 0.0
+
+
+def test_a_wide_gap_of_the_run_up_is_left_open_and_regular_steps_leave_none() -> None:
+    speeds = np.concatenate([np.arange(900.0, 2600, 10), np.arange(4000.0, 4900, 10)])
+    ((low, high),) = gaps_between(speed_cells(speeds))
+    assert 2590 < low < 2750
+    assert 3850 < high < 4000
+    assert gaps_between(speed_cells(np.arange(300.0, 2001, 50))) == []
+    rows, edges = cells_with_gaps(np.ones((len(speeds), 4)), speed_cells(speeds))
+    assert len(rows) == len(speeds) + 1 == len(edges) - 1
+    assert (rows < 0).all(axis=1).sum() == 1
+
+
+@given(st.integers(1, 400), st.integers(1, 300), st.integers(0, 10_000))
+def test_the_largest_value_of_a_map_is_in_its_pixels_and_no_pixel_makes_one_up(
+    cells: int, pixels: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.random((2, cells))
+    edges = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2, cells))])
+    pooled = pixel_maximum(values, edges, (0.0, float(edges[-1])), n=pixels, axis=1)
+    assert pooled.shape == (2, pixels)
+    assert pooled.max() == values.max()
+    assert np.isin(pooled, values).all()
+
+
+def test_a_line_of_one_bin_in_50_000_survives_700_pixels_at_its_place() -> None:
+    values = np.zeros((1, 50_001))
+    values[0, 12_345] = 1.0
+    edges = np.arange(50_002) - 0.5
+    pooled = pixel_maximum(values, edges, (0.0, 50_000.0), n=700, axis=1)
+    assert np.flatnonzero(pooled[0]).tolist() == [int(12_345 / 50_000 * 700)]
+
+
+@given(st.lists(st.floats(0, 10), min_size=1, max_size=25), st.floats(0.05, 0.3))
+def test_spread_labels_keep_their_order_do_not_overlap_and_stay_inside(targets: list[float], width: float) -> None:
+    targets = sorted(targets)
+    places = spread(targets, [width] * len(targets), low=0.0, high=10.0)
+    assert (np.diff(places) >= width - 1e-9).all()
+    assert places[0] >= width / 2 - 1e-9
+    assert places[-1] <= 10 - width / 2 + 1e-9
+
+
+def test_labels_that_have_room_stay_where_they_belong() -> None:
+    assert spread([1.0, 3.0, 9.0], [0.5, 0.5, 0.5], low=0, high=10).tolist() == pytest.approx([1, 3, 9])
+    assert spread([5.0, 5.0], [1.0, 1.0], low=0, high=10).tolist() == pytest.approx([4.5, 5.5])
+
+
+def test_labels_without_room_lose_their_unit_first_and_then_the_crowded_ones() -> None:
+    labels = [EdgeLabel(place, f"{place * 100:.0f} Hz", "k") for place in (1.0, 1.1, 2.0, 3.0)]
+    room = sum(text_width_in(label.text.removesuffix(" Hz"), 7.5) + 0.05 for label in labels)
+    assert [label.text for label in fitted(labels, 10.0)] == ["100 Hz", "110 Hz", "200 Hz", "300 Hz"]
+    assert [label.text for label in fitted(labels, room + 0.01)] == ["100", "110", "200", "300"]
+    assert [label.text for label in fitted(labels, room - 0.01)] == ["100", "200", "300"]
+
+
+def test_text_that_the_font_does_not_know_is_spelled_out_and_never_warns() -> None:
+    assert drawable("ok µ² $x$", 60) == "ok µ² $x$"
+    assert drawable("振動", 60) == "\\u632f\\u52d5"
+    assert drawable("a\x00b\udcff", 60) == "a\\x00b\\udcff"
+    assert len(drawable("x" * 10_000, 60)) == 60
+
+
+def test_decades_are_written_without_markup() -> None:
+    assert [decade_text(value) for value in (1.0, 0.001, 1e-4, 1e6)] == ["1", "0.001", "10⁻⁴", "10⁶"]

@@ -1,0 +1,188 @@
+"""The page says what shakes first, escapes everything, refers to nothing outside and needs no script."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from html.parser import HTMLParser
+from typing import Any
+
+import pytest
+
+from crankorder.report.page import index_page, report_page
+from crankorder.report.sentences import headline, story_of
+
+HOSTILE = (
+    "</script><script>alert(1)</script>",
+    '" onload="alert(1)',
+    "javascript:alert(1)",
+    "{{ 7*7 }}",
+    "a\x00\x1b[2J",
+)
+
+
+class _Reader(HTMLParser):
+    """Tags, attributes, links and text of a page; complains about tags that do not close."""
+
+    void = frozenset({"meta", "img", "br", "link", "input"})
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.words: list[str] = []
+        self.open: list[str] = []
+        self.feed(page)
+        assert self.open == [], "tags left open"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in self.void:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+@pytest.fixture
+def provenance() -> dict[str, Any]:
+    return {
+        "schema_version": 1,
+        "inputs": [{"name": "rpm_0300.h5", "sha256": "ab" * 32}],
+        "versions": {"crankorder": "0.1.0", "numpy": "2.4.6"},
+        "settings": {"report": {"dpi": 130}},
+    }
+
+
+@pytest.fixture
+def page(campaign: Any, settings: Any, provenance: dict[str, Any]) -> str:
+    pictures = [("campbell_Z.png", "Campbell diagram of channel Z"), ("orders.png", "Orders against speed")]
+    return report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings)
+
+
+def test_the_page_says_what_shakes_why_how_sure_and_what_to_do_before_any_picture(page: str, campaign: Any) -> None:
+    text = " ".join(_Reader(page).words)
+    places = [
+        text.index(sentence)
+        for sentence in (headline(campaign.findings)[0], "What shakes", "Why", "How sure", "What to do")
+    ]
+    assert places == sorted(places)
+    assert page.index("What to do") < page.index("<img")
+    for sentences in story_of(campaign.findings).values():
+        assert all(sentence in text for sentence in sentences)
+
+
+def test_every_order_mode_and_bearing_is_in_a_table_with_its_interval(page: str, campaign: Any) -> None:
+    text = " ".join(_Reader(page).words)
+    for word in (
+        "5.500 (5.497…5.503)",
+        "172.0 (171.7…172.3)",
+        "1.2 (0.9…1.5)",
+        "116 (110…122) g",
+        "encoder_missing_pulse",
+    ):
+        assert word in text, word
+    assert (
+        page.count("<table>") == 9
+    )  # seven lists, crossings outside the range, and two of provenance less the folded one
+    assert "ab" * 32 in text
+
+
+def test_the_page_refers_to_nothing_but_its_pictures_and_runs_no_script(page: str) -> None:
+    reader = _Reader(page)
+    assert not {"script", "link", "iframe", "object", "base", "form"} & set(reader.tags)
+    links = {
+        value for name, value in reader.attributes if name in ("href", "src") and value and not value.startswith("#")
+    }
+    assert links == {"./campbell_Z.png", "./orders.png"}
+    assert not re.search(r"https?:|//[a-z]", page)
+    assert not [name for name, _ in reader.attributes if name.startswith("on") or name == "style"]
+
+
+def test_the_policy_allows_only_pictures_and_the_one_style_by_its_hash(page: str) -> None:
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)
+    style = re.search(r"<style>(.*?)</style>", page, re.DOTALL)
+    assert policy and style
+    digest = base64.b64encode(hashlib.sha256(style.group(1).encode()).digest()).decode()
+    rules = policy.group(1).replace("&#39;", "'").replace("&#43;", "+")
+    assert "default-src 'none'" in rules
+    assert f"'sha256-{digest}'" in rules
+    assert "script-src" not in rules
+    assert "unsafe" not in rules
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_text_from_files_is_text_wherever_it_stands(text: str, campaign: Any, settings: Any) -> None:
+    def poisoned(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: poisoned(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [poisoned(item) for item in value]
+        return text if isinstance(value, str) else value
+
+    findings = poisoned(campaign.findings)
+    made = report_page(findings, pictures=[(text, text)], provenance={text: {text: [text]}}, settings=settings)
+    reader = _Reader(made)
+    assert "script" not in reader.tags
+    assert not [name for name, _ in reader.attributes if name.startswith("on")]
+    assert not [
+        value
+        for name, value in reader.attributes
+        if name in ("href", "src") and not (value or "").startswith(("#", "./"))
+    ]
+    if "7*7" in text:
+        assert text in "".join(reader.words)
+    assert "\x1b" not in made
+    assert "\x00" not in made
+    tests = [
+        {"name": text, "status": text, "headline": [text], "link": text, "failed": [{"recording": text, "error": text}]}
+    ]
+    assert "script" not in _Reader(index_page(tests)).tags
+
+
+def test_a_link_cannot_leave_the_folder_of_the_page(campaign: Any, settings: Any) -> None:
+    for name in ("../../etc/passwd", "//evil.example/x", "file:///etc/passwd", "a?b#c d.png", "\udcff.png"):
+        made = report_page(campaign.findings, pictures=[(name, "x")], provenance={}, settings=settings)
+        (link,) = {value for key, value in _Reader(made).attributes if key == "src"}
+        assert link is not None
+        assert re.fullmatch(r"\./[\w.~%/-]+", link), link
+        assert ".." not in link.split("/")
+
+
+def test_a_name_of_ten_thousand_characters_is_cut(campaign: Any, settings: Any) -> None:
+    made = report_page({**campaign.findings, "test": "x" * 10_000}, pictures=[], provenance={}, settings=settings)
+    assert "x" * 59 + "…" in made
+    assert "x" * 61 not in made
+
+
+def test_a_test_with_nothing_found_has_a_page_that_says_so(settings: Any) -> None:
+    nothing: dict[str, Any] = {"test": "t", "orders": [], "modes": [], "crossings": [], "bearings": [], "lines": []}
+    nothing |= {"quality": [], "balance": None, "balance_reason": "the transfer path is not known"}
+    text = " ".join(_Reader(report_page(nothing, pictures=[], provenance={}, settings=settings)).words)
+    for word in ("No order stands above the noise", "No natural frequency was found", "the transfer path is not known"):
+        assert word in text
+
+
+def test_the_page_is_the_same_each_time(campaign: Any, settings: Any, page: str, provenance: dict[str, Any]) -> None:
+    pictures = [("campbell_Z.png", "Campbell diagram of channel Z"), ("orders.png", "Orders against speed")]
+    assert report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings) == page
+
+
+def test_the_index_lists_every_test_its_headline_and_the_recordings_that_failed() -> None:
+    made = index_page(
+        [
+            {"name": "first", "status": "done", "headline": ["Order 2 is the strongest."], "link": "first/report.html"},
+            {"name": "second", "status": "failed", "failed": [{"recording": "a.h5", "error": "truncated"}]},
+        ]
+    )
+    reader = _Reader(made)
+    text = " ".join(reader.words)
+    for word in ("2 tests", "first", "Order 2 is the strongest.", "second", "1 recording failed", "a.h5", "truncated"):
+        assert word in text
+    assert ("href", "./first/report.html") in reader.attributes
+    assert "No test was analysed" in index_page([])

@@ -1,0 +1,193 @@
+"""Smoothed angle against shafts whose angle is known, and the interpolation between knots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_at, angle_knots, time_at
+from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.smoother import leverage, penalty_of, smoothed
+
+SETTINGS = load_settings().shaft
+
+
+def knots_of(time_s, *, teeth_per_rev=360, noise_s=None, tooth=None):
+    tooth = np.arange(time_s.size) if tooth is None else tooth
+    return angle_knots(time_s, tooth, teeth_per_rev=teeth_per_rev, noise_s=noise_s, settings=SETTINGS)
+
+
+def evaluated(knots, time_s):
+    return angle_at(time_s, knots.time_s, knots.angle_rev, knots.speed_rpm)
+
+
+def from_square(shaft, pulses_per_rev=360):
+    """Knots and the error of the angle [rev] from the sampled square wave of a shaft, the zero of the count aside."""
+    found = find_pulses(
+        shaft.square(pulses_per_rev),
+        rate_hz=shaft.rate_hz,
+        kind="square",
+        edge="rising",
+        pulses_per_rev=pulses_per_rev,
+        settings=SETTINGS,
+    )
+    knots = knots_of(found.time_s, teeth_per_rev=pulses_per_rev, noise_s=found.noise_s)
+    error = evaluated(knots, shaft.time_s) - shaft.angle_rev()
+    error = error[np.isfinite(error)]
+    return knots, error - np.round(np.mean(error) * pulses_per_rev) / pulses_per_rev, found.noise_s
+
+
+# speeds that keep no step with the sampling; those that do are in the next test
+@pytest.mark.parametrize("speed_rpm", [301.7, 733.3, 1234.5, 1711.0, 2001.7])
+def test_quantised_edges_average_out_and_the_standard_error_says_how_far(known_shaft, speed_rpm):
+    knots, error, noise_s = from_square(known_shaft(speed_rpm, duration_s=6.0))
+    edge_noise = noise_s * speed_rpm / 60.0
+    stated = float(np.median(knots.standard_error_rev))
+    assert error.std() < 0.45 * edge_noise
+    assert error.std() < 1.25 * stated
+    assert abs(error.mean()) < 0.02 * edge_noise
+    assert stated < 0.5 * edge_noise
+
+
+@pytest.mark.parametrize("speed_rpm", [1000.0, 1041.6, 2000.0])
+def test_edges_in_step_with_the_sampling_err_by_less_than_one_edge(known_shaft, speed_rpm):
+    _, error, noise_s = from_square(known_shaft(speed_rpm, duration_s=6.0))
+    assert error.std() < 0.5 * noise_s * speed_rpm / 60.0
+    assert np.abs(error).max() < 1.0 / 50_000.0 * speed_rpm / 60.0
+
+
+@pytest.mark.parametrize("speed_rpm", [301.7, 1234.5, 2001.7])
+def test_orders_to_ten_are_not_biased_by_the_angle(known_shaft, speed_rpm):
+    shaft = known_shaft(speed_rpm, duration_s=6.0)
+    _, error, _ = from_square(shaft)
+    for order in range(1, 11):
+        read = np.mean(np.exp(-2j * np.pi * order * error))
+        assert abs(read) == pytest.approx(1.0, abs=2e-4)
+        assert abs(np.degrees(np.angle(read))) < 0.02
+
+
+def test_in_cycle_irregularity_survives_smoothing(known_shaft):
+    shaft = known_shaft(1234.5, duration_s=6.0, irregularity={0.5: 0.01, 2.0: 0.015, 6.0: 0.004, 12.0: 0.002})
+    _, error, _ = from_square(shaft)
+    steady = shaft.speed_rpm / 60.0 * shaft.time_s[: error.size]
+    for order, share in shaft.irregularity.items():
+        swing = share / (2 * np.pi * order)
+        left = 2 * abs(np.mean(error * np.exp(-2j * np.pi * order * steady)))
+        assert left < (0.01 if order < 10 else 0.05) * swing
+
+
+def test_exact_pulse_times_give_an_exact_angle(known_shaft):
+    shaft = known_shaft(1500.0)
+    time_s = shaft.pulse_time_s(360)
+    knots = knots_of(time_s, noise_s=1e-12)
+    middle = time_s[:-1] + 0.37 * np.diff(time_s)
+    error = evaluated(knots, middle) - shaft.angle_rev(middle)
+    np.testing.assert_allclose(error, error[0], atol=2e-9)
+
+
+def test_a_steady_shaft_needs_few_knots(known_shaft):
+    knots, _, _ = from_square(known_shaft(2000.3, irregularity={}, duration_s=6.0))
+    assert knots.time_s.size < 20 * 6.0 * 2000.0 / 60.0
+    assert knots.cut_off_order == pytest.approx(SETTINGS.kept_order)
+
+
+def test_the_standard_error_is_that_of_many_draws():
+    rng = np.random.default_rng(4)
+    noise_s, exact = 1e-5, np.arange(400) / 6000.0
+    draws = [knots_of(exact + noise_s * rng.standard_normal(exact.size), noise_s=noise_s) for _ in range(200)]
+    assert len({knots.cut_off_order for knots in draws}) == 1
+    stride = round(float(np.diff(draws[0].time_s[1:3])[0] * 6000.0))
+    at = np.array([1, 2, 10, len(draws[0].time_s) // 2])
+    time_s = (at * stride - 1) / 6000.0
+    error = np.array([evaluated(knots, time_s) - time_s * 6000.0 / 360.0 for knots in draws])
+    # the posterior variance counts what is smoothed away as well: a little more than the scatter
+    ratio = draws[0].standard_error_rev[at] / error.std(axis=0)
+    assert (ratio > 0.9).all()
+    assert (ratio < 1.35).all()
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=4 * error.std(axis=0).max() / np.sqrt(200))
+
+
+def test_jitter_beyond_the_stated_noise_is_told_from_motion():
+    rng = np.random.default_rng(5)
+    exact = np.arange(600) / 40.0
+    jitter = knots_of(exact + 1e-3 * rng.standard_normal(600), teeth_per_rev=1, noise_s=3e-4)
+    assert jitter.noise_s == pytest.approx(1e-3, rel=0.1)
+    assert np.ptp(jitter.speed_rpm) < 0.05 * 2400.0
+    alternating = knots_of(exact + 1e-3 * (-1.0) ** np.arange(600), teeth_per_rev=1, noise_s=3e-4)
+    assert alternating.noise_s == pytest.approx(3e-4)
+    np.testing.assert_allclose(evaluated(alternating, exact[10:590:2] + 1e-3), np.arange(10, 590, 2), atol=1e-3)
+
+
+def test_a_time_offset_of_a_million_seconds_loses_nothing(known_shaft):
+    time_s = known_shaft(1234.5).pulse_time_s(360)
+    near, far = (knots_of(time_s + start, noise_s=5.8e-6) for start in (0.0, 1e6))
+    assert near.time_s.size == far.time_s.size
+    np.testing.assert_allclose(far.time_s - 1e6, near.time_s, atol=1e-9)
+    np.testing.assert_allclose(far.angle_rev, near.angle_rev, atol=0)
+    np.testing.assert_allclose(far.standard_error_rev, near.standard_error_rev, rtol=1e-6)
+
+
+def test_holes_in_the_teeth_widen_the_standard_error_and_keep_the_angle(known_shaft):
+    shaft = known_shaft(1234.5)
+    time_s = shaft.pulse_time_s(60)
+    keep = np.delete(np.arange(time_s.size), range(1000, 1004))
+    knots = knots_of(time_s[keep], tooth=keep, teeth_per_rev=60, noise_s=1e-9)
+    inside = (knots.time_s > time_s[999]) & (knots.time_s < time_s[1004])
+    assert knots.standard_error_rev[inside].max() > 2 * np.median(knots.standard_error_rev)
+    between = shaft.time_s[(shaft.time_s > time_s[0]) & (shaft.time_s < time_s[-1])]
+    error = evaluated(knots, between) - shaft.angle_rev(between)
+    np.testing.assert_allclose(error, np.mean(error), atol=3e-6)
+
+
+@pytest.mark.parametrize(("size", "cut_off"), [(3, 0.1), (4, 0.1), (5, 0.02), (60, 0.03), (150, 0.2)])
+def test_the_banded_solution_is_the_dense_one(size, cut_off):
+    rng = np.random.default_rng(size)
+    weight = np.ones(size)
+    weight[size // 3 : size // 3 + (size > 10)] = 0.0
+    value, penalty = rng.standard_normal(size), penalty_of(cut_off)
+    third = np.diff(np.eye(size), n=3, axis=0)
+    system = np.diag(weight) + penalty * third.T @ third
+    np.testing.assert_allclose(smoothed(value, weight, penalty), np.linalg.solve(system, weight * value), atol=1e-8)
+    np.testing.assert_allclose(leverage(weight, penalty), np.diag(np.linalg.inv(system)), rtol=1e-8)
+
+
+def test_a_parabola_in_time_passes_the_smoother_unchanged():
+    tooth = np.arange(500.0)
+    time_s = 1.0 + 0.01 * tooth + 3e-6 * tooth**2
+    np.testing.assert_allclose(smoothed(time_s, np.ones(500), penalty_of(0.003)), time_s, rtol=1e-10)
+
+
+@given(
+    st.lists(st.floats(0.01, 10.0), min_size=2, max_size=20),
+    st.lists(st.floats(0.01, 10.0), min_size=20, max_size=20),
+    st.lists(st.floats(0.0, 3.0), min_size=21, max_size=21),
+)
+def test_angle_and_time_are_inverse_and_grow_between_any_knots(steps, rises, slopes):
+    steps, rises = np.array(steps), np.array(rises[: len(steps)])
+    time_s, angle = np.cumsum(np.append(0.0, steps)), np.cumsum(np.append(-2.0, rises))
+    secant = rises / steps
+    limit = np.minimum(np.append(secant, np.inf), np.append(np.inf, secant))
+    speed = 60.0 * np.array(slopes[: limit.size]) * limit
+    wanted = np.linspace(time_s[0], time_s[-1], 301)
+    reached = angle_at(wanted, time_s, angle, speed)
+    assert (np.diff(reached) >= -1e-12).all()
+    back = angle_at(time_at(reached, time_s, angle, speed), time_s, angle, speed)
+    np.testing.assert_allclose(back, reached, atol=1e-11)
+    np.testing.assert_array_equal(angle_at(wanted[::-1], time_s, angle, speed)[::-1], reached)
+
+
+def test_outside_the_knots_there_is_no_angle():
+    knots = (np.array([0.0, 1.0]), np.array([0.0, 2.0]), np.array([120.0, 120.0]))
+    np.testing.assert_array_equal(np.isnan(angle_at([-0.1, 0.0, 0.5, 1.0, 1.1, np.nan], *knots)), [1, 0, 0, 0, 1, 1])
+    np.testing.assert_array_equal(np.isnan(time_at([-0.1, 0.0, 2.0, 2.1], *knots)), [1, 0, 0, 1])
+    assert time_at(0.5, *knots)[0] == pytest.approx(0.25)
+
+
+def test_knots_reach_one_tooth_beyond_the_pulses_and_no_further(known_shaft):
+    time_s = known_shaft(1000.0, irregularity={}).pulse_time_s(60)
+    knots = knots_of(time_s, teeth_per_rev=60, noise_s=1e-9)
+    assert time_s[0] - knots.time_s[0] == pytest.approx(1e-3, rel=1e-3)
+    assert knots.time_s[-1] - time_s[-1] == pytest.approx(1e-3, rel=1e-3)

@@ -1,0 +1,116 @@
+"""ShaftAngle of every kind of recording: dims, units, references and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.quantities import check_dataset, flags_of
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_at
+from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.speed_signal import integrated_speed
+
+SETTINGS = load_settings().shaft
+
+
+def decode(recording):
+    angle = shaft_angle(recording, settings=SETTINGS)
+    check_dataset(angle, "shaft_angle")
+    return angle
+
+
+def test_a_constant_speed_makes_a_straight_line_over_the_record(recording_of):
+    angle = decode(recording_of(None, encoder_kind="constant", speed_rpm=1500.0, rate_hz=1000.0, start_s=2.0))
+    np.testing.assert_allclose(angle["time"], [2.0, 7.001])
+    np.testing.assert_allclose(np.diff(angle["crank_angle"]), 5.001 * 25.0)
+    assert angle.attrs["phase_reference"] == "none"
+    assert "no_index" in {item["flag"] for item in flags_of(angle)}
+
+
+@pytest.mark.parametrize(("speed_rpm", "elapsed_s"), [(1200.0, 5000 / 360 / 20.0), (np.nan, np.nan)])
+def test_a_recording_by_crank_angle_has_two_knots(recording_of, speed_rpm, elapsed_s):
+    angle = decode(
+        recording_of(
+            None, domain="crank_angle", encoder_kind="none", samples_per_rev=360, start_deg=-90.0, speed_rpm=speed_rpm
+        )
+    )
+    np.testing.assert_allclose(angle["crank_angle"], [-0.25, -0.25 + 5000 / 360])
+    np.testing.assert_allclose(angle["time"].values[1] - angle["time"].values[0], elapsed_s)
+
+
+@pytest.mark.parametrize("kind", ["none", "speed", "square", "analogue", "pulse_times", "edge_list", "constant"])
+def test_a_recording_without_what_its_encoder_needs_is_refused_by_name(recording_of, kind):
+    with pytest.raises(InputError) as error:
+        decode(recording_of(None, encoder_kind=kind))
+    assert error.value.file == "made"
+    assert "run.toml" in error.value.remedy
+
+
+def test_a_start_time_moves_the_knots_and_nothing_else(known_shaft, recording_of):
+    pulse_s = known_shaft(900.0).pulse_time_s(60)
+    plain, moved = (
+        decode(recording_of(pulse_s, pulses_per_rev=60, pulse_noise_s=1e-6, start_s=start)) for start in (0.0, 1e6)
+    )
+    np.testing.assert_allclose(moved["time"] - 1e6, plain["time"], atol=2e-10)
+    np.testing.assert_array_equal(moved["crank_angle"], plain["crank_angle"])
+    np.testing.assert_array_equal(moved["standard_error"], plain["standard_error"])
+
+
+def test_decoding_twice_gives_the_same_bytes(known_shaft, recording_of):
+    recording = recording_of(known_shaft(900.0).pulse_time_s(60), pulses_per_rev=60, pulse_noise_s=1e-6)
+    first, second = decode(recording), decode(recording)
+    assert first.identical(second)
+
+
+def test_one_pulse_per_revolution_is_its_own_index(known_shaft, recording_of):
+    pulse_s = known_shaft(900.0, irregularity={}).pulse_time_s(1)
+    angle = decode(recording_of(pulse_s, pulses_per_rev=1, pulse_noise_s=1e-7))
+    at_pulse = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+    np.testing.assert_allclose(at_pulse, np.arange(pulse_s.size), atol=1e-6)
+    assert angle.attrs["phase_reference"] == "pulse"
+    assert angle.attrs["cycle_known"] == 1
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_an_encoder_on_another_shaft_is_counted_in_crank_revolutions(known_shaft, recording_of, ratio):
+    shaft = known_shaft(900.0)
+    pulse_s = shaft.pulse_time_s(round(60 * ratio))
+    angle = decode(recording_of(pulse_s, pulses_per_rev=60, ratio=ratio, pulse_noise_s=1e-7))
+    reached = angle_at(pulse_s[[0, -1]], angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+    np.testing.assert_allclose(np.diff(reached), np.diff(shaft.angle_rev(pulse_s[[0, -1]])), atol=1e-5)
+
+
+def test_pulse_times_without_a_stated_noise_are_smoothed_by_what_they_show(known_shaft, recording_of):
+    shaft = known_shaft(900.0, irregularity={}, duration_s=6.0)
+    exact = shaft.pulse_time_s(60)
+    jitter = 1e-5 * np.random.default_rng(6).standard_normal(exact.size)
+    angle = decode(recording_of(exact + jitter, pulses_per_rev=60, pulse_noise_s=0.0))
+    knots = angle["time"].values, angle["crank_angle"].values, angle["speed"].values
+    error = angle_at(exact, *knots) - shaft.angle_rev(exact)
+    assert np.std(error) < 0.5 * 1e-5 * 15.0
+    assert np.median(angle["standard_error"]) == pytest.approx(np.std(error), rel=0.4)
+
+
+def test_a_speed_signal_integrates_to_its_angle(recording_of):
+    time_s = np.arange(200_000) / 20_000.0
+    speed = 900.0 + 200.0 * time_s + 30.0 * np.sin(2 * np.pi * 3.0 * time_s)
+    exact = (900.0 * time_s + 100.0 * time_s**2 + 30.0 / (6 * np.pi) * (1 - np.cos(6 * np.pi * time_s))) / 60.0
+    quantised = np.round(speed * 8.0) / 8.0
+    knots, flags = integrated_speed(quantised, rate_hz=20_000.0, settings=SETTINGS)
+    error = angle_at(time_s, knots.time_s, knots.angle_rev, knots.speed_rpm) - exact
+    assert np.nanmax(np.abs(error)) < 2e-4
+    assert not flags
+    np.testing.assert_allclose(knots.speed_rpm[5:-5], np.interp(knots.time_s[5:-5], time_s, speed), rtol=2e-3)
+
+
+def test_gaps_in_a_speed_signal_are_bridged_and_flagged():
+    speed = np.full(10_000, 1200.0)
+    speed[3000:3010] = np.nan
+    knots, flags = integrated_speed(speed, rate_hz=1000.0, settings=SETTINGS)
+    assert knots.angle_rev[-1] == pytest.approx(9.999 * 20.0)
+    assert flags[0][:2] == ("speed_gap", "suspect")
+    for bad in (np.full(100, np.nan), np.zeros(1000)):
+        with pytest.raises(InputError):
+            integrated_speed(bad, rate_hz=1000.0, settings=SETTINGS)

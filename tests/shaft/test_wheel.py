@@ -1,0 +1,211 @@
+"""Repair of the pulse train: what is lost is found, counted and put right, and what cannot be is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.quantities import flags_of
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_at
+from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.wheel import number_teeth
+
+SETTINGS = load_settings().shaft
+TORSION = {2.0: 0.03}
+
+
+def decoded(recording_of, trace, index=None, *, rate_hz=50_000.0, **attrs):
+    attrs.setdefault("pulses_per_rev", 360)
+    options = {"rate_hz": rate_hz, "kind": "square", "edge": "rising", "settings": SETTINGS}
+    pulses = find_pulses(trace, pulses_per_rev=attrs["pulses_per_rev"], **options)
+    marks = None if index is None else find_pulses(index, pulses_per_rev=1, **options).time_s
+    recording = recording_of(pulses.time_s, index_time_s=marks, pulse_noise_s=pulses.noise_s, **attrs)
+    return shaft_angle(recording, settings=SETTINGS)
+
+
+def angle_of(angle, time_s):
+    return angle_at(time_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+
+
+def detail_of(angle, flag):
+    details = [item["detail"] for item in flags_of(angle) if item["flag"] == flag]
+    assert len(details) == 1, flags_of(angle)
+    return details[0]
+
+
+def test_a_clean_train_has_no_repairs_and_its_index_is_angle_zero(known_shaft, recording_of, order_error):
+    shaft = known_shaft(1000.0, irregularity=TORSION)
+    angle = decoded(recording_of, shaft.square(360), shaft.index(360), index_to_tdc_deg=0.0)
+    assert {item["severity"] for item in flags_of(angle)} <= {"info"}
+    assert angle.attrs["phase_reference"] == "tdc"
+    error = order_error(angle_of(angle, shaft.time_s), shaft.angle_rev(), 10.0)
+    assert abs(np.degrees(np.angle(error))) < 0.1
+    assert abs(error) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_d1_one_lost_pulse_is_repaired_and_counted(known_shaft, recording_of, order_error):
+    shaft = known_shaft(1000.0, irregularity=TORSION, duration_s=15.0)
+    clean = decoded(recording_of, shaft.square(360), shaft.index(360))
+    faulty = decoded(recording_of, shaft.square(360, lost=lambda k: k == 45_123), shaft.index(360))
+    assert detail_of(faulty, "encoder_missing_pulse").startswith("1 lost pulse")
+    assert faulty.attrs["n_pulses"] == clean.attrs["n_pulses"] - 1
+    phases = [
+        np.degrees(np.angle(order_error(angle_of(angle, shaft.time_s), shaft.angle_rev(), 10.0)))
+        for angle in (clean, faulty)
+    ]
+    assert abs(phases[1] - phases[0]) < 0.02
+
+
+def test_d2_a_damaged_line_is_named_by_its_angle_and_its_orders_are_right(known_shaft, recording_of, order_error):
+    shaft = known_shaft(1000.0, irregularity=TORSION)
+    trace = shaft.square(360, lost=lambda k: k % 360 == 90)
+    angle = decoded(recording_of, trace, shaft.index(360))
+    assert "90.00 degrees after the index" in detail_of(angle, "encoder_damaged_line")
+    assert detail_of(angle, "encoder_missing_pulse").startswith("50 lost")
+    estimated = angle_of(angle, shaft.time_s)
+    whole = round(np.nanmean(estimated - shaft.angle_rev()))
+    error = order_error(estimated - whole, shaft.angle_rev(), 5.5)
+    assert abs(abs(error) - 1.0) < 1e-4
+    assert abs(np.degrees(np.angle(error))) < 0.1
+
+
+def test_d4_pulses_doubled_by_ringing_are_removed_and_counted(known_shaft, recording_of, order_error):
+    shaft = known_shaft(1000.0, irregularity=TORSION)
+    pulse_s = shaft.pulse_time_s(360)
+    rung = pulse_s[1000::3600] + 0.2e-3
+    recording = recording_of(np.sort(np.append(pulse_s, rung)), pulse_noise_s=1e-6)
+    angle = shaft_angle(recording, settings=SETTINGS)
+    assert detail_of(angle, "encoder_double_pulse") == f"{rung.size} false pulses removed"
+    assert angle.attrs["n_pulses"] == pulse_s.size
+    estimated = angle_of(angle, shaft.time_s)
+    whole_pulses = np.round(360 * np.nanmean(estimated - shaft.angle_rev())) / 360
+    error = order_error(estimated - whole_pulses, shaft.angle_rev(), 10.0)
+    assert abs(error) == pytest.approx(1.0, abs=1e-6)
+    assert abs(np.degrees(np.angle(error))) < 0.01
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5, 0.7, 0.85, 0.95])
+def test_a_false_pulse_anywhere_between_two_is_removed(known_shaft, share):
+    pulse_s = known_shaft(1000.0).pulse_time_s(60)
+    false = pulse_s[500] + share * (pulse_s[501] - pulse_s[500])
+    teeth = number_teeth(np.sort(np.append(pulse_s, false)), pulses_per_rev=60, settings=SETTINGS)
+    assert teeth.n_repaired == 1
+    np.testing.assert_array_equal(teeth.time_s, pulse_s)
+    np.testing.assert_array_equal(np.diff(teeth.tooth), 1)
+
+
+@pytest.mark.parametrize("in_a_row", [1, 2, 5])
+def test_pulses_lost_in_a_row_leave_the_count_right(known_shaft, in_a_row):
+    pulse_s = known_shaft(1000.0).pulse_time_s(60)
+    teeth = number_teeth(np.delete(pulse_s, range(700, 700 + in_a_row)), pulses_per_rev=60, settings=SETTINGS)
+    assert teeth.n_repaired == in_a_row
+    assert teeth.tooth[-1] - teeth.tooth[0] == pulse_s.size - 1
+
+
+def test_d5_without_an_index_orders_are_right_and_the_phase_is_flagged(known_shaft, recording_of, order_error):
+    shaft = known_shaft(1000.0)
+    angle = decoded(recording_of, shaft.square(360))
+    assert angle.attrs["phase_reference"] == "none"
+    assert "no reference" in detail_of(angle, "no_index")
+    estimated = angle_of(angle, shaft.time_s)
+    assert abs(order_error(estimated, shaft.angle_rev(), 10.0)) == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("configured", "real"), [(720, 360), (360, 720), (60, 64)])
+def test_d9_a_wrong_number_of_pulses_is_refused_with_both_numbers(known_shaft, recording_of, configured, real):
+    shaft = known_shaft(700.0)
+    with pytest.raises(InputError, match=f"{real} pulses per index measured, {configured} configured") as error:
+        decoded(recording_of, shaft.square(real), shaft.index(real), pulses_per_rev=configured)
+    assert error.value.file == "made"
+
+
+@pytest.mark.parametrize(
+    ("fault", "flag"), [("lost", "index_lost"), ("extra", "index_extra"), ("doubled", "index_extra")]
+)
+def test_an_index_mark_lost_or_extra_is_flagged_and_does_no_harm(known_shaft, recording_of, fault, flag):
+    shaft = known_shaft(900.0)
+    pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
+    more = {"lost": [], "extra": [pulse_s[1007] + 1e-5], "doubled": [index_s[20] + 1e-5]}[fault]
+    marks = np.sort(np.append(np.delete(index_s, 11) if fault == "lost" else index_s, more))
+    angle = shaft_angle(
+        recording_of(pulse_s, index_time_s=marks, pulses_per_rev=60, pulse_noise_s=1e-7), settings=SETTINGS
+    )
+    assert detail_of(angle, flag).startswith("1 ")
+    difference = angle_of(angle, index_s[1:-1])
+    np.testing.assert_allclose(difference, np.round(difference), atol=1e-6)
+
+
+def test_index_to_tdc_turns_the_angle(known_shaft, recording_of):
+    shaft = known_shaft(900.0)
+    pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
+    made = recording_of(
+        pulse_s, index_time_s=index_s, pulses_per_rev=60, pulse_noise_s=1e-7, index_to_tdc_deg=30.0, revs_per_cycle=2
+    )
+    angle = shaft_angle(made, settings=SETTINGS)
+    np.testing.assert_allclose(angle_of(angle, index_s[1:-1]) % 1.0, 1.0 - 30.0 / 360.0, atol=1e-6)
+    assert angle.attrs["cycle_known"] == 0
+    assert "cycle_phase_unknown" in {item["flag"] for item in flags_of(angle)}
+
+
+def test_angle_zero_is_the_first_top_dead_centre_at_or_after_the_first_pulse(known_shaft, recording_of):
+    for start in (0.0, 0.01, 0.5, 0.99):
+        shaft = known_shaft(900.0, start_rev=start)
+        pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
+        angle = shaft_angle(
+            recording_of(pulse_s, index_time_s=index_s, pulses_per_rev=60, pulse_noise_s=1e-7), settings=SETTINGS
+        )
+        first = angle_of(angle, pulse_s[:1])[0]
+        assert -1.0 < first <= 1e-6
+
+
+def wheel_with_gap(shaft, pulses_per_rev, missing):
+    pulse_s = shaft.pulse_time_s(pulses_per_rev)
+    tooth = np.round(shaft.angle_rev(pulse_s) * pulses_per_rev).astype(int) % pulses_per_rev
+    return pulse_s[tooth < pulses_per_rev - missing]
+
+
+@pytest.mark.parametrize(("teeth", "missing"), [(60, 2), (36, 1), (24, 1), (12, 3)])
+def test_tooth_one_behind_the_gap_is_the_mark_of_a_missing_tooth_wheel(known_shaft, recording_of, teeth, missing):
+    shaft = known_shaft(1500.0)
+    pulse_s = wheel_with_gap(shaft, teeth, missing)
+    angle = shaft_angle(
+        recording_of(pulse_s, pulses_per_rev=teeth, missing_teeth=missing, pulse_noise_s=1e-7), settings=SETTINGS
+    )
+    difference = angle_of(angle, pulse_s) - shaft.angle_rev(pulse_s)
+    np.testing.assert_allclose(difference, np.round(difference), atol=2e-5)
+    assert angle.attrs["phase_reference"] == "index"
+    assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
+
+
+@pytest.mark.parametrize("lost", [58 * 5 + 30, 58 * 5, 58 * 5 + 57])
+def test_a_tooth_lost_anywhere_on_a_missing_tooth_wheel_keeps_its_zero(known_shaft, lost):
+    shaft = known_shaft(1500.0, start_rev=0.0)
+    pulse_s = wheel_with_gap(shaft, 60, 2)
+    teeth = number_teeth(np.delete(pulse_s, lost), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
+    assert teeth.n_repaired == 1
+    true = np.round(shaft.angle_rev(teeth.time_s) * 60).astype(int)
+    assert set((teeth.tooth - true) % 60) == {0}
+
+
+def test_the_wrong_wheel_is_refused(known_shaft):
+    pulse_s = wheel_with_gap(known_shaft(1500.0), 36, 2)
+    with pytest.raises(InputError, match="36 teeth per gap measured"):
+        number_teeth(pulse_s, pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
+    with pytest.raises(InputError, match="no gap found"):
+        number_teeth(known_shaft(1500.0).pulse_time_s(60), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
+
+
+def test_too_many_repairs_are_refused(known_shaft):
+    pulse_s = known_shaft(1000.0).pulse_time_s(60)
+    few = pulse_s[np.random.default_rng(3).random(pulse_s.size) > 0.1]
+    with pytest.raises(InputError, match="the count is not certain"):
+        number_teeth(few, pulses_per_rev=60, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("times", [[0.0, 1.0], [0.0, 2.0, 1.0, 3.0], [0.0, 1.0, np.nan, 3.0], []])
+def test_times_that_cannot_be_pulses_are_refused(times):
+    with pytest.raises(InputError):
+        number_teeth(np.array(times, dtype=np.float64), pulses_per_rev=1, settings=SETTINGS)

@@ -1,0 +1,108 @@
+"""Scenes: what is shipped loads, what is wrong is told all at once."""
+
+from pathlib import Path
+
+import pytest
+
+from crankorder.errors import ManyErrors, RequestError
+from crankorder.settings import shipped
+from crankorder.synth.scene import load_scene
+
+
+def faults_of(path: Path, text: str) -> list[str]:
+    path.write_text(text)
+    with pytest.raises(ManyErrors) as caught:
+        load_scene(path.name, path.parent)
+    return [str(fault) for fault in caught.value.faults]
+
+
+@pytest.mark.parametrize("name", list(shipped("scenes")))
+def test_every_shipped_scene_loads_with_its_first_look(name: str) -> None:
+    scene = load_scene(name)
+    quick = scene.first_look()
+    assert len({run.name for run in scene.runs}) == len(scene.runs)
+    assert quick.n_samples * len(quick.runs) < scene.n_samples * len(scene.runs)
+
+
+def test_the_reference_scene_is_the_campaign_of_the_thesis() -> None:
+    scene = load_scene("thesis-second-motoring")
+    assert [run.speed_rpm for run in scene.runs] == list(range(300, 2001, 50))
+    assert (scene.n_samples, scene.rate_hz(300), scene.channel_names) == (750_000, 50_000, ("X", "Y", "Z"))
+    assert [mode.frequency_hz for mode in scene.modes] == [60, 115, 172, 187, 230, 350, 457, 470]
+    assert [run.name for run in scene.runs][:2] == ["rpm_0300", "rpm_0350"]
+
+
+def test_speeds_that_come_again_or_are_broken_get_names_of_their_own(small_scene: Path) -> None:
+    scene = load_scene(small_scene.name, small_scene.parent)
+    assert [run.name for run in scene.runs] == ["rpm_0600", "rpm_0612.5", "rpm_0600_2"]
+
+
+def test_all_faults_of_a_scene_are_told_at_once(small_scene: Path) -> None:
+    text = small_scene.read_text()
+    text = text.replace("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = [600.0, 5000.0, 60000.0]")
+    text = text.replace("damping_ratio = 0.02", "damping_ratio = 1.5").replace("Z = 0.012", "Q = 0.012")
+    text = text.replace('"BPFO"', '"N*fs"').replace("order = 6.5", "order = 650.0").replace("230.0", "4100.0")
+    text = text.replace('"jack shaft"', '"moon shaft"') + "\n[wobble]\nsize = 1.0\n"
+    faults = faults_of(small_scene, text)
+    told = {
+        "damping": "modes.0.damping_ratio: Input should be less than 1; found 1.5",
+        "effect": "wobble: unknown effect; allowed: quick, modes",
+        "channel": "modes.1.sensor_per_kg: no such channel; found Q; allowed: Y, Z",
+        "bearing": "no such bearing; found moon shaft; allowed: jack shaft, distributor shaft",
+        "speeds": "speeds that the rate cannot carry; found 5000, 60000 rpm; allowed: at most 4000 rpm",
+        "order": "injected_orders.0.order: order above Nyquist; found 650",
+        "engine order": "engine_forces: order above Nyquist",
+        "mode": "modes.1.frequency_hz: natural frequency above Nyquist; found 4100; allowed: below half the rate",
+    }
+    missing = {key for key, words in told.items() if not any(words in fault for fault in faults)}
+    assert not missing
+    assert len(faults) == len(told)
+
+
+def test_faults_of_the_engine_are_told_with_those_of_the_scene(small_scene: Path) -> None:
+    (small_scene.parent / "mine.toml").write_text(
+        "crank_radius_m = 0.1\nrod_length_m = 0.2\nreciprocating_mas_kg = 1.0\n"
+    )
+    text = small_scene.read_text().replace('"msu-optical-second"', '"mine.toml"').replace("seed = 7", "seed = -7")
+    faults = faults_of(small_scene, text)
+    for words in ("mine.toml: reciprocating_mass_kg", "mine.toml: reciprocating_mas_kg: unknown key", "seed"):
+        assert any(words in fault for fault in faults)
+    assert len(faults) == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("rate_hz = 8000.0", "rate_hz = nan", "sampling.time.rate_hz"),
+        ('"msu-optical-second"', '"no-such"', "no such engine"),
+        ("duration_s = 3.0", "duration_s = 1e9", "too long"),
+        ('source = "acc_z"', 'source = "acc_y"', "same source"),
+        ('source = "acc_z"', 'source = "encoder"', "the encoder's dataset"),
+        ('source = "acc_z"', 'source = "../z"', "channels.1.source"),
+        ("list_rpm = [600.0, 612.5, 600.0]", "first_rpm = 300.0", "give either list_rpm"),
+        ("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = []", "1 to 10 000 speeds"),
+        ('domain = "time"', 'domain = "order"', "sampling"),
+        ('line = "BPFO"', 'line = "cage"', "bearing_lines.0.line"),
+        ("drive = { Y = 0.9, Z = 0.2 }", "drive = { W = 0.9 }", "modes.1.drive"),
+        ('title = "small"', 'title = "small"\nengine_file = "x"', "engine_file: unknown key"),
+    ],
+)
+def test_one_fault_gets_one_clear_error(small_scene: Path, old: str, new: str, words: str) -> None:
+    text = small_scene.read_text()
+    assert old in text
+    faults = faults_of(small_scene, text.replace(old, new))
+    assert len(faults) == 1
+    assert words in faults[0]
+    assert small_scene.name in faults[0] or "no-such" in faults[0]
+
+
+def test_forces_on_nothing_are_refused(small_scene: Path) -> None:
+    text = small_scene.read_text()
+    without = text[: text.index("[[modes]]")] + text[text.index("[engine_forces]") :]
+    faults = faults_of(small_scene, without)
+    assert [fault.split(": ")[1] for fault in faults] == ["engine_forces", "injected_orders", "broadband"]
+
+
+def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="no such scene; found moon; allowed: thesis-first-motoring"):
+        load_scene("moon", tmp_path)
