@@ -207,7 +207,7 @@ def check(folder: Path, manifest: Path | None) -> None:
     from crankorder.ingest.check import check_folder
     from crankorder.settings import load_settings
 
-    faults = check_folder(folder, manifest, settings=load_settings())
+    faults = check_folder(folder, manifest, settings=load_settings().ingest)
     for fault in faults:
         click.echo(f"crankorder: {fault}", err=True)
     if faults:

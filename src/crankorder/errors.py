@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 LONGEST_PROBLEM = 500
 """Characters of a problem or remedy that are shown: they may quote a name from a file."""
 

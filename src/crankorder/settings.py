@@ -86,6 +86,7 @@ class IdentifySettings(StageSettings):
     mode_prominence_db: Positive
     mode_min_width_bins: Positive
     max_damping_ratio: Fraction
+    mode_speed_ratio: Annotated[float, Field(ge=1)]
     mains_hz: tuple[Positive, ...] = Field(strict=False)
     mains_tolerance_hz: Positive
     crossing_band_rpm: Positive

@@ -1,3 +1,5 @@
+"""The truth sheet, where it is at hand."""
+
 import json
 from pathlib import Path
 from typing import Any

@@ -68,7 +68,8 @@ def test_levels_refer_to_iso_1683_in_the_unit_of_the_channel(settings: Any) -> N
     assert level_reference("acceleration", "m/s2", settings=settings) == (1e-6, "dB re 1e-6 m/s² (peak)")
     reference, text = level_reference("acceleration", "g", settings=settings)
     assert (reference * 9.80665, text) == (pytest.approx(1e-6), "dB re 1e-6 m/s² (peak)")
-    assert level_reference("sound_pressure", "Pa", settings=settings) == (20e-6, "dB re 20 µPa (peak)")
+    for quantity in ("sound_pressure", "sound pressure", "pressure"):
+        assert level_reference(quantity, "Pa", settings=settings) == (20e-6, "dB re 20 µPa (peak)")
     assert level_reference("pressure", "bar", settings=settings) == (1.0, "dB re 1 bar (peak)")
     assert level_reference("other", "counts", settings=settings) == (1.0, "dB re 1 counts (peak)")
 

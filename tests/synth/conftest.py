@@ -1,3 +1,5 @@
+"""A small test bed of which a test takes only the effects it needs."""
+
 from collections.abc import Callable
 from pathlib import Path
 

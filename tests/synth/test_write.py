@@ -54,6 +54,7 @@ def test_crank_angle_files_need_no_encoder(tmp_path: Path) -> None:
     write_scene("thesis-first-motoring", tmp_path / "run", quick=True)
     manifest = tomllib.loads((tmp_path / "run" / "run.toml").read_text())
     assert manifest["sampling"] == {"domain": "crank_angle", "samples_per_rev": 360, "start_deg": 0.0}
+    assert manifest["recordings"]["speed_rpm"] == {f"rpm_{rpm:04}.h5": rpm for rpm in (800, 1000, 1500, 2000)}
     assert "encoder" not in manifest
     with h5py.File(tmp_path / "run" / "rpm_0800.h5") as file:
         assert set(file) == {"acc_x", "acc_y", "acc_z"}
@@ -188,6 +189,7 @@ def test_a_users_engine_travels_with_the_folder(small_scene: Path, tmp_path: Pat
 def test_written_toml_reads_back() -> None:
     table = {
         "text": 'a "quoted"\\ line\nwith \x7f, \x00 and µ',
+        "odd key.h5": {"in it": {"e": "µ"}},
         "numbers": [1, 2.5, -1e-300, True],
         "inner": {"deep": {"x": 1.0}, "many": [{"y": 1, "z": {"w": "v"}}, {"y": 2}]},
         "list": [{"a": []}],

@@ -9,11 +9,11 @@ import xarray as xr
 from crankorder.batch.plan import folder_name
 from crankorder.batch.store import json_bytes
 from crankorder.report.campbell_figure import campbell_figure
+from crankorder.report.figures import png_bytes
 from crankorder.report.netcdf import findings_datasets, results_bytes
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.page import report_page
 from crankorder.report.spectra_figure import spectra_figure
-from crankorder.report.figures import png_bytes
 from crankorder.settings import ReportSettings
 
 

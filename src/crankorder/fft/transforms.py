@@ -45,7 +45,7 @@ class FrameTransform:
     def spectra(self, signals: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.complex128]:
         """Spectra (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
 
-        ``signals`` is (channels, samples). Every frame must lie inside the signals; phases are those at the first sample of each frame.
+        ``signals`` is (channels, samples) and holds every frame whole; phases are those at each frame's first sample.
         """
         plan = self._plan()
         source, target = plan.input_array, plan.output_array

@@ -26,10 +26,11 @@ class Window:
         values = self.values
         return float(len(values) * (values @ values) / values.sum() ** 2)
 
-    def overlap_variance(self, hop_samples: int, n_frames: int) -> float:
-        """Variance of the mean of overlapping frames over that of as many independent ones (Welch 1967).
+    def independent_frames(self, hop_samples: int, n_frames: int, *, power: bool) -> float:
+        """Independent frames that ``n_frames`` overlapping ones, ``hop_samples`` apart, are worth in an average.
 
-        ``hop_samples`` is the distance of the frames, ``n_frames`` how many are averaged coherently.
+        ``power`` averages squares, which correlate by the square of the frames' correlation (Welch 1967, eq. 18);
+        otherwise complex spectra are averaged.
         """
         energy = float(self.values @ self.values)
         factor = 1.0
@@ -38,8 +39,8 @@ class Window:
             if shift >= len(self.values):
                 break
             correlation = float(self.values[shift:] @ self.values[:-shift]) / energy
-            factor += 2.0 * (1.0 - lag / n_frames) * correlation
-        return factor
+            factor += 2.0 * (1.0 - lag / n_frames) * (correlation**2 if power else correlation)
+        return n_frames / factor
 
 
 def hann(n_samples: int) -> Window:

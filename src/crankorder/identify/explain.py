@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.settings import IdentifySettings
@@ -52,13 +53,26 @@ def explain_order(order: float, error: float, quantity: str, sources: Sources, *
     return "unexplained"
 
 
-def explain_fixed(frequency_hz: float, is_tone: bool, *, settings: IdentifySettings) -> str:
-    """``"mode"`` for a line with width, ``"mains"`` for a tone on a multiple of a mains frequency, else ``"tone"``.
+def explain_fixed(
+    frequency_hz: float,
+    width_hz: float,
+    *,
+    speed_rpm: NDArray[np.float64],
+    revs_per_cycle: int,
+    settings: IdentifySettings,
+) -> str:
+    """What a line of fixed frequency is: "mode", "mains", "tone", or "order" where the speeds are too alike to tell.
 
-    ``frequency_hz`` is the line's frequency, ``is_tone`` whether it has no width of its own; ``settings`` name the
-    mains frequencies and how far they wander.
+    ``frequency_hz`` is the line's frequency, ``width_hz`` its half-power width (0 for a tone), ``speed_rpm`` the
+    speeds of the map, ``revs_per_cycle`` what half orders are multiples of; ``settings`` name the mains frequencies,
+    how far they wander and the spread of speeds that tells an order from a mode.
     """
-    if not is_tone:
+    if speed_rpm.max() < settings.mode_speed_ratio * speed_rpm.min():
+        step = float(np.median(speed_rpm)) / 60.0 / revs_per_cycle
+        spread = 0.5 * np.ptp(speed_rpm) / np.median(speed_rpm) * frequency_hz
+        if abs(frequency_hz - step * max(1, round(frequency_hz / step))) <= spread + settings.order_match * step:
+            return "order"
+    if width_hz > 0.0:
         return "mode"
     for mains in settings.mains_hz:
         multiple = max(1, round(frequency_hz / mains))

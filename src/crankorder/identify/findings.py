@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Sources, explain_fixed, explain_order
@@ -33,7 +34,7 @@ def find(
     quantity = dict(zip(order_map["channel"].values.tolist(), order_map["quantity"].values.tolist(), strict=True))
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     order_records = [_order_record(line, quantity, unit, sources, settings) for line in lines]
-    mode_records = [_mode_record(mode, settings) for mode in modes]
+    mode_records = [_mode_record(mode, campbell["speed"].values, sources, settings) for mode in modes]
     speed = order_map["speed"].values
     tested = (float(np.nanmin(speed)), float(np.nanmax(speed))) if np.isfinite(speed).any() else (np.nan, np.nan)
     real_modes = [
@@ -78,7 +79,8 @@ def _order_record(
         "speed_exponent_ci95": None if exponent is None else _interval(*exponent),
         "speed_range_rpm": [float(line.speed_rpm.min()), float(line.speed_rpm.max())],
         "n_speeds": len(line.seen),
-        "locked": line.locked,
+        "locked": line.evidence == "locked to the shaft",
+        "evidence": f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor",
         "level_over_floor_db": line.level_over_floor_db,
         "explained_by": explain_order(
             line.order, line.order_error, quantity[line.channel], sources, settings=settings.identify
@@ -90,11 +92,17 @@ def _interval(value: float, error: float) -> list[float]:
     return [value - Z95 * error, value + Z95 * error]
 
 
-def _mode_record(mode: Mode, settings: Settings) -> dict[str, Any]:
+def _mode_record(mode: Mode, speed_rpm: NDArray[np.float64], sources: Sources, settings: Settings) -> dict[str, Any]:
     frequency, frequency_error = mode.frequency
     damping, damping_error = mode.damping
     strongest = mode.strongest
-    explained = explain_fixed(frequency, all(line.is_tone for line in mode.lines), settings=settings.identify)
+    explained = explain_fixed(
+        frequency,
+        0.0 if all(line.is_tone for line in mode.lines) else 2.0 * damping * frequency,
+        speed_rpm=speed_rpm,
+        revs_per_cycle=sources.revs_per_cycle,
+        settings=settings.identify,
+    )
     return {
         "frequency_hz": frequency,
         "frequency_hz_ci95": _interval(frequency, frequency_error),

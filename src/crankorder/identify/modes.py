@@ -17,7 +17,7 @@ TONE_SKIRT = 0.008
 """Largest share of a tone's power three bins away (a Hann window gives 0.0006 at worst; the rest is noise)."""
 
 CLEAR_SIGMAS = 6.0
-"""Standard deviations of the spectrum's scatter by which a mode stands above its valleys: a thousand bins are looked at."""
+"""Standard deviations of its scatter by which a spectrum peaks at a mode: a thousand bins are looked at."""
 
 PAIR_BINS = 4
 """Peaks closer than this many bins are one."""
@@ -89,7 +89,8 @@ def find_modes(campbell: xr.Dataset, orders: list[float], *, settings: IdentifyS
     """Natural frequencies and tones of the CampbellMap ``campbell``, lowest first, after removal of ``orders``.
 
     A peak of the quiet spectrum that stands ``settings.mode_prominence_db`` over the valleys beside it (and clear of
-    the scatter) is fitted by a damped resonance seen through the window; channels are joined where their frequencies agree.
+    the scatter) is fitted by a damped resonance seen through the window; channels are joined where their frequencies
+    agree.
     """
     spectrum = quiet_spectrum(campbell, orders)
     frequency = campbell["frequency"].values

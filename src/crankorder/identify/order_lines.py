@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -12,9 +13,6 @@ from scipy.special import gammaincc, gammainccinv
 from crankorder.orders.floor import floor_bins, local_floor
 from crankorder.settings import IdentifySettings, OrderSettings
 
-INDEPENDENT_SHARE = 0.9
-"""Independent power spectra per frame at 50 % overlap of a Hann window (Welch 1967: 1 / (1 + 2/36))."""
-
 NEIGHBOUR_ORDERS = 0.25
 """Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
 
@@ -23,6 +21,14 @@ STEADY_KURTOSIS = -0.4
 
 STEADY_SIGMAS = 5.0
 """Standard deviations by which the spectral kurtosis must lie below that of noise."""
+
+FOLLOWED_SPEEDS = 8
+"""A line that is neither locked nor steady must be seen at so many speeds …"""
+
+FOLLOWED_BINS = 20.0
+"""… between which a line of fixed frequency would have moved by so many bins."""
+
+Evidence = Literal["locked to the shaft", "steady, not locked", "follows the speed"]
 
 Z95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""
@@ -41,7 +47,7 @@ class OrderLine:
     amplitude: NDArray[np.float64]
     amplitude_error: NDArray[np.float64]
     phase_deg: NDArray[np.float64]
-    locked: bool
+    evidence: Evidence
     level_over_floor_db: float
 
     @property
@@ -65,12 +71,13 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
 
     A line stands above the level that noise alone reaches with ``settings.false_alarm_probability`` at enough speeds
     (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, was seen over a
-    speed range in which a line of fixed frequency would have left its bin, and is no noise: its frames agree in phase
-    (it is locked to the shaft) or at least in amplitude (it slips). ``orders`` gives the floor's width.
+    speed range in which a line of fixed frequency would have left its bin, and is no resonance that noise excites:
+    its frames agree in phase (locked to the shaft) or in amplitude (it slips), or it follows the speed far.
+    ``orders`` gives the floor's width.
     """
     axis, speed = order_map["order"].values, order_map["speed"].values
     energy = order_map["amplitude"].values ** 2
-    n_independent = np.maximum(1.0, INDEPENDENT_SHARE * order_map["n_frames"].values.astype(float))
+    n_independent = order_map["n_independent"].values
     bins = floor_bins(
         axis,
         line_step=1.0 / int(order_map.attrs["revs_per_cycle"]),
@@ -88,9 +95,9 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     for channel in range(len(excess)):
         for peak in _peaks(excess[channel], axis, speed, needed):
             seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
-            locked = _is_locked(order_map, channel, int(peak), seen, settings.false_alarm_probability)
-            if locked or _is_steady(order_map, channel, int(peak), seen):
-                lines.append(_line(order_map, channel, int(peak), seen, ratio, floor, locked))
+            evidence = _evidence(order_map, channel, int(peak), seen, settings.false_alarm_probability)
+            if evidence is not None:
+                lines.append(_line(order_map, channel, int(peak), seen, ratio, floor, evidence))
     return lines
 
 
@@ -101,6 +108,27 @@ def _highest_of_three(energy: NDArray[np.float64]) -> NDArray[np.bool_]:
     highest[..., 1:] &= filled[..., 1:] >= filled[..., :-1]
     highest[..., :-1] &= filled[..., :-1] >= filled[..., 1:]
     return highest
+
+
+def _evidence(
+    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
+) -> Evidence | None:
+    """What tells the line from a resonance that noise excites; None where nothing does."""
+    if _is_locked(order_map, channel, peak, seen, false_alarm_probability):
+        return "locked to the shaft"
+    if _is_steady(order_map, channel, peak, seen):
+        return "steady, not locked"
+    if _follows(order_map, peak, seen):
+        return "follows the speed"
+    return None
+
+
+def _follows(order_map: xr.Dataset, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether the line was seen at most speeds of a range in which a fixed frequency would have moved far."""
+    axis, speed = order_map["order"].values, order_map["speed"].values[seen]
+    moved = axis[peak] * (speed.max() / speed.min() - 1.0) / (axis[1] - axis[0])
+    spanned = int(seen[-1] - seen[0]) + 1
+    return len(seen) >= FOLLOWED_SPEEDS and len(seen) >= 0.5 * spanned and bool(moved >= FOLLOWED_BINS)
 
 
 def _is_locked(
@@ -114,8 +142,7 @@ def _is_locked(
     """
     energy = order_map["amplitude"].values[channel, seen, peak] ** 2
     coherence = order_map["coherent_amplitude"].values[channel, seen, peak] ** 2 / energy
-    variance_factor = float(order_map.attrs["mean_variance_factor"])
-    n_independent = np.maximum(1.0, order_map["n_frames"].values[seen] / variance_factor)
+    n_independent = order_map["n_coherent"].values[seen]
     evidence = float(np.sum(-(n_independent - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))))
     return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
 
@@ -125,7 +152,7 @@ def _is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.
 
     Spectral kurtosis is 0 ± 2/sqrt(n) for n frames of noise and -1 for a line (Antoni 2006).
     """
-    frames = order_map["n_frames"].values[seen].astype(float)
+    frames = order_map["n_independent"].values[seen]
     kurtosis = order_map["spectral_kurtosis"].values[channel, seen, peak]
     known = np.isfinite(kurtosis)
     if not known.any():
@@ -160,7 +187,7 @@ def _line(
     seen: NDArray[np.int64],
     ratio: NDArray[np.float64],
     floor: NDArray[np.float64],
-    locked: bool,
+    evidence: Evidence,
 ) -> OrderLine:
     axis = order_map["order"].values
     resolution = float(axis[1] - axis[0])
@@ -169,8 +196,8 @@ def _line(
     coherent = order_map["coherent_amplitude"].values[channel, seen, peak]
     coherent_error = order_map["standard_error"].values[channel, seen, peak]
     noise = floor[channel, seen, peak]
-    n_frames = np.maximum(1, order_map["n_frames"].values[seen])
-    if locked:
+    n_frames = order_map["n_independent"].values[seen]
+    if evidence == "locked to the shaft":
         amplitude, error = coherent, coherent_error
     else:
         amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
@@ -187,7 +214,7 @@ def _line(
         amplitude=amplitude,
         amplitude_error=error,
         phase_deg=order_map["phase"].values[channel, seen, peak],
-        locked=locked,
+        evidence=evidence,
         level_over_floor_db=float(10.0 * np.log10(ratio[channel, seen, peak].max())),
     )
 

@@ -53,7 +53,6 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         "enbw_bins": window.enbw_bins,
         "revs_per_frame": revs,
         "overlap": 1.0 - hop / len(window.values),
-        "mean_variance_factor": window.overlap_variance(hop, len(starts)),
     }
     return with_flags(frames, _flags(band, revs, settings, cycle))
 

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.fft.windows import hann
 from crankorder.orders.floor import floor_bins, local_floor
 from crankorder.quantities import QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -15,6 +16,9 @@ from crankorder.shaft.speed_groups import speed_groups
 
 RESIDUAL_FRAMES = 4
 """From so many frames on their scatter tells the noise; with fewer it is taken from quiet bins beside the line."""
+
+SHAPE_SAMPLES = 1024
+"""Samples on which the shape of the window is evaluated where only its overlap matters."""
 
 RESIDUAL_OFFSETS = (-3, -2, 2, 3)
 """Bins beside a line that hold noise only: the main lobe of a Hann window ends at two."""
@@ -38,16 +42,21 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1)
     groups = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
     comparable = _comparable(used, order)
-    parts = [_average(spectrum[:, group], owner[group], comparable) for group in groups]
-    energy, coherent, kurtosis = (np.stack([part[k] for part in parts], axis=1) for k in (0, 1, 2))
+    count = np.array([len(group) for group in groups], dtype=np.int64)
+    independent, independent_phase = _independent(count, float(used[0].attrs["overlap"]))
+    parts = [
+        _average(spectrum[:, group], owner[group], comparable, n_independent)
+        for group, n_independent in zip(groups, independent, strict=True)
+    ]
+    energy = np.stack([part[0] for part in parts], axis=1)
+    coherent = np.stack([part[1] for part in parts], axis=1)
+    kurtosis = np.stack([part[2] for part in parts], axis=1)
     n_coherent = np.stack([part[3] for part in parts])[None]
-    factor = max(float(item.attrs["mean_variance_factor"]) for item in used)
     line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
     bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
     floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=n_coherent)
-    count = np.array([len(group) for group in groups], dtype=np.int64)
-    residual = _residual_power(energy, coherent, count, factor)
-    enough = (count[None, :, None] >= RESIDUAL_FRAMES) & (n_coherent == 1) & np.isfinite(residual)
+    residual = _residual_power(energy, coherent, independent_phase)
+    enough = (independent_phase[None, :, None] >= RESIDUAL_FRAMES) & (n_coherent == 1) & np.isfinite(residual)
     floor = np.where(enough, residual, floor)
     result = _dataset(used[0], order, np.array([np.mean(speed[group]) for group in groups]), settings)
     dims = ("channel", "speed", "order")
@@ -58,27 +67,35 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
     _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
-    result.attrs["mean_variance_factor"] = factor
+    _put(result, "n_independent", ("speed",), independent, "independent power spectra", "1")
+    _put(result, "n_coherent", ("speed",), independent_phase, "independent complex spectra", "1")
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(dropped, longest))
 
 
+def _independent(count: NDArray[np.int64], overlap: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Independent power and complex spectra that ``count`` (speeds,) frames with ``overlap`` are worth."""
+    window = hann(SHAPE_SAMPLES)
+    hop = max(1, round(SHAPE_SAMPLES * (1.0 - overlap)))
+    worth = [[window.independent_frames(hop, int(n), power=power) for n in count] for power in (True, False)]
+    return np.array(worth[0]), np.array(worth[1])
+
+
 def _residual_power(
-    energy: NDArray[np.float64], coherent: NDArray[np.complex128], count: NDArray[np.int64], factor: float
+    energy: NDArray[np.float64], coherent: NDArray[np.complex128], frames: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Noise power (channels, speeds, orders) of a ``coherent`` average of ``count`` (speeds,) frames.
+    """Noise power (channels, speeds, orders) of a ``coherent`` average of ``frames`` (speeds,) independent frames.
 
     The median of the bin's own scatter about the average and of the ``energy`` two and three bins beside it, where a
-    Hann window shows nothing of a line: local, so that a resonance near the line does not count. ``factor`` is what
-    overlap costs.
+    Hann window shows nothing of a line: local, so that a resonance near the line does not count.
     """
-    frames = count[None, :, None].astype(np.float64)
-    own = (energy - np.abs(coherent) ** 2) * frames / np.maximum(frames - factor, 0.5)
+    n = frames[None, :, None]
+    own = (energy - np.abs(coherent) ** 2) * n / np.maximum(n - 1.0, 0.5)
     reach = max(RESIDUAL_OFFSETS)
     padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), mode="reflect")
     n_bins = energy.shape[-1]
     beside = [padded[..., reach + k : reach + k + n_bins] for k in RESIDUAL_OFFSETS]
-    middle = np.median(np.stack([own, *beside]), axis=0) / (1.0 - 1.0 / (9.0 * frames)) ** 3
-    return np.asarray(np.maximum(middle, 0.0) * factor / frames)
+    middle = np.median(np.stack([own, *beside]), axis=0) / (1.0 - 1.0 / (9.0 * n)) ** 3
+    return np.asarray(np.maximum(middle, 0.0) / n)
 
 
 def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -90,7 +107,7 @@ def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[n
 
 
 def _average(
-    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], comparable: NDArray[np.bool_]
+    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], comparable: NDArray[np.bool_], n_independent: float
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
     """Mean energy, coherent mean and kurtosis (channels, orders) of ``spectrum`` (channels, frames, orders) of a group.
 
@@ -98,7 +115,7 @@ def _average(
     """
     power = np.abs(spectrum) ** 2
     energy = _mean(power, axis=1)
-    kurtosis = _spectral_kurtosis(power, energy)
+    kurtosis = _spectral_kurtosis(power, energy, n_independent)
     whole = _mean(spectrum, axis=1)
     names = np.unique(owner)
     n_coherent = np.where(comparable, 1.0, float(len(names)))
@@ -110,17 +127,17 @@ def _average(
     return energy, whole, kurtosis, n_coherent
 
 
-def _spectral_kurtosis(power: NDArray[np.float64], energy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spectral_kurtosis(power: NDArray[np.float64], energy: NDArray[np.float64], n: float) -> NDArray[np.float64]:
     """Spectral kurtosis (channels, orders) of ``power`` (channels, frames, orders) with the mean ``energy``.
 
-    Unbiased for Gaussian noise at any number of frames (Antoni 2006; Vrabie et al. 2003); NaN for one frame.
+    Unbiased for Gaussian noise whose frames are worth ``n`` independent ones (Antoni 2006; Vrabie et al. 2003); NaN
+    for less than two.
     """
-    n_frames = power.shape[1]
-    if n_frames < 2:
+    if n < 2.0:
         return np.full(energy.shape, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = _mean(power**2, axis=1) / energy**2
-    return np.asarray((n_frames + 1) / (n_frames - 1) * ratio - 2.0 * n_frames / (n_frames - 1))
+    return np.asarray(((n + 1.0) * ratio - 2.0 * n) / (n - 1.0))
 
 
 def _mean(values: NDArray[Any], axis: int) -> NDArray[Any]:

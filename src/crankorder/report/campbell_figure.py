@@ -108,8 +108,11 @@ def _draw_map(axes: Axes, one: xr.Dataset, box: tuple[float, float, float, float
     pooled = pixel_maximum(pooled, edges, (low, high), n=rows, axis=0)
     reference, unit = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
     limits = _level_limits(one, settings=settings)
+    level: Any = _level(pooled, reference).astype(np.float32)
+    if np.any(pooled < 0):  # a mask doubles the time to draw
+        level = np.ma.masked_where(pooled < 0, level)
     image = axes.imshow(
-        np.ma.masked_where(pooled < 0, _level(pooled, reference)), extent=(left, right, low, high), origin="lower",
+        level, extent=(left, right, low, high), origin="lower",
         aspect="auto", interpolation="nearest", cmap=MAP, vmin=limits[0], vmax=limits[1],
     )  # fmt: skip
     axes.set_facecolor(NOT_MEASURED)
@@ -176,49 +179,46 @@ def _draw_crossings(axes: Axes, findings: dict[str, Any], channel: str) -> bool:
 def _label_edges(
     axes: Axes, box: tuple[float, float, float, float], orders: list[dict[str, Any]], modes: list[dict[str, Any]]
 ) -> None:
+    """Orders where their lines leave the diagram, natural frequencies and tones in a tier above them."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    left, bottom, width, height = box
+    top, side = _order_labels(axes, box, orders)
+    f_low, f_high = axes.get_xlim()
+    named = []
+    for number, mode in enumerate(modes):
+        frequency_hz = float(mode["frequency_hz"])
+        if f_low <= frequency_hz <= f_high:
+            place = left + width * (frequency_hz - f_low) / (f_high - f_low)
+            text = f"{frequency_text(frequency_hz)} Hz"
+            named.append(EdgeLabel(place, text, MAINS if is_tone(mode) else MODE, number))
+    lines = label_top(figure, box, [fitted(top, width), fitted(named, width)])
+    label_right(figure, box, side)
+    look: dict[str, Any] = {"va": "bottom", "fontsize": SMALL, "color": INK}
+    if top:
+        write(figure, left - 0.3, lines[0], "order", ha="right", **look)
+    if side:
+        write(figure, left + width + 0.06, bottom + height + 0.14, "order", ha="left", **look)
+
+
+def _order_labels(
+    axes: Axes, box: tuple[float, float, float, float], orders: list[dict[str, Any]]
+) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
+    """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
     left, bottom, width, height = box
     (f_low, f_high), (low, high) = axes.get_xlim(), axes.get_ylim()
     loudest = max((float(record.get("amplitude") or 0) for record in orders), default=0.0)
     top, side = [], []
     for number, record in enumerate(orders):
-        order = float(record["order"])
+        order, text = float(record["order"]), order_text(nominal_order(record))
         weight = "bold" if loudest > 0 and float(record.get("amplitude") or 0) == loudest else "normal"
         if f_low <= order * high / 60 <= f_high:
             place = left + width * (order * high / 60 - f_low) / (f_high - f_low)
-            top.append(EdgeLabel(place, order_text(nominal_order(record)), INK, number, weight))
+            top.append(EdgeLabel(place, text, INK, number, weight))
         elif low < 60 * f_high / order < high:
-            side.append(
-                EdgeLabel(
-                    bottom + height * (60 * f_high / order - low) / (high - low),
-                    order_text(nominal_order(record)),
-                    INK,
-                    number,
-                    weight,
-                )
-            )
-    named = [
-        EdgeLabel(left + width * (float(mode["frequency_hz"]) - f_low) / (f_high - f_low),
-                  f"{frequency_text(float(mode['frequency_hz']))} Hz",
-                  MAINS if is_tone(mode) else MODE, number)
-        for number, mode in enumerate(modes) if f_low <= float(mode["frequency_hz"]) <= f_high
-    ]  # fmt: skip
-    figure = axes.figure
-    assert isinstance(figure, Figure)
-    lines = label_top(figure, box, [fitted(top, width), fitted(named, width)])
-    label_right(figure, box, side)
-    if top:
-        write(figure, left - 0.3, lines[0], "order", ha="right", va="bottom", fontsize=SMALL, color=INK)
-    if side:
-        write(
-            figure,
-            left + width + 0.06,
-            bottom + height + 0.14,
-            "order",
-            ha="left",
-            va="bottom",
-            fontsize=SMALL,
-            color=INK,
-        )
+            place = bottom + height * (60 * f_high / order - low) / (high - low)
+            side.append(EdgeLabel(place, text, INK, number, weight))
+    return top, side
 
 
 def _legend(figure: Figure, *, orders: bool, modes: list[dict[str, Any]], circles: bool) -> None:

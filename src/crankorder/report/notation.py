@@ -11,7 +11,7 @@ from crankorder.settings import ReportSettings
 
 _TYPOGRAPHY = {
     "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
-    "degree": "°", "1": "",
+    "degree": "°", "1": "", "min-1": "rpm",
 }  # fmt: skip
 _SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
 _SI_PRESSURE = {"Pa": 1.0, "uPa": 1e-6, "mPa": 1e-3, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5}
@@ -73,7 +73,7 @@ def number_text(value: float, *, digits: int = 3) -> str:
 
 
 def _decimals(width: float, value: float) -> int:
-    """Decimals that resolve about a quarter of an interval of ``width``, and never more than six digits of ``value``."""
+    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
     size = math.floor(math.log10(max(abs(value), width, 1e-300)))
     wanted = -math.floor(math.log10(0.26 * width)) if width > 0 else 2 - size
     return min(wanted, 5 - size)
@@ -121,7 +121,8 @@ def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tu
     if quantity == "acceleration" and unit in _SI_ACCELERATION:
         reference = settings.acceleration_reference_m_s2
         return reference / _SI_ACCELERATION[unit], f"dB re {_power(reference)} m/s² (peak)"
-    if (quantity == "sound_pressure" and unit in _SI_PRESSURE) or (quantity == "pressure" and unit == "Pa"):
+    sound = quantity.casefold().replace("_", " ") == "sound pressure"
+    if unit in _SI_PRESSURE and (sound or (quantity == "pressure" and unit == "Pa")):
         reference = settings.pressure_reference_pa
         return reference / _SI_PRESSURE[unit], f"dB re {number_text(reference * 1e6, digits=2)} µPa (peak)"
     return 1.0, f"dB re 1 {unit_text(unit)} (peak)".replace("1  ", "1 ")

@@ -221,7 +221,9 @@ def _how_sure(findings: dict[str, Any]) -> list[str]:
     fraction = findings.get("unexplained_energy_fraction")
     if is_number(fraction):
         share = number_text(100 * float(fraction), digits=2)
-        sentences.append(f"{share} % of the energy of the lines that were found has no known cause.")
+        known = float(fraction) == 0
+        text = "All the energy of the lines that were found has a known cause."
+        sentences.append(text if known else f"{share} % of the energy of the lines that were found has no known cause.")
     count = Counter(str(flag.get("severity", "info")) for flag in findings.get("quality", []))
     if count["bad"]:
         sentences.append(f"{_remarks(count['bad'])} bad: those data took no part in the averages.")

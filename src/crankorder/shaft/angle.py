@@ -242,10 +242,10 @@ def _hermite(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _hermite_inverse(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
-    """Newton's method kept within the interval by bisection; two steps from a first guess by fixed point or series."""
+    """Newton's method kept within the interval by bisection; the first guess is one step of fixed point."""
     out = np.empty(wanted.size)
     k, current = 0, -1
-    c1 = c2 = c3 = step = rise = 0.0
+    c1 = c2 = c3 = step = rise = bend = 0.0
     for i in range(wanted.size):
         a = wanted[i]
         if not (angle[0] <= a <= angle[-1]):
@@ -259,10 +259,11 @@ def _hermite_inverse(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
             c1 = rate[k] * step / rise
             c2 = 3.0 - 2.0 * c1 - rate[k + 1] * step / rise
             c3 = c1 + rate[k + 1] * step / rise - 2.0
+            bend = abs(c2) + 3.0 * abs(c3)
+            bend = 2.0 * bend if bend < 0.2 else 10.0
         y = (a - angle[k]) / rise
-        low, high, x = 0.0, 1.0, y
-        if c1 > 0.1:
-            x = y / c1 * (1.0 - c2 * y / (c1 * c1)) if y < 0.1 else y - (x * (c1 + x * (c2 + x * c3)) - y)
+        low, high = 0.0, 1.0
+        x = 2.0 * y - y * (c1 + y * (c2 + y * c3))
         for _ in range(60):
             if not (low <= x <= high):
                 x = 0.5 * (low + high)
@@ -273,8 +274,8 @@ def _hermite_inverse(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
                 low = x
             slope = c1 + x * (2.0 * c2 + 3.0 * x * c3)
             change = miss / slope if slope > 0.0 else 1.0
-            # the next step of Newton's method would change x by the square of this one
-            if miss == 0.0 or abs(change) < 1e-8 or high - low < 1e-16:
+            # the next step of Newton's method would change x by bend * change^2
+            if miss == 0.0 or bend * change * change < 1e-15 or high - low < 1e-16:
                 x = x if slope == 0.0 else x - change
                 break
             x -= change

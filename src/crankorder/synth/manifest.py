@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,6 +24,7 @@ def manifest_text(scene: Scene, engine_name: str) -> str:
     else:
         sampling = {"samples_per_rev": scene.sampling.samples_per_rev, "start_deg": 0.0}
         table["sampling"] = {"domain": "crank_angle", **sampling}
+        table["recordings"]["speed_rpm"] = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
     table["channels"] = [
         {
             "name": channel.name,
@@ -54,13 +56,19 @@ def toml_text(table: Mapping[str, Any], prefix: str = "") -> str:
     """TOML text of ``table``: plain values first, then its tables and lists of tables under ``prefix``."""
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     lists = {key: value for key, value in table.items() if _is_list_of_tables(value)}
-    lines = [f"{key} = {_value(value)}" for key, value in table.items() if key not in tables and key not in lists]
+    lines = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if key not in tables and key not in lists]
     text = "".join(f"{line}\n" for line in lines)
     for key, inner in tables.items():
-        text += f"\n[{prefix}{key}]\n{toml_text(inner, f'{prefix}{key}.')}"
+        path = f"{prefix}{_key(key)}"
+        text += f"\n[{path}]\n{toml_text(inner, f'{path}.')}"
     for key, items in lists.items():
-        text += "".join(f"\n[[{prefix}{key}]]\n{toml_text(item, f'{prefix}{key}.')}" for item in items)
+        path = f"{prefix}{_key(key)}"
+        text += "".join(f"\n[[{path}]]\n{toml_text(item, f'{path}.')}" for item in items)
     return text
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
 
 
 def _is_list_of_tables(value: Any) -> bool:
