@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.quantities import check_dataset
+from crankorder.quantities import check_dataset, schema_of
 from crankorder.settings import ReportSettings, load_settings
 
 ORDERS = (1.0, 2.0, 3.0, 4.0, 5.5, 8.0, 10.0)
@@ -100,31 +100,18 @@ def _tracks(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...
 
 
 def _order_map(speeds: np.ndarray, coords: dict[str, Any], gains: np.ndarray) -> xr.Dataset:
+    """Every variable and attribute that the schema asks for: the report stores an order map and draws none."""
     order = np.arange(0, 20.03, 1 / 16)
-    shape = (len(gains), len(speeds), len(order))
-    values = gains[:, None, None] * np.random.default_rng(4).gamma(8, 1e-4, shape)
-    dims = ("channel", "speed", "order")
-    seen = {"units": "see unit"}
-    return xr.Dataset(
-        {
-            "amplitude": (dims, values, seen),
-            "phase": (dims, np.zeros(shape), {"units": "degree"}),
-            "coherent_amplitude": (dims, values / 3, seen),
-            "standard_error": (dims, values / 10, seen),
-            "spectral_kurtosis": (dims, np.zeros(shape), {"units": "1"}),
-            "n_frames": ("speed", np.full(len(speeds), 14), {"units": "1"}),
-        },
-        coords | {"speed": ("speed", speeds, {"units": "min-1"}), "order": ("order", order, {"units": "1"})},
-        {
-            "window": "hann",
-            "enbw_bins": 1.5,
-            "revs_per_frame": 16,
-            "amplitude_scaling": "peak",
-            "phase_reference": "tdc",
-            "overlap": 0.5,
-            "cycle_known": 1,
-        },
-    )
+    axes = {"speed": ("speed", speeds, {"units": "min-1"}), "order": ("order", order, {"units": "1"})}
+    size = {"channel": len(gains), "speed": len(speeds), "order": len(order)}
+    rng, schema = np.random.default_rng(4), schema_of("order_map")["properties"]
+    variables = {}
+    for name, rule in schema["variables"]["properties"].items():
+        dims = rule["properties"]["dims"]["enum"][0]
+        if name not in {*coords, *axes}:
+            values = rng.gamma(8, 1e-4, [size[dim] for dim in dims])
+            variables[name] = (dims, values, {"units": rule["properties"]["units"].get("const", "1")})
+    return xr.Dataset(variables, coords | axes, dict.fromkeys(schema["attrs"]["required"], "stated"))
 
 
 def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:

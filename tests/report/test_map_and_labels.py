@@ -83,4 +83,4 @@ def test_text_that_the_font_does_not_know_is_spelled_out_and_never_warns() -> No
 
 
 def test_decades_are_written_without_markup() -> None:
-    assert [decade_text(value) for value in (1.0, 0.001, 1e-4, 1e6)] == ["1", "0.001", "10⁻⁴", "10⁶"]
+    assert [decade_text(value) for value in (1.0, 0.002, 1e-4, 5e-6, 1e6)] == ["1", "0.002", "10⁻⁴", "5·10⁻⁶", "10⁶"]

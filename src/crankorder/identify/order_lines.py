@@ -26,7 +26,10 @@ FOLLOWED_SPEEDS = 8
 """A line that is neither locked nor steady must be seen at so many speeds …"""
 
 FOLLOWED_BINS = 20.0
-"""… between which a line of fixed frequency would have moved by so many bins."""
+"""… between which a line of fixed frequency would have moved by so many bins …"""
+
+FOLLOWED_SIGMAS = 6.0
+"""… and stand so many standard deviations of the noise above the orders beside it."""
 
 Evidence = Literal["locked to the shaft", "steady, not locked", "follows the speed"]
 
@@ -95,7 +98,7 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     for channel in range(len(excess)):
         for peak in _peaks(excess[channel], axis, speed, needed):
             seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
-            evidence = _evidence(order_map, channel, int(peak), seen, settings.false_alarm_probability)
+            evidence = _evidence(order_map, ratio[channel], channel, int(peak), seen, settings.false_alarm_probability)
             if evidence is not None:
                 lines.append(_line(order_map, channel, int(peak), seen, ratio, floor, evidence))
     return lines
@@ -111,24 +114,40 @@ def _highest_of_three(energy: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _evidence(
-    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
+    order_map: xr.Dataset,
+    ratio: NDArray[np.float64],
+    channel: int,
+    peak: int,
+    seen: NDArray[np.int64],
+    false_alarm_probability: float,
 ) -> Evidence | None:
     """What tells the line from a resonance that noise excites; None where nothing does."""
     if _is_locked(order_map, channel, peak, seen, false_alarm_probability):
         return "locked to the shaft"
     if _is_steady(order_map, channel, peak, seen):
         return "steady, not locked"
-    if _follows(order_map, peak, seen):
+    if _follows(order_map, ratio, peak, seen):
         return "follows the speed"
     return None
 
 
-def _follows(order_map: xr.Dataset, peak: int, seen: NDArray[np.int64]) -> bool:
-    """Whether the line was seen at most speeds of a range in which a fixed frequency would have moved far."""
-    axis, speed = order_map["order"].values, order_map["speed"].values[seen]
-    moved = axis[peak] * (speed.max() / speed.min() - 1.0) / (axis[1] - axis[0])
-    spanned = int(seen[-1] - seen[0]) + 1
-    return len(seen) >= FOLLOWED_SPEEDS and len(seen) >= 0.5 * spanned and bool(moved >= FOLLOWED_BINS)
+def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether the line is a sharp ridge along its order over speeds at which a fixed frequency would have moved far.
+
+    ``ratio`` (speeds, orders) is the energy over its floor. A resonance sweeps over all orders and raises neighbours
+    alike; the logarithm of the energy of one frame of noise scatters by pi / sqrt(6) about its mean.
+    """
+    axis, speed = order_map["order"].values, order_map["speed"].values
+    moved = axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) / (axis[1] - axis[0])
+    if len(seen) < FOLLOWED_SPEEDS or moved < FOLLOWED_BINS:
+        return False
+    span = slice(int(seen[0]), int(seen[-1]) + 1)
+    height = np.log(np.maximum(ratio[span], 1e-3)).mean(axis=0)
+    beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 <= k < len(axis)]
+    frames = float(order_map["n_frames"].values[span].sum())
+    independent = frames * min(1.0, 2.0 * (1.0 - float(order_map.attrs["overlap"])))
+    scatter = np.pi / np.sqrt(6.0 * independent)
+    return bool(height[peak] - height[beside].mean() > FOLLOWED_SIGMAS * scatter)
 
 
 def _is_locked(

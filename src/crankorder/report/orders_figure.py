@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from crankorder.report.cells import gaps_between, speed_cells
@@ -23,10 +23,10 @@ from crankorder.report.style import (
     NOTE,
     SMALL,
     axes_at,
-    decade_text,
     drawable,
     house_style,
     line_look,
+    log_scale,
     new_figure,
     quality_note,
     quiet_frame,
@@ -178,11 +178,7 @@ def _scale(axes: Axes, alike: xr.Dataset) -> bool:
         axes.set_ylim(0, 1.08 * top)
         axes.yaxis.set_major_locator(MaxNLocator(6))
         return False
-    axes.set_yscale("log")
-    axes.set_ylim(max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), 1.6 * top)
-    axes.yaxis.set_major_locator(LogLocator(numticks=8))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(decade_text))
+    log_scale(axes, max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), 1.6 * top, most_ticks=8)
     return True
 
 

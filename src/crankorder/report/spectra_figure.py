@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from crankorder.report.labels import EdgeLabel, fitted, label_top
@@ -22,9 +21,9 @@ from crankorder.report.style import (
     NOTE,
     SMALL,
     axes_at,
-    decade_text,
     drawable,
     house_style,
+    log_scale,
     new_figure,
     quality_note,
     quiet_frame,
@@ -109,11 +108,7 @@ def _log_axis(axes: Axes, values: NDArray[Any]) -> None:
         axes.set_yticks([])
         return
     top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
-    axes.set_yscale("log")
-    axes.set_ylim(max(quiet / 2, top * 10**-_DECADES), 2.5 * top)
-    axes.yaxis.set_major_locator(LogLocator(numticks=6))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(decade_text))
+    log_scale(axes, max(quiet / 2, top * 10**-_DECADES), 2.5 * top, most_ticks=6)
 
 
 def _mark_modes(panels: list[Axes], findings: dict[str, Any]) -> list[tuple[float, str, str]]:

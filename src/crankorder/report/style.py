@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import get_font
 from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from crankorder.errors import printable
 
@@ -148,10 +149,27 @@ def line_look(number: int) -> dict[str, Any]:
     return {"color": LINES[number % len(LINES)], "linestyle": DASHES[turn], "marker": MARKERS[turn]}
 
 
+_FEW_DECADES = 2.0
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def decade_text(value: float, _position: int | None = None) -> str:
-    """Tick text of a power of ten: plain from 0.001 to 1000, else as 10⁻⁵; ``value`` > 0, ``_position`` is not used."""
-    exponent = round(float(np.log10(value)))
-    return f"{value:g}" if -3 <= exponent <= 3 else "10" + str(exponent).translate(_RAISED)
+    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0; no ``_position``."""
+    exponent = int(np.floor(np.log10(value) + 1e-9))
+    if -3 <= exponent <= 3:
+        return f"{value:g}"
+    mantissa = f"{value / 10.0**exponent:.0f}·"
+    return ("" if mantissa == "1·" else mantissa) + "10" + str(exponent).translate(_RAISED)
+
+
+def log_scale(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
+    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
+
+    ``most_ticks`` labelled at most.
+    """
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if np.log10(high / low) < _FEW_DECADES else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(decade_text))
