@@ -29,7 +29,7 @@ from crankorder.engine.definition import load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.explain import Sources
-from crankorder.quantities import flags_of
+from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import toml_table
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
@@ -47,6 +47,7 @@ class Outcome:
     status: str = "failed"
     faults: list[CrankorderError] = field(default_factory=list)
     internal: list[BaseException] = field(default_factory=list)
+    flags: list[QualityFlag] = field(default_factory=list)
     findings: dict[str, Any] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -108,7 +109,7 @@ def _finish(
     made = analyse_test(list(results.values()), test=plan.name, sources=_sources(plan), settings=plan.settings)
     clock.lap("test")
     findings = dict(made.findings)
-    findings["quality"] = findings["quality"] + _fault_flags(outcome.faults)
+    findings["quality"] = [*findings["quality"], *outcome.flags, *_fault_flags(outcome.faults)]
     groups = {
         "order_map": made.order_map,
         "campbell_map": made.campbell_map,
@@ -156,12 +157,15 @@ def _analyse(
     results: dict[Path, RecordingResult] = {}
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(hashes[path], path) == path]
-    copies = [path for path in plan.recordings if path not in wanted]
-    outcome.faults += [
-        InputError(
-            "the same bytes as another recording: counted once", file=path.name, found=first_of[hashes[path]].name
-        )
-        for path in copies
+    outcome.flags += [
+        {
+            "recording": path.name,
+            "flag": "duplicate_of",
+            "severity": "info",
+            "detail": f"the same bytes as {first_of[hashes[path]].name}: counted once",
+        }
+        for path in plan.recordings
+        if path not in wanted
     ]
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         futures: dict[Future[RecordingResult], Path] = {
@@ -267,7 +271,7 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
     return summary
 
 
-def _fault_flags(faults: list[CrankorderError]) -> list[dict[str, Any]]:
+def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:
     return [
         {"recording": Path(fault.file).name, "flag": "not_used", "severity": "bad", "detail": str(fault)}
         for fault in faults

@@ -13,7 +13,7 @@ from crankorder.report.sentences import headline
 
 
 def summary(outcomes: list[Outcome], *, out: Path) -> dict[str, Any]:
-    """Name, status, folder, headline and faults of each of ``outcomes``, as ``batch.json`` and ``--json`` state them.
+    """Name, status, folder, headline and failed recordings of each of ``outcomes``: what ``--json`` says.
 
     ``out`` is the folder that the tests' folders are named relative to.
     """
@@ -22,24 +22,25 @@ def summary(outcomes: list[Outcome], *, out: Path) -> dict[str, Any]:
 
 def _record(outcome: Outcome, out: Path) -> dict[str, Any]:
     plan = outcome.plan
-    findings = outcome.findings
-    faults = [str(fault) for fault in outcome.faults]
-    faults += [f"internal fault: {type(error).__name__}: {printable(error)}" for error in outcome.internal]
+    folder = plan.out.relative_to(out).as_posix()
+    failed = [{"recording": Path(fault.file).name, "error": str(fault)} for fault in outcome.faults]
+    failed += [
+        {"recording": "", "error": f"internal fault: {type(error).__name__}: {printable(error)}"}
+        for error in outcome.internal
+    ]
     return {
         "name": plan.name,
         "status": outcome.status,
-        "folder": plan.out.relative_to(out).as_posix(),
+        "folder": folder,
+        "link": None if outcome.status == "failed" else f"{folder}/report.html",
         "recordings": len(plan.recordings),
-        "headline": [] if findings is None else headline(findings),
-        "faults": faults,
+        "headline": [] if outcome.findings is None else headline(outcome.findings),
+        "failed": failed,
     }
 
 
 def publish_index(out: Path, outcomes: list[Outcome]) -> None:
-    """Write ``batch.json`` and ``index.html`` of ``outcomes`` into ``out``.
-
-    A test that was unchanged keeps the words of its own findings. Raises EnvironmentFailure where it cannot write.
-    """
+    """Write ``batch.json`` and ``index.html`` of ``outcomes`` into ``out``; EnvironmentFailure where it cannot."""
     document = summary(outcomes, out=out)
     try:
         out.mkdir(parents=True, exist_ok=True)

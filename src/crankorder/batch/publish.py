@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from crankorder.batch.plan import folder_name
 from crankorder.batch.store import json_bytes
-from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.figures import png_bytes
-from crankorder.report.netcdf import findings_datasets, results_bytes
-from crankorder.report.orders_figure import orders_figure
+from crankorder.report.figures import (
+    campbell_figure,
+    order_spectra_figure,
+    orders_figure,
+    png_bytes,
+    spectra_figure,
+)
+from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes
 from crankorder.report.page import report_page
-from crankorder.report.spectra_figure import spectra_figure
 from crankorder.settings import ReportSettings
 
 
@@ -29,9 +33,11 @@ def pictures(
             figure = campbell_figure(campbell, channel, findings, settings=settings)
             name = f"campbell_{folder_name(channel, taken)}.png"
             made[name] = (png_bytes(figure, dpi=settings.dpi), f"Campbell diagram, {channel}")
-    if tracks.sizes["order"] and tracks.sizes["speed"]:
+    if tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
         figure = orders_figure(tracks, findings, settings=settings)
         made["orders.png"] = (png_bytes(figure, dpi=settings.dpi), "Orders against speed: amplitude and phase")
+    figure = order_spectra_figure(groups["order_map"], findings, settings=settings)
+    made["order_spectra.png"] = (png_bytes(figure, dpi=settings.dpi), "Order spectra: what shakes, order by order")
     if campbell.sizes["speed"]:
         figure = spectra_figure(campbell, findings, settings=settings)
         made["spectra.png"] = (png_bytes(figure, dpi=settings.dpi), "Spectra: what stays and what moves with speed")
@@ -50,7 +56,7 @@ def test_files(
     ``groups`` are the datasets by group name, ``findings`` what they say, ``provenance`` what ``run.json`` states;
     ``settings`` shape pictures and page.
     """
-    drawn = pictures(groups, findings, settings=settings)
+    drawn = pictures(as_stored(groups), findings, settings=settings)
     captions = [(name, caption) for name, (_, caption) in drawn.items()]
     page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
     attrs = {"title": str(findings["test"]), "source": f"crankorder {provenance['crankorder']}"}

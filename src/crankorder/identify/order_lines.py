@@ -161,7 +161,7 @@ def _is_locked(
     """
     energy = order_map["amplitude"].values[channel, seen, peak] ** 2
     coherence = order_map["coherent_amplitude"].values[channel, seen, peak] ** 2 / energy
-    n_independent = order_map["n_coherent"].values[seen]
+    n_independent = np.maximum(1.0, order_map["n_coherent"].values[seen, peak])
     evidence = float(np.sum(-(n_independent - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))))
     return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
 
@@ -191,7 +191,7 @@ def _peaks(
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
     seen = excess > 1.0
     enough = (seen.sum(axis=0) >= needed) & (score > 0.0) & (score >= highest)
-    if len(speed) > 1:
+    if len(speed) > 1 and np.isfinite(speed).all():
         fastest = np.where(seen, speed[:, None], -np.inf).max(axis=0)
         slowest = np.where(seen, speed[:, None], np.inf).min(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -12,7 +12,7 @@ from crankorder.errors import InputError
 from crankorder.fft.resampling import PASS_BAND, margin, values_at
 from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
-from crankorder.quantities import QualityFlag, with_flags
+from crankorder.quantities import QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, time_at
 
@@ -54,7 +54,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         "revs_per_frame": revs,
         "overlap": 1.0 - hop / len(window.values),
     }
-    return with_flags(frames, _flags(band, revs, settings, cycle))
+    return with_flags(frames, [*flags_of(shaft), *_flags(band, revs, settings, cycle)])
 
 
 def _by_angle(

@@ -40,7 +40,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     speed = np.concatenate([item["speed"].values for item in used])
     owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
     spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1)
-    groups = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
+    groups = _groups(speed, owner, settings)
     comparable = _comparable(used, order)
     count = np.array([len(group) for group in groups], dtype=np.int64)
     independent, independent_phase = _independent(count, float(used[0].attrs["overlap"]))
@@ -51,25 +51,33 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     energy = np.stack([part[0] for part in parts], axis=1)
     coherent = np.stack([part[1] for part in parts], axis=1)
     kurtosis = np.stack([part[2] for part in parts], axis=1)
-    n_coherent = np.stack([part[3] for part in parts])[None]
+    apart = np.stack([part[3] for part in parts])[None]
+    n_coherent = independent_phase[:, None] / apart[0]
     line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
     bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
-    floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=n_coherent)
+    floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=apart)
     residual = _residual_power(energy, coherent, independent_phase)
-    enough = (independent_phase[None, :, None] >= RESIDUAL_FRAMES) & (n_coherent == 1) & np.isfinite(residual)
+    enough = (independent_phase[None, :, None] >= RESIDUAL_FRAMES) & (apart == 1) & np.isfinite(residual)
     floor = np.where(enough, residual, floor)
     result = _dataset(used[0], order, np.array([np.mean(speed[group]) for group in groups]), settings)
     dims = ("channel", "speed", "order")
     _put(result, "amplitude", dims, np.sqrt(energy), "peak amplitude, energy average")
     _put(result, "coherent_amplitude", dims, np.abs(coherent), "peak amplitude, coherent average")
-    phase = np.where(n_coherent == 1, np.degrees(np.angle(coherent)), np.nan)
+    phase = np.where(apart == 1, np.degrees(np.angle(coherent)), np.nan)
     _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
     _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
     _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
     _put(result, "n_independent", ("speed",), independent, "independent power spectra", "1")
-    _put(result, "n_coherent", ("speed",), independent_phase, "independent complex spectra", "1")
+    _put(result, "n_coherent", ("speed", "order"), n_coherent, "independent complex spectra", "1")
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(dropped, longest))
+
+
+def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: OrderSettings) -> list[NDArray[np.int64]]:
+    """Frames of like speed; those of unknown speed by recording, for nothing says that two ran alike."""
+    known = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
+    unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
+    return [*known, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
 
 
 def _independent(count: NDArray[np.int64], overlap: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

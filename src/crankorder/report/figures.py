@@ -7,11 +7,12 @@ from io import BytesIO
 from matplotlib.figure import Figure
 
 from crankorder.report.campbell_figure import campbell_figure
+from crankorder.report.order_spectra_figure import order_spectra_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.spectra_figure import spectra_figure
 from crankorder.report.style import house_style
 
-__all__ = ["campbell_figure", "orders_figure", "png_bytes", "spectra_figure"]
+__all__ = ["campbell_figure", "order_spectra_figure", "orders_figure", "png_bytes", "spectra_figure"]
 
 
 def png_bytes(figure: Figure, *, dpi: int) -> bytes:

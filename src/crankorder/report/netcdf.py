@@ -46,6 +46,17 @@ def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any])
     return buffer.getvalue()
 
 
+def as_stored(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """``groups`` with every value as :func:`results_bytes` keeps it, so that a picture redrawn later is the same."""
+    return {name: dataset.map(_as_stored, keep_attrs=True) for name, dataset in groups.items()}
+
+
+def _as_stored(values: xr.DataArray) -> xr.DataArray:
+    if values.dtype.kind != "f":
+        return values
+    return values.copy(data=_narrow(str(values.name), values.values))
+
+
 def _write_group(group: Any, dataset: xr.Dataset) -> None:
     _write_attrs(group, dataset.attrs)
     group.dimensions = {str(name): size for name, size in sorted(dataset.sizes.items(), key=lambda item: str(item[0]))}
@@ -197,13 +208,19 @@ def _read_group(group: Any) -> xr.Dataset:
     for name, variable in group.variables.items():
         values, attrs = np.asarray(variable[...]), dict(variable.attrs)
         coords |= set(str(attrs.pop("coordinates", "")).split())
-        variables[name] = (variable.dimensions, values.astype(str) if values.dtype.kind == "O" else values, attrs)
+        variables[name] = (variable.dimensions, _text(values) if values.dtype.kind == "O" else values, attrs)
     for name in [
         name.removesuffix("_real") for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables
     ]:
         (dims, real, attrs), (_, imaginary, _) = variables.pop(f"{name}_real"), variables.pop(f"{name}_imag")
         variables[name] = (dims, real + 1j * imaginary, attrs)
     return xr.Dataset(variables, attrs=dict(group.attrs)).set_coords(sorted(coords & set(variables)))
+
+
+def _text(values: NDArray[Any]) -> NDArray[Any]:
+    """Array of text from one of text or UTF-8 bytes."""
+    decoded = [item.decode("utf-8") if isinstance(item, bytes) else str(item) for item in values.ravel()]
+    return np.array(decoded, dtype=str).reshape(values.shape)
 
 
 def _safe_groups(file: h5py.File, path: Path) -> list[str]:

@@ -54,13 +54,15 @@ def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: 
         left = [axes_at(figure, _LEFT, bottom, width, row) for bottom in boxes]
         right = [axes_at(figure, _LEFT + width + _BETWEEN, bottom, width, row) for bottom in boxes]
         rpm = float(campbell["speed"].values[-1])
-        _draw_column(left, campbell, _median_psd(campbell), "²/Hz", settings=settings)
-        _draw_column(right, campbell, campbell["amplitude"].isel(speed=-1).values, " (peak)", settings=settings)
+        draw_column(left, campbell, "frequency", _median_psd(campbell), "²/Hz", settings=settings)
+        draw_column(
+            right, campbell, "frequency", campbell["amplitude"].isel(speed=-1).values, " (peak)", settings=settings
+        )
         modes = _mark_modes(left, findings)
         orders = _mark_orders(right, campbell, findings, rpm, limit=settings.max_labelled_orders)
         top = boxes[0], row
-        _label(figure, (_LEFT, top[0], width, top[1]), left[0], modes, "")
-        _label(figure, (_LEFT + width + _BETWEEN, top[0], width, top[1]), right[0], orders, "order")
+        label_column(figure, (_LEFT, top[0], width, top[1]), left[0], modes, "")
+        label_column(figure, (_LEFT + width + _BETWEEN, top[0], width, top[1]), right[0], orders, "order")
         name = drawable(findings.get("test", ""), settings.max_name_characters)
         title_lines(figure, _LEFT, f"{name} · spectra", _subtitle(campbell.sizes["speed"], rpm))
         quality_note(figure, findings)
@@ -79,27 +81,38 @@ def _median_psd(campbell: xr.Dataset) -> NDArray[np.float64]:
     return np.asarray(np.median(campbell["psd"].transpose("channel", "speed", "frequency").values, axis=1), dtype=float)
 
 
-def _draw_column(
-    panels: list[Axes], campbell: xr.Dataset, values: NDArray[Any], unit_tail: str, *, settings: ReportSettings
+def draw_column(
+    panels: list[Axes],
+    dataset: xr.Dataset,
+    along: str,
+    values: NDArray[Any],
+    unit_tail: str,
+    *,
+    settings: ReportSettings,
 ) -> None:
-    frequency, units = campbell["frequency"].values, campbell["unit"].values.astype(str)
+    """Draw ``values`` (channels, bins) of ``dataset``, one of ``panels`` per channel, on logarithmic axes.
+
+    ``along`` is the axis of the bins: "frequency" or "order"; ``unit_tail`` follows each channel's unit; ``settings``
+    cut long names.
+    """
+    place, units = dataset[along].values, dataset["unit"].values.astype(str)
     height_in = float(panels[0].get_position().height * panels[0].figure.get_size_inches()[1])  # type: ignore[union-attr]
     for number, axes in enumerate(panels):
         quiet_frame(axes)
         own = values[number]
         alike = values[units == units[number]]
-        axes.set_xlim(float(frequency[0]), float(frequency[-1]))
+        axes.set_xlim(float(place[0]), float(place[-1]))
         _log_axis(axes, alike)
         if np.any(own > 0):
-            axes.plot(frequency, np.where(own > 0, own, np.nan), color=INK, linewidth=0.8, gid="spectrum")
+            axes.plot(place, np.where(own > 0, own, np.nan), color=INK, linewidth=0.8, gid="spectrum")
         else:
             axes.text(0.5, 0.5, "no signal", transform=axes.transAxes, **NOTE)
         axes.tick_params(labelbottom=axes is panels[-1])
-        name = shortened(drawable(campbell["channel"].values[number], settings.max_name_characters), NORMAL, height_in)
+        name = shortened(drawable(dataset["channel"].values[number], settings.max_name_characters), NORMAL, height_in)
         unit = drawable(unit_text(units[number]), 24)
         squared = f"({unit})" if "²/Hz" in unit_tail and "/" in unit else unit
         axes.set_ylabel(f"{name}\n{squared}{unit_tail}", parse_math=False, labelpad=3)
-    panels[-1].set_xlabel("Frequency, Hz")
+    panels[-1].set_xlabel("Frequency, Hz" if along == "frequency" else "Order (cycles per crank revolution)")
 
 
 def _log_axis(axes: Axes, values: NDArray[Any]) -> None:
@@ -154,13 +167,17 @@ def _mark_orders(
     return [(order * rpm / 60, order_text(order), LINES[1]) for order in kept]
 
 
-def _label(
+def label_column(
     figure: Figure,
     box: tuple[float, float, float, float],
     axes: Axes,
     marks: list[tuple[float, str, str]],
     caption: str,
 ) -> None:
+    """Write ``marks`` (place, text, colour) over the panel ``axes`` of ``figure``, which fills ``box`` (inches).
+
+    ``caption`` stands before them: what the marks are.
+    """
     low, high = axes.get_xlim()
     labels = [
         EdgeLabel(box[0] + box[2] * (place - low) / (high - low), text, color, number)

@@ -1,0 +1,267 @@
+"""The command line, end to end, on a small synthetic test: results, reruns, bad input, exit status."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from crankorder.cli import main
+
+
+def crankorder(*arguments: object):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def findings_in(out: Path) -> dict:
+    return json.loads(next(out.glob("*/findings.json")).read_bytes())
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """The short version of the reference campaign, with its truth."""
+    folder = tmp_path_factory.mktemp("campaign") / "recordings"
+    assert crankorder("synth", "thesis-second-motoring", "--out", folder, "--quick", "-q").exit_code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def analysed(campaign, tmp_path_factory):
+    out = tmp_path_factory.mktemp("analysed")
+    outcome = crankorder("run", campaign, "--out", out)
+    assert outcome.exit_code == 0, outcome.output
+    return out
+
+
+@pytest.fixture
+def four_speeds(campaign, tmp_path):
+    """A folder of its own with four of the recordings, to be spoiled."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name in ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5", "rpm_1800.h5"):
+        shutil.copy(campaign / name, folder / name)
+    return folder
+
+
+class TestResults:
+    def test_the_orders_of_the_truth_that_stand_out_are_found(self, analysed):
+        found = {(record["channel"], round(record["order"], 1)) for record in findings_in(analysed)["orders"]}
+        assert {("Y", 1.0), ("Z", 1.0), ("Z", 2.0), ("X", 5.5), ("Y", 5.5), ("Z", 5.5)} <= found
+        assert {order for _, order in found} <= {1.0, 2.0, 3.0, 4.0, 5.5, 8.0, 10.0}
+
+    def test_every_natural_frequency_of_the_truth_is_found_within_one_percent_and_no_other(self, analysed, campaign):
+        truth = [mode["frequency_hz"] for mode in json.loads((campaign / "truth.json").read_bytes())["modes"]]
+        found = [mode["frequency_hz"] for mode in findings_in(analysed)["modes"]]
+        np.testing.assert_allclose(found, truth, rtol=0.01)
+
+    def test_amplitude_and_phase_of_order_one_are_those_of_the_truth(self, analysed, campaign):
+        truth = json.loads((campaign / "truth.json").read_bytes())["orders"]
+        record = next(item for item in truth if item["channel"] == "Z" and item["order"] == 1.0)
+        tracks = xr.load_dataset(next(analysed.glob("*/results.nc")), group="order_tracks", engine="h5netcdf")
+        track = tracks.sel(channel="Z", order=1.0)
+        expected = np.array(record["amplitude_by_speed"]) * np.exp(1j * np.radians(record["phase_deg_by_speed"]))
+        measured = track["amplitude"].values * np.exp(1j * np.radians(track["phase"].values))
+        # each of real and imaginary part is within four standard errors at every speed
+        assert np.all(np.abs(measured - expected) < 4 * np.sqrt(2) * track["standard_error"].values + 1e-4)
+
+    def test_the_bearing_line_is_named(self, analysed):
+        lines = {(record["name"], record["line"]) for record in findings_in(analysed)["bearings"]}
+        assert ("jack shaft", "N*fs") in lines
+
+    def test_every_file_of_the_contract_is_there(self, analysed):
+        (folder,) = [path.parent for path in analysed.glob("*/findings.json")]
+        names = {path.name for path in folder.iterdir()}
+        pictures = {
+            "campbell_X.png",
+            "campbell_Y.png",
+            "campbell_Z.png",
+            "orders.png",
+            "order_spectra.png",
+            "spectra.png",
+        }
+        assert names == pictures | {
+            "results.nc",
+            "findings.json",
+            "report.html",
+            "run.json",
+            "timings.json",
+            "done.json",
+        }
+        assert (analysed / "index.html").exists()
+        assert f'href="./{folder.name}/report.html"' in (analysed / "index.html").read_text()
+
+    def test_nothing_of_host_or_time_is_in_run_json(self, analysed):
+        import socket
+
+        text = next(analysed.glob("*/run.json")).read_text()
+        assert str(Path.home()) not in text.replace('"', "") or str(Path.home()) == "/"
+        assert socket.gethostname() not in text
+        assert str(analysed) not in text
+
+
+class TestRerun:
+    def test_the_same_input_gives_the_same_bytes_with_one_worker_and_with_two(self, four_speeds, tmp_path):
+        for jobs in (1, 2):
+            assert crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs, "-q").exit_code == 0
+        for path in sorted((tmp_path / "1").rglob("*")):
+            if path.is_file() and path.name != "timings.json":
+                assert path.read_bytes() == (tmp_path / "2" / path.relative_to(tmp_path / "1")).read_bytes(), path.name
+
+    def test_a_second_run_keeps_what_is_finished_and_a_changed_recording_is_recomputed(self, four_speeds, tmp_path):
+        out = tmp_path / "out"
+        assert "unchanged" not in crankorder("run", four_speeds, "--out", out).output
+        made = next(out.glob("*/results.nc")).stat().st_mtime_ns
+        assert "unchanged" in crankorder("run", four_speeds, "--out", out).output
+        assert next(out.glob("*/results.nc")).stat().st_mtime_ns == made
+        with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
+            file["acc_z"][0] += 1.0
+        assert "unchanged" not in crankorder("run", four_speeds, "--out", out).output
+
+    def test_damaged_results_are_never_taken_for_finished(self, four_speeds, tmp_path):
+        crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
+        path = next((tmp_path / "out").glob("*/results.nc"))
+        whole = path.read_bytes()
+        path.write_bytes(whole[:-100])
+        assert "unchanged" not in crankorder("run", four_speeds, "--out", tmp_path / "out").output
+        assert path.read_bytes() == whole
+
+    def test_report_redraws_the_same_bytes_from_results(self, four_speeds, tmp_path):
+        crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
+        folder = next((tmp_path / "out").glob("*/done.json")).parent
+        before = {path.name: path.read_bytes() for path in folder.iterdir()}
+        assert crankorder("report", folder).exit_code == 0
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+class TestBadInput:
+    def test_a_truncated_file_fails_alone_and_the_others_results_are_kept(self, four_speeds, tmp_path):
+        path = four_speeds / "rpm_1600.h5"
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 3
+        assert "rpm_1600.h5" in outcome.output and "truncated" in outcome.output
+        assert findings_in(tmp_path / "out")["orders"]
+        flags = findings_in(tmp_path / "out")["quality"]
+        assert [flag["recording"] for flag in flags if flag["severity"] == "bad"] == ["rpm_1600.h5"]
+
+    def test_a_file_that_the_manifest_names_and_nobody_has_fails_alone(self, four_speeds, tmp_path):
+        text = (four_speeds / "run.toml").read_text()
+        (four_speeds / "run.toml").write_text(text.replace('files = ["rpm_*.h5"]', 'files = ["rpm_*.h5", "lost.h5"]'))
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 3
+        assert "lost.h5" in outcome.output
+        assert findings_in(tmp_path / "out")["orders"]
+
+    def test_an_unknown_channel_names_those_that_the_file_has(self, four_speeds, tmp_path):
+        text = (four_speeds / "run.toml").read_text()
+        (four_speeds / "run.toml").write_text(text.replace('"acc_z"', '"acc_w"'))
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 4
+        assert "acc_w" in outcome.output and "acc_x" in outcome.output
+
+    def test_a_wrong_unit_is_refused_before_anything_is_written(self, four_speeds, tmp_path):
+        text = (four_speeds / "run.toml").read_text()
+        (four_speeds / "run.toml").write_text(text.replace('"m/s2"', '"metres"', 1))
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 2
+        assert "metres" in outcome.output and "m/s2" in outcome.output and "run.toml:" in outcome.output
+        assert not (tmp_path / "out").exists()
+
+    def test_no_pulses_say_so_and_what_to_do(self, four_speeds, tmp_path):
+        with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
+            file["encoder"][:] = 0.0
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 3
+        line = next(line for line in outcome.output.splitlines() if "rpm_1500.h5" in line)
+        assert "pulse" in line
+
+    def test_wrong_pulses_per_revolution_are_refused_with_both_numbers(self, four_speeds, tmp_path):
+        text = (four_speeds / "run.toml").read_text()
+        (four_speeds / "run.toml").write_text(text.replace("pulses_per_rev = 360", "pulses_per_rev = 720"))
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 4
+        assert "360" in outcome.output and "720" in outcome.output
+
+    def test_the_same_recording_twice_is_counted_once(self, four_speeds, tmp_path):
+        shutil.copy(four_speeds / "rpm_1500.h5", four_speeds / "rpm_1500_copy.h5")
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 0
+        assert "duplicate_of" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
+
+    def test_results_inside_the_recordings_are_refused(self, four_speeds):
+        outcome = crankorder("run", four_speeds, "--out", four_speeds / "results")
+        assert outcome.exit_code == 2
+        assert not (four_speeds / "results").exists()
+
+    def test_a_missing_folder_and_an_empty_one(self, tmp_path):
+        assert crankorder("run", tmp_path / "nowhere", "--out", tmp_path / "out").exit_code == 2
+        (tmp_path / "empty").mkdir()
+        outcome = crankorder("run", tmp_path / "empty", "--out", tmp_path / "out")
+        assert outcome.exit_code == 2 and "crankorder init" in outcome.output
+
+    def test_strict_leaves_out_what_is_suspect(self, four_speeds, tmp_path):
+        with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
+            trace = file["encoder"][:]
+            rises = np.flatnonzero(np.diff(trace) > 0)
+            for rise in rises[::2000]:
+                trace[rise + 1 : rise + 4] = 0.0
+            file["encoder"][:] = trace
+        assert crankorder("run", four_speeds, "--out", tmp_path / "plain", "-q").exit_code == 0
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "strict", "--strict")
+        assert outcome.exit_code == 3 and "rpm_1500.h5" in outcome.output
+
+    def test_one_bad_test_takes_no_other_along(self, campaign, four_speeds, tmp_path):
+        for path in four_speeds.glob("*.h5"):
+            path.write_bytes(b"")
+        other = tmp_path / "other"
+        other.mkdir()
+        for name in ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5"):
+            shutil.copy(campaign / name, other / name)
+        outcome = crankorder("run", four_speeds, other, "--out", tmp_path / "out", "--json")
+        assert outcome.exit_code == 3
+        document = json.loads(outcome.stdout)
+        assert [test["status"] for test in document["tests"]] == ["failed", "done"]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Recordings and results of the crank-angle test."""
+    folder = tmp_path_factory.mktemp("crank-angle")
+    assert crankorder("synth", "thesis-first-motoring", "--out", folder / "recordings", "-q").exit_code == 0
+    assert crankorder("run", folder / "recordings", "--out", folder / "out", "-q").exit_code == 0
+    return folder
+
+
+class TestCrankAngleData:
+    def test_orders_come_straight_from_the_samples(self, result):
+        found = {round(record["order"], 2) for record in findings_in(result / "out")["orders"]}
+        assert found == {1.0, 2.0, 5.5}
+
+    def test_natural_frequencies_come_through_the_stated_speed(self, result):
+        truth = [
+            mode["frequency_hz"] for mode in json.loads((result / "recordings" / "truth.json").read_bytes())["modes"]
+        ]
+        found = np.array([mode["frequency_hz"] for mode in findings_in(result / "out")["modes"]])
+        # four speeds of a few seconds: each true frequency has a found one within 1.5 %
+        assert all(np.abs(found / frequency - 1).min() < 0.015 for frequency in truth)
+
+    def test_without_a_speed_there_are_orders_and_no_map_of_frequencies(self, result, tmp_path):
+        folder = tmp_path / "recordings"
+        shutil.copytree(result / "recordings", folder)
+        text = (folder / "run.toml").read_text()
+        head, rest = text.split("[recordings.speed_rpm]")
+        (folder / "run.toml").write_text(head + rest[rest.index("[sampling]") :])
+        for path in folder.glob("*.h5"):
+            with h5py.File(path, "r+") as file:
+                file.attrs.pop("speed_rpm", None)
+        outcome = crankorder("run", folder, "--out", tmp_path / "out")
+        assert outcome.exit_code == 0, outcome.output
+        assert {round(record["order"], 1) for record in findings_in(tmp_path / "out")["orders"]} >= {2.0, 5.5}
+        assert not list((tmp_path / "out").glob("*/campbell_*.png"))
+        assert list((tmp_path / "out").glob("*/order_spectra.png"))
