@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable
 from importlib.metadata import version
@@ -49,6 +50,15 @@ def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
 
 
+def _keep_compiled_kernels() -> None:
+    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written."""
+    package = Path(__file__).parent
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+    existing = next(folder for folder in (home, *home.parents) if folder.exists())
+    if not os.access(package, os.W_OK) and not os.access(existing, os.W_OK):
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"))
+
+
 @click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version("crankorder"), prog_name="crankorder")
 def main() -> None:
@@ -58,6 +68,7 @@ def main() -> None:
     `crankorder run FOLDER --out OUT`.
     """
     signal.signal(signal.SIGTERM, _terminated)
+    _keep_compiled_kernels()
 
 
 def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
