@@ -75,6 +75,12 @@ def with_flags(dataset: xr.Dataset, flags: Iterable[QualityFlag]) -> xr.Dataset:
     return dataset
 
 
+def channel_coords(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Coordinates of ``dataset`` that say what each channel is: name, unit, quantity and, where known, direction."""
+    names = ("channel", "unit", "quantity", "direction")
+    return {name: dataset[name] for name in names if name in dataset.variables}
+
+
 @cache
 def schema_of(noun: str) -> dict[str, Any]:
     """JSON Schema of a noun or file of ``data_schema/``, by file stem such as ``"order_map"``."""

@@ -100,7 +100,7 @@ def test_order_one_of_the_coast_downs_follows_the_square_of_speed(analysed):
 
 
 def test_order_one_of_the_coast_downs_equals_a_plain_fit_of_sines(analysed, shared_data):
-    """An independent program: a polynomial through the pulses, least squares over 130 samples, no FFT, no resampling."""
+    """An independent program: a polynomial through the pulses, least squares over 130 samples; no FFT."""
     speeds, amplitudes = [], []
     for path in sorted((shared_data / "rotorbalancer" / "2020-04_stepped").glob("*.csv")):
         signal, mark = np.loadtxt(path, delimiter=",", skiprows=2).T

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from crankorder.synth.scene import Scene, load_scene
+from crankorder.synth.load import load_scene
+from crankorder.synth.scene import Scene
 
 SMALL = """\
 schema_version = 1

@@ -7,8 +7,9 @@ import pytest
 
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
 from crankorder.synth.lines import order_lines
+from crankorder.synth.load import load_scene
 from crankorder.synth.recording import broadband_response, start_angle_rev, synthesise
-from crankorder.synth.scene import Run, Scene, load_scene
+from crankorder.synth.scene import Run, Scene
 from crankorder.synth.truth import truth_of
 
 SceneWith = Callable[..., Scene]

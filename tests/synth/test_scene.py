@@ -6,7 +6,7 @@ import pytest
 
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import shipped
-from crankorder.synth.scene import load_scene
+from crankorder.synth.load import load_scene
 
 
 def faults_of(path: Path, text: str) -> list[str]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
+from crankorder.quantities import channel_coords
 from crankorder.settings import CampbellSettings
 from crankorder.shaft.angle import angle_at
 
@@ -37,7 +38,6 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     frequency = np.arange(n_bins, dtype=np.float64) * settings.resolution_hz
     if not math.isclose(resolution, settings.resolution_hz, rel_tol=1e-9):
         power = _on_grid(power, np.arange(power.shape[2], dtype=np.float64) * resolution, frequency)
-    named = {name: band[name] for name in ("channel", "unit", "quantity", "direction") if name in band.variables}
     frames = xr.Dataset(
         {
             "power": (
@@ -47,7 +47,7 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
             )
         },
         coords={
-            **named,
+            **channel_coords(band),
             "frequency": ("frequency", frequency[: power.shape[2]], {"units": "Hz", "long_name": "frequency"}),
             "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
         },

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import flags_of, with_flags
+from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.shaft.speed_groups import speed_groups
 
 
@@ -28,10 +28,9 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     density = power / (2.0 * enbw_hz[None, :, None])
     first = frames[0]
-    named = {name: first[name] for name in ("channel", "unit", "quantity", "direction") if name in first.variables}
     result = xr.Dataset(
         coords={
-            **named,
+            **channel_coords(first),
             "frequency": first["frequency"][:n_bins],
             "speed": (
                 "speed",

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.fft.decimation import decimate, decimation_factor
+from crankorder.quantities import channel_coords
 
 
 def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float) -> xr.Dataset:
@@ -16,9 +17,6 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float) -> xr
     """
     by_time = recording.attrs["domain"] == "time"
     signals = recording["signal"].values
-    named = {
-        name: recording[name] for name in ("channel", "unit", "quantity", "direction") if name in recording.variables
-    }
     attrs = dict(recording.attrs)
     if by_time:
         rate = float(attrs["rate_hz"])
@@ -31,6 +29,6 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float) -> xr
     axis = "time" if by_time else "crank_angle"
     return xr.Dataset(
         {"signal": (("channel", axis), signals, {"units": "see unit", "long_name": "signal in the analysis band"})},
-        coords=named,
+        coords=channel_coords(recording),
         attrs=attrs | {"band_hz": band_hz},
     )

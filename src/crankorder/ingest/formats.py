@@ -10,12 +10,11 @@ from typing import Literal, NoReturn
 
 from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError
 from crankorder.ingest.folder import check_regular
-from crankorder.ingest.rawfile import Contents, RawFile, Source
+from crankorder.ingest.rawfile import HDF5_SIGNATURE, Contents, RawFile, Source
 from crankorder.settings import IngestSettings
 
 Format = Literal["HDF5", "WAV", "XLSX", "text"]
 
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
 _BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".npy", ".dat")
 _HEAD_BYTES = 8192

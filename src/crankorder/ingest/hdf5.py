@@ -14,8 +14,16 @@ import h5py
 import numpy as np
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError
-from crankorder.ingest.formats import HDF5_SIGNATURE
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, common_rate, named
+from crankorder.ingest.rawfile import (
+    HDF5_SIGNATURE,
+    Contents,
+    FloatArray,
+    RawFile,
+    Source,
+    check_budget,
+    common_rate,
+    named,
+)
 from crankorder.settings import IngestSettings
 
 _MAX_DEPTH = 32

@@ -18,6 +18,10 @@ FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
 
 
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""First bytes of an HDF5 file, or of its superblock behind a user block."""
+
+
 @dataclass(frozen=True, slots=True)
 class Contents:
     """Names, sizes and units of what a file holds, read without its samples.

@@ -12,7 +12,7 @@ from crankorder.errors import InputError
 from crankorder.fft.resampling import PASS_BAND, margin, values_at
 from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
-from crankorder.quantities import QualityFlag, flags_of, with_flags
+from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, time_at
 
@@ -133,7 +133,6 @@ def _dataset(
     speed: NDArray[np.float64],
     start_angle: NDArray[np.float64],
 ) -> xr.Dataset:
-    named = {name: band[name] for name in ("channel", "unit", "quantity", "direction") if name in band.variables}
     frames = xr.Dataset(
         {
             "spectrum": (
@@ -143,7 +142,7 @@ def _dataset(
             )
         },
         coords={
-            **named,
+            **channel_coords(band),
             "order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
             "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
             "crank_angle": ("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.floor import floor_bins, local_floor
-from crankorder.quantities import QualityFlag, flags_of, with_flags
+from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
@@ -167,10 +167,9 @@ def _put(
 def _dataset(
     first: xr.Dataset, order: NDArray[np.float64], speed: NDArray[np.float64], settings: OrderSettings
 ) -> xr.Dataset:
-    named = {name: first[name] for name in ("channel", "unit", "quantity", "direction") if name in first.variables}
     result = xr.Dataset(
         coords={
-            **named,
+            **channel_coords(first),
             "order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
             "speed": ("speed", speed, {"units": "min-1", "long_name": "speed"}),
         }

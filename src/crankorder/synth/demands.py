@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
 
 from crankorder.engine.bearings import bearing_orders
 from crankorder.errors import RequestError
 from crankorder.synth.effects import TimeSampling
-
-if TYPE_CHECKING:
-    from crankorder.synth.scene import Scene
+from crankorder.synth.scene import Scene
 
 MAX_SAMPLES = 50_000_000
 """Of one channel of one recording: more would not fit into the memory of a small machine."""

@@ -15,9 +15,10 @@ import h5py
 from crankorder.errors import EnvironmentFailure, RequestError
 from crankorder.settings import shipped
 from crankorder.synth.effects import TimeSampling
+from crankorder.synth.load import load_scene
 from crankorder.synth.manifest import manifest_text, toml_text
 from crankorder.synth.recording import SyntheticRecording, broadband_response, synthesise
-from crankorder.synth.scene import Run, Scene, load_scene
+from crankorder.synth.scene import Run, Scene
 from crankorder.synth.truth import truth_of
 
 MANIFEST, TRUTH, ENGINE = "run.toml", "truth.json", "engine.toml"

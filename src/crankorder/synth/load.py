@@ -1,0 +1,83 @@
+"""Scenes from TOML files, with everything that is wrong with one listed at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from crankorder.engine.definition import load_engine
+from crankorder.errors import CrankorderError, ManyErrors, RequestError
+from crankorder.settings import toml_table, validation_fault
+from crankorder.synth.demands import unmet_demands
+from crankorder.synth.scene import Scene
+
+
+def load_scene(name: str, beside: Path | None = None) -> Scene:
+    """Scene from a shipped file of ``pipeline/scenes`` or a user's TOML file, its engine loaded and everything checked.
+
+    ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which paths are tried first.
+    Raises RequestError where there is no such file, ManyErrors with every fault: unknown effects and keys, values out
+    of range, names that do not exist, speeds and orders that the sampling cannot carry.
+    """
+    table, source = toml_table(name, "scenes", beside=beside)
+    faults: list[CrankorderError] = []
+    if "engine_file" in table:
+        faults.append(RequestError("unknown key", file=source, place="engine_file", remedy="Name the engine as engine"))
+    folder = beside if beside is not None else Path(name).parent if name.endswith(".toml") else None
+    table["engine_file"] = table.get("engine", "")
+    try:
+        table["engine"] = load_engine(str(table["engine_file"]), folder)
+    except ManyErrors as errors:
+        faults += errors.faults
+    except RequestError as error:
+        faults.append(error)
+    kept: dict[str, list[int]] = {}
+    scene = _validated(table, source, faults, kept)
+    if scene is not None:
+        faults += unmet_demands(scene, source, kept)
+        told = {(fault.problem, fault.place) for fault in faults}
+        quick = unmet_demands(scene.first_look(), source, kept)
+        faults += [fault for fault in quick if (fault.problem, fault.place) not in told]
+    if faults or scene is None:
+        raise ManyErrors(faults)
+    return scene
+
+
+def _validated(
+    table: dict[str, Any], source: str, faults: list[CrankorderError], kept: dict[str, list[int]]
+) -> Scene | None:
+    """Scene of ``table``; what is wrong goes to ``faults`` and is left out, so that the rest can be checked too."""
+    effects = ", ".join(key for key, field in Scene.model_fields.items() if not field.is_required())
+    for _ in range(2):
+        try:
+            return Scene.model_validate(table)
+        except ValidationError as error:
+            found = [fault for fault in error.errors() if fault["loc"][:1] != ("engine",)]
+            for fault in found:
+                text = validation_fault(fault, source)
+                if text.problem == "unknown key" and len(fault["loc"]) == 1:
+                    text = RequestError("unknown effect", file=source, place=text.place, allowed=effects)
+                faults.append(text)
+            if len(found) < error.error_count() or not _without(table, [fault["loc"] for fault in found], kept):
+                return None
+    return None
+
+
+def _without(table: dict[str, Any], places: list[tuple[int | str, ...]], kept: dict[str, list[int]]) -> bool:
+    """Whether every effect (or item of a list) at ``places`` could be taken out; ``kept`` gets the items that stay."""
+    items: dict[str, set[int]] = {}
+    for place in places:
+        head = str(place[0]) if place else ""
+        field = Scene.model_fields.get(head)
+        if not place or (field is not None and field.is_required()):
+            return False
+        if len(place) > 1 and isinstance(place[1], int):
+            items.setdefault(head, set()).add(place[1])
+        else:
+            table.pop(head, None)
+    for head, wrong in items.items():
+        kept[head] = [k for k in range(len(table[head])) if k not in wrong]
+        table[head] = [table[head][k] for k in kept[head]]
+    return True
