@@ -32,6 +32,8 @@ class IngestSettings(StageSettings):
     max_bytes: Count
     max_objects: Count
     clip_run_samples: Count
+    dropout_samples: Count
+    dropout_fraction: Fraction
     max_gap_samples: Annotated[int, Field(ge=0)]
     max_gap_fraction: Fraction
     max_clipped_fraction: Fraction

@@ -28,7 +28,7 @@ from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
-from crankorder.orders.tracks import order_tracks
+from crankorder.orders.tracks import followed_orders, order_tracks
 from crankorder.quantities import (
     BandRecording,
     CampbellMap,
@@ -141,10 +141,9 @@ def findings(
 @stage
 def tracks(order_map: OrderMap, findings: Findings, settings: Settings) -> OrderTracks:
     """Orders that ``findings`` name or ``settings`` ask for, followed over speed in ``order_map``."""
-    resolution = 1.0 / float(order_map.attrs["revs_per_frame"])
-    found = {round(round(record["order"] / resolution) * resolution, 6) for record in findings["orders"]}
-    asked = {float(order) for order in settings.orders.track_orders}
-    return OrderTracks(order_tracks(order_map, sorted(found | asked), settings=settings.orders))
+    return OrderTracks(
+        order_tracks(order_map, followed_orders(order_map, findings, settings.orders), settings=settings.orders)
+    )
 
 
 OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency)

@@ -238,6 +238,54 @@ def result(tmp_path_factory):
     return folder
 
 
+class TestWhatIsLeftOut:
+    def test_bad_data_take_no_part_in_averages(self, four_speeds, tmp_path):
+        with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
+            file["acc_z"][100_000:150_000] = 0.0
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 3 and "dropout" in outcome.output
+        tracks = xr.load_dataset(next((tmp_path / "out").glob("*/results.nc")), group="order_map", engine="h5netcdf")
+        np.testing.assert_allclose(tracks["speed"].values, [1600, 1700, 1800], atol=0.1)
+
+    def test_a_sentinel_in_the_files_own_unit_is_found_behind_a_sensitivity(self, four_speeds, tmp_path):
+        for path in four_speeds.glob("*.h5"):
+            with h5py.File(path, "r+") as file:
+                file["acc_z"][1000] = -999.0
+                file["acc_z"].attrs["unit"] = "V"
+        text = (four_speeds / "run.toml").read_text()
+        head, z = text.split('source = "acc_z"')
+        (four_speeds / "run.toml").write_text(head + 'source = "acc_z"\nsensitivity = "10 mV/(m/s2)"' + z)
+        outcome = crankorder("run", four_speeds, "--out", tmp_path / "out")
+        assert outcome.exit_code == 0, outcome.output
+        flags = {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
+        assert "non_finite_interpolated" in flags
+
+    def test_faults_come_in_the_order_of_the_files_whatever_the_workers(self, four_speeds, tmp_path):
+        for name in ("rpm_1500.h5", "rpm_1600.h5"):
+            (four_speeds / name).write_bytes(b"")
+        for jobs in (1, 2):
+            crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs, "-q")
+        one, two = (next((tmp_path / str(jobs)).glob("*/findings.json")).read_bytes() for jobs in (1, 2))
+        assert one == two
+
+    def test_pictures_of_a_channel_that_is_gone_do_not_stay(self, four_speeds, tmp_path):
+        crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
+        text = (four_speeds / "run.toml").read_text()
+        (four_speeds / "run.toml").write_text(text.replace('name = "Z"', 'name = "vertical"'))
+        crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
+        names = {path.name for path in (tmp_path / "out").glob("*/campbell_*.png")}
+        assert names == {"campbell_X.png", "campbell_Y.png", "campbell_vertical.png"}
+
+    def test_results_never_land_among_the_recordings(self, four_speeds):
+        text = (four_speeds / "run.toml").read_text().splitlines()
+        kept = [row for row in text if not row.startswith('name = "second')]
+        (four_speeds / "run.toml").write_text("\n".join(kept))
+        before = sorted(path.name for path in four_speeds.iterdir())
+        outcome = crankorder("run", four_speeds, "--out", four_speeds.parent)
+        assert outcome.exit_code == 2
+        assert sorted(path.name for path in four_speeds.iterdir()) == before
+
+
 class TestCrankAngleData:
     def test_orders_come_straight_from_the_samples(self, result):
         found = {round(record["order"], 2) for record in findings_in(result / "out")["orders"]}

@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.quantities import check_dataset
+from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import line, named, shaft, steady
 
@@ -81,3 +81,20 @@ def test_crank_angle_data_of_unknown_speed_give_a_map_without_speeds():
     made = campbell_map([crank_angle_frames(math.nan)], speed_bin_rpm=25.0)
     check_dataset(made, "campbell_map")
     assert made.sizes["speed"] == 0
+
+
+def test_nothing_is_shown_beyond_half_the_sample_rate():
+    made = map_of(line(2.0, 1.0), rate_hz=800.3)
+    assert made["frequency"].values[-1] <= 400.15
+    assert made["psd"].sel(frequency=slice(300, None)).values.max() < 1e-6
+
+
+def test_a_slow_recording_that_ends_the_map_is_named():
+    slow, fast = (
+        frequency_frames(*steady([line(2.0, 1.0)], speed_rpm=rpm, duration_s=5.0, rate_hz=rate), settings=SETTINGS)
+        for rpm, rate in ((1000.0, 500.0), (1500.0, 2000.0))
+    )
+    slow.attrs["recording"] = "slow.h5"
+    made = campbell_map([fast, slow], speed_bin_rpm=25.0)
+    assert made["frequency"].values[-1] == 250.0
+    assert [flag["recording"] for flag in flags_of(made) if flag["flag"] == "map_cut"] == ["slow.h5"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.definition import Engine, load_engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces
+from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
 from crankorder.engine.harmonics import orders_for
 from crankorder.engine.slider_crank import piston_acceleration
 
@@ -50,6 +50,48 @@ def test_shafts_timed_to_the_crank_leave_the_quadrature_of_the_offset(truth: dic
     assert abs(timed[1]) == pytest.approx(known, rel=1e-12)
     to_force = crankcase_forces(engine(offset_m=0.01, shafts=shafts | {"timed_to": "force"}), 2000, max_order=2)[Z]
     assert np.abs(to_force[1:]).max() == 0
+
+
+def test_the_forces_of_task_5_are_those_of_the_truth_sheet_at_every_angle(truth: dict[str, Any]) -> None:
+    known = truth["seed000"]["Fx_Fy_reference_g_mm_at_omega_1_lambda_0.25_l1_25"]
+    model = Engine(
+        crank_radius_m=0.025, rod_length_m=0.1, reciprocating_mass_kg=0.32, rotating_unbalance_kg_m=0.45 * 0.025
+    )
+    by_order = crankcase_forces(model, 30 / np.pi, max_order=orders_for(1e-16, model.mechanism)) * 1e6
+    for degrees, (along, across) in known.items():
+        phasors = np.exp(2j * np.pi * np.arange(by_order.shape[1]) * int(degrees) / 360)
+        summed = (by_order * phasors).real.sum(axis=1)
+        assert summed[Z] == pytest.approx(float(along), rel=1e-12)
+        assert summed[X] == pytest.approx(float(across), rel=1e-12, abs=1e-8)
+
+
+@pytest.mark.parametrize(("name", "mass_kg"), [("standard", 1.216), ("optical", 4.304)])
+def test_table_1_of_the_thesis_has_its_exact_values(truth: dict[str, Any], name: str, mass_kg: float) -> None:
+    model = engine(reciprocating_mass_kg=mass_kg)
+    per_omega = np.abs(crankcase_forces(model, 30 / np.pi, max_order=8)[Z]) * 1e6
+    in_newton = np.abs(crankcase_forces(model, 2000, max_order=8)[Z])
+    for row in truth["seed001"]["table1"]["rows_g_mm"][name]:
+        assert per_omega[row["order"]] == pytest.approx(row["exact_Fourier"], rel=1e-12)
+    for order, known in truth["seed001"]["table1"]["force_N_at_2000rpm"][name].items():
+        assert in_newton[int(order)] == pytest.approx(known, rel=1e-12)
+
+
+@pytest.mark.parametrize(("radius_m", "rod_m", "row"), [(0.0449, 0.152, 0), (0.0473, 0.0473 * 49822.3 / 15001.4, 1)])
+def test_the_forces_of_the_offset_engine_are_those_of_the_truth_sheet(
+    truth: dict[str, Any], radius_m: float, rod_m: float, row: int
+) -> None:
+    known = list(truth["seed001"]["offset_10mm"].values())[row]["force_N_2000rpm_optical_4304g"]
+    model = engine(crank_radius_m=radius_m, rod_length_m=rod_m, offset_m=0.01)
+    forces = np.abs(crankcase_forces(model, 2000, max_order=12)[Z])
+    assert forces[1:] == pytest.approx([known[str(order)] for order in range(1, 13)], rel=1e-12)
+
+
+def test_the_inertia_of_the_rod_makes_a_moment_and_no_force() -> None:
+    rod = {"mass_kg": 1.6738, "centre_from_big_end_m": 0.03736}
+    plain, true = (engine(rod=rod | inertia) for inertia in ({}, {"inertia_kg_m2": 0.0032}))
+    assert np.array_equal(crankcase_forces(plain, 2000, max_order=9), crankcase_forces(true, 2000, max_order=9))
+    missed = np.abs(crankcase_moments(true, 2000, max_order=9) - crankcase_moments(plain, 2000, max_order=9))
+    assert missed[DIRECTIONS.index("Y"), 1] > 10
 
 
 def test_the_orders_add_up_to_mass_times_exact_acceleration() -> None:

@@ -1,6 +1,7 @@
 """The kinematics against 60-digit arithmetic, difference quotients and the exact values at the quarter turns."""
 
 from decimal import Decimal, getcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from hypothesis import strategies as st
 
 from crankorder.engine.slider_crank import (
     SliderCrank,
+    dead_centres,
     piston_acceleration,
     piston_drop,
     piston_velocity,
+    plain_piston_acceleration,
     rod_angle,
 )
 from crankorder.errors import RequestError
@@ -58,6 +61,94 @@ def test_the_acceleration_with_offset_agrees_with_sixty_digits(offset: float) ->
     angles = np.linspace(-1, 2, 61)
     exact = np.array([float(decimal_acceleration(float(angle), mechanism)) for angle in angles])
     assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * np.abs(exact).max()
+
+
+def decimal_motion(revolutions: float, mechanism: SliderCrank) -> dict[str, Decimal]:
+    """Drop, velocity, sine of the rod angle and its derivatives, straight from the definitions."""
+    sine, cosine = decimal_sine_cosine(2 * PI * Decimal(revolutions))
+    radius, rod, offset = (Decimal(x) for x in (mechanism.crank_radius_m, mechanism.rod_length_m, mechanism.offset_m))
+    across, slope = radius * sine - offset, radius * cosine
+    along, top = (rod * rod - across * across).sqrt(), (rod * rod - offset * offset).sqrt()
+    return {
+        "drop": radius + top - radius * cosine - along,
+        "velocity": -radius * sine - across * slope / along,
+        "rod_sine": across / rod,
+        "rod_first": slope / along,
+        "rod_second": -radius * sine / along + across * slope**2 / along**3,
+    }
+
+
+@pytest.mark.parametrize("slack", [0.7, 1e-2, 1e-6, 1e-12])
+@pytest.mark.parametrize("share", [0.0, 0.5, -0.5])
+def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the_rod(
+    slack: float, share: float
+) -> None:
+    mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0, offset_m=share * slack)
+    angles = np.concatenate([np.arange(1, 8) / 8, np.linspace(0, 1, 38)[1:-1], 0.25 + 1e-3 * np.linspace(-1, 1, 9)])
+    exact = [decimal_motion(float(angle), mechanism) for angle in angles]
+    psi, first, second = rod_angle(angles, mechanism)
+    computed = {
+        "drop": piston_drop(angles, mechanism),
+        "velocity": piston_velocity(angles, mechanism),
+        "rod_sine": np.sin(psi),
+        "rod_first": first,
+        "rod_second": second,
+    }
+    for name, values in computed.items():
+        known = np.array([float(row[name]) for row in exact])
+        sizes = np.where(np.abs(known) < 1e-40, 1.0, np.abs(known))  # an exact zero has no relative error
+        assert np.abs((values - known) / sizes).max() < (2e-15 if share == 0 else 5e-15), name
+
+
+@given(SHAPES, st.floats(-1e4, 1e4))
+def test_the_compiled_acceleration_is_that_of_plain_numpy(mechanism: SliderCrank, start: float) -> None:
+    angles = start + np.linspace(0, 1.5, 997)
+    plain = plain_piston_acceleration(angles, mechanism)
+    assert np.abs(piston_acceleration(angles, mechanism) - plain).max() <= 2e-15 * np.abs(plain).max()
+
+
+def test_every_form_of_call_gives_the_same_acceleration() -> None:
+    angles = np.linspace(0, 3, 240)
+    known = piston_acceleration(angles, THESIS)
+    frozen = angles.copy()
+    frozen.flags.writeable = False
+    assert np.array_equal(piston_acceleration(angles.reshape(4, 60).T, THESIS), known.reshape(4, 60).T)
+    assert np.array_equal(piston_acceleration(frozen, THESIS), known)
+    assert np.array_equal(piston_acceleration(list(angles), THESIS), known)
+    assert piston_acceleration(angles[7], THESIS) == known[7]
+    assert np.array_equal(
+        piston_acceleration(np.float32([0.125, 0.5]), THESIS), piston_acceleration([0.125, 0.5], THESIS)
+    )
+
+
+def test_one_compiled_form_serves_every_call() -> None:
+    from crankorder.engine.fast_acceleration import fill_acceleration
+
+    frozen = np.linspace(0, 1, 5)
+    frozen.flags.writeable = False
+    for angles in (frozen, np.array([0.1], dtype=np.float32), [[0.1, 0.2]], 0.3, np.zeros((4, 6))[:, ::2]):
+        piston_acceleration(angles, THESIS)
+    assert len(fill_acceleration.signatures) == 1
+
+
+@given(SHAPES)
+def test_the_piston_turns_at_its_dead_centres_a_stroke_apart(mechanism: SliderCrank) -> None:
+    turns = dead_centres(mechanism)
+    there = np.array([turns.top_rev, turns.bottom_rev])
+    assert np.abs(piston_velocity(there, mechanism)).max() < 1e-14 / mechanism.slack
+    drop = piston_drop(there, mechanism)
+    assert drop[1] - drop[0] == pytest.approx(turns.stroke_m, rel=1e-13)
+    every = piston_drop(np.linspace(0, 1, 3601), mechanism)
+    assert drop[0] <= every.min() + 1e-15
+    assert every.max() <= drop[1] + 1e-15
+    assert turns.stroke_m >= 2 * mechanism.crank_radius_m * (1 - 1e-15)
+
+
+def test_the_piston_is_fastest_where_the_truth_sheet_says(truth: dict[str, Any]) -> None:
+    known = truth["seed000"]["max_piston_speed_angle_deg_lambda_0.25"]["exact"]
+    mechanism = SliderCrank(crank_radius_m=0.25, rod_length_m=1.0)
+    beside = np.array([float(known) - 1e-12, float(known) + 1e-12]) / 360
+    assert np.sign(piston_acceleration(beside, mechanism)).tolist() == [1, -1]
 
 
 @pytest.mark.parametrize("ratio", [0.1, 44.9 / 152, 0.9, 0.999])

@@ -225,7 +225,7 @@ def test_a_clean_tone_with_noise_is_not_called_clipped(write, read):
 
 
 def test_a_constant_signal_is_flagged(write, read):
-    assert flagged(read(write(acc=np.full(100, 2.5)))) == [("constant_signal", "suspect")]
+    assert flagged(read(write(acc=np.full(100, 2.5)))) == [("constant_signal", "bad")]
 
 
 def test_a_channel_that_is_also_the_encoder_is_not_spoilt_by_its_unit(write, read):

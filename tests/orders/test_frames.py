@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.orders.frames import order_frames
@@ -43,11 +44,32 @@ def test_the_speed_of_a_frame_is_revolutions_over_elapsed_time():
     np.testing.assert_allclose(frames["speed"].values, 60 * 16 / elapsed, rtol=1e-9)
 
 
-def test_content_far_above_the_orders_does_not_fold_onto_them():
-    signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * 700.0 * t))
-    frames = order_frames(*steady([signal], speed_rpm=300.0, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
-    others = frames["spectrum"].where(abs(frames["order"] - 1.0) > 0.2)
-    assert np.nanmax(np.abs(others.values)) < 1e-5
+@pytest.mark.parametrize("share_of_rate", [0.3, 0.39, 0.42, 0.45, 0.48, 0.499])
+@pytest.mark.parametrize("speed_rpm", [300.0, 1000.0, 1487.0, 2000.0])
+def test_content_above_the_orders_does_not_fold_onto_them(share_of_rate, speed_rpm):
+    tone = share_of_rate * 1785.0 * 60.0 / speed_rpm
+    signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * share_of_rate * 1785.0 * t))
+    frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+    order = frames["order"]
+    others = frames["spectrum"].where((abs(order - 1.0) > 0.2) & (abs(order - tone) > 4.0))
+    assert np.nanmax(np.abs(others.values)) < 2e-5
+
+
+@pytest.mark.parametrize("cycle", [1, 2])
+@pytest.mark.parametrize("revolutions", range(1, 31))
+def test_any_number_of_revolutions_is_analysed(revolutions, cycle):
+    """Frame lengths with large prime factors, such as 7 or 11 revolutions, are as good as others."""
+    band, angle = steady([line(2, 1)], speed_rpm=600.0, duration_s=(revolutions + 0.9) / 10, rate_hz=2000.0)
+    angle.attrs["revs_per_cycle"] = cycle
+    held = int(np.floor(angle["crank_angle"].values[-1] - 0.13) - np.ceil(angle["crank_angle"].values[0] + 0.13))
+    if held < cycle:
+        with pytest.raises(InputError):
+            order_frames(band, angle, settings=SETTINGS)
+        return
+    frames = order_frames(band, angle, settings=SETTINGS)
+    assert frames.attrs["revs_per_frame"] == min(held, 16) // cycle * cycle
+    if frames.attrs["revs_per_frame"] > 1:
+        np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=2e-6)
 
 
 def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong():
@@ -70,10 +92,9 @@ def test_less_than_one_cycle_is_refused_with_both_numbers():
         order_frames(*steady([line(2, 1)], speed_rpm=600.0, duration_s=0.2, rate_hz=5000.0), settings=SETTINGS)
 
 
-def test_crank_angle_samples_give_order_spectra_straight():
-    import xarray as xr
-
-    angle = np.arange(360 * 40) / 360 + 0.25
+@pytest.mark.parametrize("start_deg", [90.0, 0.0, -180.0, -0.4, 0.3, 17.25])
+def test_crank_angle_samples_give_order_spectra_straight(start_deg):
+    angle = np.arange(360 * 40) / 360 + start_deg / 360
     signal = 0.4 * np.cos(2 * np.pi * 5.5 * angle + 0.8)
     band = xr.Dataset(
         {"signal": (("channel", "crank_angle"), signal[None], {"units": "see unit"})},
@@ -82,14 +103,15 @@ def test_crank_angle_samples_give_order_spectra_straight():
             "recording": "made",
             "domain": "crank_angle",
             "samples_per_rev": 360,
-            "start_deg": 90.0,
+            "start_deg": start_deg,
             "encoder_kind": "none",
             "revs_per_cycle": 2,
         },
     )
     check_dataset(band, "recording")
-    angles = shaft(np.array([0.0, math.nan]), np.array([0.25, 40.25]), np.array([math.nan, math.nan]))
+    ends = np.array([start_deg / 360, start_deg / 360 + 40])
+    angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
     angles.attrs["domain"] = "crank_angle"
     frames = order_frames(band, angles, settings=SETTINGS)
-    np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-12)
+    np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-11)
     assert np.isnan(frames["speed"].values).all()

@@ -73,13 +73,13 @@ def test_half_orders_of_two_recordings_with_unknown_cycle_do_not_cancel():
     assert made["phase"].sel(order=2.0).item() == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_recording_too_short_for_the_others_is_left_out_and_named():
-    made = order_map(
-        [frames_of(line(2.0, 1.0)), frames_of(line(2.0, 9.0), duration_s=0.5, name="short.h5")], settings=SETTINGS
-    )
-    assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx(1.0, rel=1e-6)
-    bad = [flag for flag in flags_of(made) if flag["severity"] == "bad"]
-    assert [flag["recording"] for flag in bad] == ["short.h5"]
+def test_a_recording_unlike_the_others_is_left_out_and_named_whether_shorter_or_longer():
+    for others, odd in ((10.0, 0.5), (0.72, 10.0)):
+        frames = [frames_of(line(2.0, 1.0), duration_s=others) for _ in range(3)]
+        made = order_map([*frames, frames_of(line(2.0, 9.0), duration_s=odd, name="odd.h5")], settings=SETTINGS)
+        assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx(1.0, rel=1e-5)
+        bad = [flag for flag in flags_of(made) if flag["severity"] == "bad"]
+        assert [flag["recording"] for flag in bad] == ["odd.h5"]
 
 
 def test_a_run_up_falls_into_bins_of_the_stated_width():

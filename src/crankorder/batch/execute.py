@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections.abc import Callable
@@ -29,7 +30,7 @@ from crankorder.engine.definition import load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.explain import Sources
-from crankorder.quantities import QualityFlag, flags_of
+from crankorder.quantities import QualityFlag, Severity, flags_of
 from crankorder.settings import toml_table
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
@@ -74,15 +75,14 @@ def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: 
         hashes = _hash_inputs(plan, jobs)
         clock.lap("hash")
         provenance = _provenance(plan, hashes)
-        key = text_sha256(json_bytes(provenance).decode(), code_sha256(), str(strict))
+        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code_sha256(), str(strict))
         if not fresh and not plan.faults and finished_with(plan.out, key):
             outcome.status = "unchanged"
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
         results = _analyse(plan, hashes, jobs, outcome, progress)
         clock.lap("recordings")
-        if strict:
-            _apply_strict(results, outcome)
+        _leave_out(results, outcome, ("bad", "suspect") if strict else ("bad",))
         if not results:
             raise NoUsableRecordingError(
                 "no recording could be used",
@@ -120,9 +120,12 @@ def _finish(
     clock.lap("report")
     publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
     clock.lap("publish")
-    write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
     outcome.findings = findings
     outcome.status = "partial" if outcome.faults else "done"
+    with contextlib.suppress(
+        OSError
+    ):  # timings are no result: a full disk must not turn a finished test into a failed one
+        write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
 
 
 class _Clock:
@@ -179,6 +182,8 @@ def _analyse(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+    place = {path.name: number for number, path in enumerate(plan.recordings)}
+    outcome.faults.sort(key=lambda fault: place.get(Path(fault.file).name, -1))
     return {path: results[path] for path in wanted if path in results}
 
 
@@ -198,14 +203,15 @@ def _collect(
         outcome.internal.append(error)
 
 
-def _apply_strict(results: dict[Path, RecordingResult], outcome: Outcome) -> None:
-    """Leave out recordings with flags of severity "suspect", as faults."""
+def _leave_out(results: dict[Path, RecordingResult], outcome: Outcome, severities: tuple[Severity, ...]) -> None:
+    """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages."""
     for path, result in list(results.items()):
-        doubts = [flag for flag in flags_of(result.order_frames) if flag["severity"] == "suspect"]
+        doubts = [flag for flag in flags_of(result.order_frames) if flag["severity"] in severities]
         if doubts:
             del results[path]
-            found = "; ".join(f"{flag['flag']}: {flag['detail']}" for flag in doubts)
-            outcome.faults.append(InputError("refused by --strict", file=path.name, found=found))
+            found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
+            problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
+            outcome.faults.append(InputError(problem, file=path.name, found=found))
 
 
 KINEMATIC_SHARE = 1e-3
@@ -235,7 +241,10 @@ def _provenance(plan: TestPlan, hashes: dict[Path, str]) -> dict[str, Any]:
         "crankorder": version("crankorder"),
         "code_sha256": code_sha256(),
         "libraries": {name: version(name) for name in LIBRARIES},
-        "inputs": [{"file": printable(path.name), "sha256": hashes[path]} for path in plan.recordings],
+        "inputs": [
+            {"file": printable(path.relative_to(plan.folder).as_posix()), "sha256": hashes[path]}
+            for path in plan.recordings
+        ],
         "manifest": plan.manifest.model_dump(mode="json"),
         "engine": engine,
         "settings": plan.settings.model_dump(mode="json"),

@@ -40,7 +40,7 @@ def plan_tests(
     """
     plans: list[TestPlan] = []
     faults: list[CrankorderError] = []
-    taken: set[str] = set()
+    taken = {"batch.json", "index.html"}
     for folder in folders:
         try:
             plans.append(_plan(folder, out, manifest, recipe, taken))
@@ -60,13 +60,13 @@ def _plan(folder: Path, out: Path, manifest: Path | None, recipe: str | None, ta
         raise RequestError(
             "no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings"
         )
-    _refuse_inside(folder, out)
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
     settings = load_settings(chosen, beside=beside if recipe is None else None)
     found = recordings_of(folder, stated)
     name = folder_name(stated.test.name or folder.resolve().name, taken)
+    _refuse_inside(folder, out / name)
     return TestPlan(
         name=stated.test.name or folder.resolve().name,
         folder=folder,
@@ -79,11 +79,11 @@ def _plan(folder: Path, out: Path, manifest: Path | None, recipe: str | None, ta
 
 
 def _refuse_inside(folder: Path, out: Path) -> None:
-    """Refuse an output folder that is the input folder or lies inside it: inputs are never touched."""
+    """Refuse results in the input folder, inside it or around it: inputs are never touched."""
     inside, outside = folder.resolve(), out.resolve()
-    if outside == inside or inside in outside.parents:
+    if outside == inside or inside in outside.parents or outside in inside.parents:
         raise RequestError(
-            "the output folder lies in the input folder",
+            "the results would lie in the folder of the recordings, or around it",
             file=out,
             allowed="any folder outside the recordings",
             remedy="Choose another --out: recordings are never touched",

@@ -9,13 +9,14 @@ from crankorder.batch.publish import test_files
 from crankorder.batch.store import DONE, publish
 from crankorder.errors import InputError
 from crankorder.report.netcdf import read_results
-from crankorder.settings import load_settings
+from crankorder.settings import ReportSettings
 
 
 def redraw(result: Path) -> Path:
     """Path of the page that was made again from ``result``, a test's result folder or its ``results.nc``.
 
-    Data and findings stay byte for byte what they were; only pictures and page follow today's report settings.
+    Data and findings stay byte for byte what they were; pictures and page are drawn by today's program with the
+    settings of the run.
     Raises InputError where the folder holds no finished results.
     """
     folder = result if result.is_dir() else result.parent
@@ -32,7 +33,8 @@ def redraw(result: Path) -> Path:
             remedy="Run the analysis again; results without a done marker are never used",
         ) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
-    files = test_files(groups, findings, provenance, settings=load_settings().report)
+    settings = ReportSettings.model_validate(provenance["settings"]["report"])
+    files = test_files(groups, findings, provenance, settings=settings)
     kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     publish(folder, files | kept, key=key)
     return folder / "report.html"

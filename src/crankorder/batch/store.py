@@ -65,7 +65,8 @@ def code_sha256() -> str:
     """SHA-256 of the program's own source and pipeline files: other code means other results."""
     roots = [Path(str(files(package))) for package in ("crankorder", "crankorder.pipeline", "crankorder.data_schema")]
     kinds = (".py", ".toml", ".json", ".html", ".css")
-    sources = sorted({path for root in roots for path in root.rglob("*") if path.suffix in kinds})
+    found = {path for root in roots for path in root.rglob("*") if path.suffix in kinds}
+    sources = sorted(path for path in found if not any(part.startswith(".") for part in path.parts[-3:]))
     return text_sha256(*(f"{path.name}\n{path.read_text(encoding='utf-8')}" for path in sources))
 
 
@@ -77,10 +78,15 @@ def publish(folder: Path, contents: Mapping[str, bytes], *, key: str) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        stale = _outputs_of(folder) - set(contents)
         (folder / DONE).unlink(missing_ok=True)
         for name, data in contents.items():
             write_atomically(folder / name, data)
         hashes = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
+        for name in stale:
+            (folder / name).unlink(missing_ok=True)
+        for leftover in folder.glob(".*.part"):
+            leftover.unlink(missing_ok=True)
         write_atomically(folder / DONE, json_bytes({"key": key, "outputs_sha256": hashes}))
     except OSError as error:
         raise EnvironmentFailure(
@@ -88,6 +94,15 @@ def publish(folder: Path, contents: Mapping[str, bytes], *, key: str) -> None:
             file=error.filename or folder,
             remedy="Free space on the disk or choose another --out; what was there before is kept or gone, never half",
         ) from error
+
+
+def _outputs_of(folder: Path) -> set[str]:
+    """Names of the files that an earlier run finished in ``folder``."""
+    try:
+        names = json.loads((folder / DONE).read_bytes())["outputs_sha256"]
+        return {name for name in names if Path(name).name == name}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -12,7 +12,7 @@ from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
 from crankorder.quantities import channel_coords
 from crankorder.settings import CampbellSettings
-from crankorder.shaft.angle import angle_at
+from crankorder.shaft.angle import angle_at, knots_of
 
 
 def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellSettings) -> xr.Dataset:
@@ -31,27 +31,16 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     hop = max(1, round(len(window.values) * (1.0 - settings.overlap)))
     starts = frame_starts(signals.shape[1], len(window.values), hop)
     resolution = rate / n_fft
-    n_bins = math.floor(settings.max_frequency_hz / resolution * (1 + 1e-9)) + 1
+    highest = min(settings.max_frequency_hz, (n_fft // 2) * resolution)  # nothing is known beyond
+    n_shown = math.floor(highest / settings.resolution_hz * (1 + 1e-9)) + 1
+    frequency = np.arange(n_shown, dtype=np.float64) * settings.resolution_hz
+    n_bins = math.ceil(frequency[-1] / resolution * (1 - 1e-9)) + 1
     spectra = FrameTransform(window, n_fft=n_fft, n_bins=n_bins).spectra(signals, starts)
     power = spectra.real**2 + spectra.imag**2
     speed = _frame_speed(band, shaft, starts, len(window.values), rate)
-    frequency = np.arange(n_bins, dtype=np.float64) * settings.resolution_hz
     if not math.isclose(resolution, settings.resolution_hz, rel_tol=1e-9):
         power = _on_grid(power, np.arange(power.shape[2], dtype=np.float64) * resolution, frequency)
-    frames = xr.Dataset(
-        {
-            "power": (
-                ("channel", "frame", "frequency"),
-                power,
-                {"units": "see unit, squared", "long_name": "tone power"},
-            )
-        },
-        coords={
-            **channel_coords(band),
-            "frequency": ("frequency", frequency[: power.shape[2]], {"units": "Hz", "long_name": "frequency"}),
-            "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
-        },
-    )
+    frames = _dataset(band, power, frequency, speed)
     frames.attrs = {key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs}
     frames.attrs |= {
         "window": window.name,
@@ -61,6 +50,25 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
         "zero_padded": int(n_fft > len(window.values)),
     }
     return frames
+
+
+def _dataset(
+    band: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64], speed: NDArray[np.float64]
+) -> xr.Dataset:
+    return xr.Dataset(
+        {
+            "power": (
+                ("channel", "frame", "frequency"),
+                power,
+                {"units": "see unit, squared", "long_name": "tone power"},
+            )
+        },
+        coords={
+            **channel_coords(band),
+            "frequency": ("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
+            "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
+        },
+    )
 
 
 def _rate_hz(band: xr.Dataset) -> float:
@@ -75,11 +83,10 @@ def _frame_speed(
     """Mean speed in rpm of each frame: revolutions that the shaft made over the time they took."""
     if band.attrs["domain"] == "crank_angle":
         return np.full(len(starts), float(band.attrs["speed_rpm"]))
-    knots = {"knot_time_s": shaft["time"].values, "knot_angle_rev": shaft["crank_angle"].values}
+    knots = knots_of(shaft)
     begin = float(band.attrs.get("start_s", 0.0)) + starts / rate_hz
     span = (float(shaft["time"].values[0]), float(shaft["time"].values[-1]))
     first, last = np.clip(begin, *span), np.clip(begin + length / rate_hz, *span)
-    knots["knot_speed_rpm"] = shaft["speed"].values
     return np.asarray(60.0 * (angle_at(last, **knots) - angle_at(first, **knots)) / (last - first))
 
 

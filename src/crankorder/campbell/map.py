@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import channel_coords, flags_of, with_flags
+from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.shaft.speed_groups import speed_groups
 
 
@@ -53,7 +53,24 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
         "amplitude_scaling": "peak",
         "speed_bin_rpm": speed_bin_rpm,
     }
-    return with_flags(result, [flag for item in frames for flag in flags_of(item)])
+    flags = [flag for item in frames for flag in flags_of(item)]
+    return with_flags(result, flags + _cut_flags(frames, n_bins))
+
+
+def _cut_flags(frames: list[xr.Dataset], n_bins: int) -> list[QualityFlag]:
+    """Remark on the recording whose sample rate ends the map, where others reach further."""
+    lowest = min(frames, key=lambda item: int(item.sizes["frequency"]))
+    if all(item.sizes["frequency"] == n_bins for item in frames):
+        return []
+    ends = float(lowest["frequency"].values[-1])
+    return [
+        {
+            "recording": str(lowest.attrs["recording"]),
+            "flag": "map_cut",
+            "severity": "info",
+            "detail": f"its sample rate ends the map of the whole test at {ends:g} Hz",
+        }
+    ]
 
 
 def _group_means(values: NDArray[np.float64], groups: list[NDArray[np.int64]]) -> NDArray[np.float64]:

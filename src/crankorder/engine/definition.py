@@ -1,20 +1,22 @@
-"""The engine as data: lengths, masses, balance shafts and bearings, read from a TOML file."""
+"""The engine as data: lengths, masses, cylinders, balance shafts, gas and bearings, read from a TOML file."""
 
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from crankorder.engine.bearings import Bearing
 from crankorder.engine.slider_crank import SliderCrank
-from crankorder.errors import ManyErrors
+from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
 
 
 class EngineData(BaseModel):
@@ -24,51 +26,194 @@ class EngineData(BaseModel):
 
 
 class BalanceShafts(EngineData):
-    """Pairs of counter-rotating shafts: which orders of the reciprocating force they cancel and the mass they leave.
+    """Pairs of counter-rotating shafts: which orders of the force along Z they cancel and the mass that they leave.
 
-    ``timed_to = "force"``: each pair stands against the whole force of its order, the quadrature part that an offset
-    makes included. ``"crank"``: the pair is timed to the crank and leaves that part.
+    ``unbalanced_mass_kg`` is the reciprocating mass of each cylinder that they leave. ``timed_to = "force"``: each pair
+    stands against the whole force of its order, the quadrature part that an offset makes included. ``"crank"``: the
+    pair is timed to the crank and leaves that part. ``position_m``: their middle, along the crankshaft.
     """
 
     orders: tuple[Annotated[int, Field(ge=1)], ...] = Field(strict=False)
     unbalanced_mass_kg: float = 0.0
     timed_to: Literal["force", "crank"] = "force"
+    position_m: float = 0.0
+
+
+class Rod(EngineData):
+    """The connecting rod of each cylinder. Its masses are part of the engine's reciprocating and rotating ones.
+
+    ``centre_from_big_end_m``: its centre of gravity; ``inertia_kg_m2``: about that, left out where two masses are to
+    stand for the rod.
+    """
+
+    mass_kg: Positive
+    centre_from_big_end_m: NonNegative
+    inertia_kg_m2: Positive | None = None
+
+
+class Cylinder(EngineData):
+    """Where a cylinder is: angle of its crank pin, lean of its axis, place along the crankshaft, firing dead centre.
+
+    ``crank_deg``: of its pin, in the sense of rotation, when the engine's crank angle is zero; 0 is along Z.
+    ``bank_deg``: of its axis from Z towards X. ``position_m``: along Y. ``firing_deg``: engine crank angle within the
+    cycle at which its pin stands along its axis and it fires; needed for gas forces only.
+    """
+
+    crank_deg: float = 0.0
+    bank_deg: float = 0.0
+    position_m: float = 0.0
+    firing_deg: float | None = None
+
+
+class GasCurve(EngineData):
+    """Gas of one cylinder over a cycle: pressure, or the torque that it makes, straight between the given angles.
+
+    ``crank_angle_deg``: ascending, from the firing dead centre, less than one cycle long; the curve closes on itself.
+    ``pressure_pa``: absolute, with ``surroundings_pa`` below the piston; or ``torque_n_m`` in the sense of rotation.
+    """
+
+    crank_angle_deg: tuple[float, ...] = Field(strict=False, min_length=2)
+    pressure_pa: tuple[float, ...] | None = Field(default=None, strict=False)
+    torque_n_m: tuple[float, ...] | None = Field(default=None, strict=False)
+    surroundings_pa: NonNegative = 101325.0
+
+    @field_validator("crank_angle_deg")
+    @classmethod
+    def _ascends(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if any(after <= before for before, after in pairwise(value)):
+            raise ValueError("must ascend")
+        return value
+
+    @field_validator("pressure_pa", "torque_n_m")
+    @classmethod
+    def _as_many_as_angles(cls, value: tuple[float, ...] | None, info: ValidationInfo) -> tuple[float, ...] | None:
+        angles = info.data.get("crank_angle_deg")
+        if value is not None and angles is not None and len(value) != len(angles):
+            raise ValueError(f"must have one value for each of the {len(angles)} crank angles")
+        return value
+
+    @field_validator("surroundings_pa")
+    @classmethod
+    def _one_curve(cls, value: float, info: ValidationInfo) -> float:
+        if {"pressure_pa", "torque_n_m"} <= info.data.keys():
+            given = [name for name in ("pressure_pa", "torque_n_m") if info.data[name] is not None]
+            if len(given) != 1:
+                raise ValueError("a gas curve is either pressure_pa or torque_n_m")
+        return value
+
+    model_config = ConfigDict(validate_default=True)
 
 
 class Engine(EngineData):
-    """A single-cylinder engine as the model needs it; lengths in m, masses in kg, angles in degrees of crank."""
+    """An engine as the model needs it; lengths in m, masses in kg, angles in degrees of crank.
+
+    Masses are those of each cylinder. ``reciprocating_mass_kg`` includes the rod's share. ``rotating_unbalance_kg_m``
+    includes the rod's other share and the counterweights: what is left of a throw, its angle counted from the pin.
+    ``main_bearings_m``: along the crankshaft, ascending; between two of them the shaft is a beam on two supports.
+    """
 
     title: str = ""
     cycle: Literal["four-stroke", "two-stroke", "rotor"] = "four-stroke"
     crank_radius_m: Positive
-    rod_length_m: Positive
     offset_m: float = 0.0
+    rod_length_m: Positive
     reciprocating_mass_kg: NonNegative
     rotating_unbalance_kg_m: NonNegative = 0.0
     rotating_unbalance_deg: float = 0.0
+    rod: Rod | None = None
+    cylinders: tuple[Cylinder, ...] = Field(default=(Cylinder(),), strict=False, min_length=1)
+    main_bearings_m: tuple[float, ...] = Field(default=(), strict=False)
+    bore_m: Positive | None = None
+    gas: GasCurve | None = None
     shafts: BalanceShafts = BalanceShafts(orders=())
     bearings: tuple[Bearing, ...] = Field(default=(), strict=False)
 
-    @model_validator(mode="after")
-    def _rod_reaches(self) -> Self:
-        if self.rod_length_m <= self.crank_radius_m + abs(self.offset_m):
+    # One check a field, on what comes before it: a fault elsewhere then hides none of them.
+
+    @field_validator("rod_length_m")
+    @classmethod
+    def _rod_reaches(cls, value: float, info: ValidationInfo) -> float:
+        radius, offset = info.data.get("crank_radius_m"), info.data.get("offset_m")
+        if radius is not None and offset is not None and value <= radius + abs(offset):
             raise ValueError("rod_length_m must exceed crank_radius_m and offset_m together: the crank could not turn")
-        return self
+        return value
+
+    @field_validator("rod")
+    @classmethod
+    def _rod_is_a_part(cls, value: Rod | None, info: ValidationInfo) -> Rod | None:
+        length, mass = info.data.get("rod_length_m"), info.data.get("reciprocating_mass_kg")
+        if value is None or length is None:
+            return value
+        if value.centre_from_big_end_m > length:
+            raise ValueError("centre_from_big_end_m must lie between the ends of the rod")
+        if mass is not None and value.mass_kg * value.centre_from_big_end_m / length > mass:
+            raise ValueError("the rod's share exceeds reciprocating_mass_kg, which includes it")
+        return value
+
+    @field_validator("cylinders")
+    @classmethod
+    def _fires_at_dead_centre(cls, value: tuple[Cylinder, ...]) -> tuple[Cylinder, ...]:
+        astray = [
+            f"cylinder {number} by {beside:g}°"
+            for number, cylinder in enumerate(value)
+            if cylinder.firing_deg is not None
+            if abs(beside := (cylinder.firing_deg + cylinder.crank_deg - cylinder.bank_deg + 180) % 360 - 180) > 1e-6
+        ]
+        if astray:
+            raise ValueError(f"firing_deg is off the dead centre, bank_deg - crank_deg: {', '.join(astray)}")
+        return value
+
+    @field_validator("main_bearings_m")
+    @classmethod
+    def _carries_every_cylinder(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if not value:
+            return value
+        if len(value) < 2 or any(after <= before for before, after in pairwise(value)):
+            raise ValueError("must be two or more ascending positions")
+        places = [cylinder.position_m for cylinder in info.data.get("cylinders", ())]
+        if any(not value[0] <= place <= value[-1] for place in places):
+            raise ValueError("every cylinder must stand between the first and the last main bearing")
+        return value
+
+    @field_validator("gas")
+    @classmethod
+    def _gas_fits(cls, value: GasCurve | None, info: ValidationInfo) -> GasCurve | None:
+        cycle = info.data.get("cycle")
+        if value is None or cycle is None:
+            return value
+        if value.crank_angle_deg[-1] - value.crank_angle_deg[0] >= 360 * REVS_PER_CYCLE[cycle]:
+            raise ValueError(f"crank_angle_deg must span less than one cycle, {360 * REVS_PER_CYCLE[cycle]}°")
+        if value.pressure_pa is not None and "bore_m" in info.data and info.data["bore_m"] is None:
+            raise ValueError("a pressure needs bore_m")
+        return value
 
     @cached_property
     def mechanism(self) -> SliderCrank:
         """Lengths of the crank mechanism alone."""
         return SliderCrank(crank_radius_m=self.crank_radius_m, rod_length_m=self.rod_length_m, offset_m=self.offset_m)
 
+    @property
+    def revs_per_cycle(self) -> int:
+        """Crank revolutions of an engine cycle."""
+        return REVS_PER_CYCLE[self.cycle]
+
 
 def load_engine(name: str, beside: Path | None = None) -> Engine:
     """Engine from a shipped file of ``pipeline/engines`` or a user's TOML file.
 
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which that path is tried first.
-    Raises RequestError where there is no such file, ManyErrors with every fault of its content.
+    Raises RequestError where there is no such file or it holds another kind of engine, ManyErrors with every fault of
+    its content. A table ``[balance]`` is left to ``crankorder.engine.balance_data``.
     """
     table, source = toml_table(name, "engines", beside=beside)
+    if "kind" in table:
+        raise RequestError(
+            "not an engine of cranks, rods and cylinders",
+            file=source,
+            place="kind",
+            found=table["kind"],
+        )
     try:
-        return Engine.model_validate(table)
+        return Engine.model_validate({key: value for key, value in table.items() if key != "balance"})
     except ValidationError as error:
         raise ManyErrors([validation_fault(fault, source) for fault in error.errors()]) from None

@@ -1,4 +1,4 @@
-"""Forces that an engine's moving masses put on its crankcase, order by order."""
+"""Forces and moments that an engine's moving masses put on its crankcase, order by order."""
 
 from __future__ import annotations
 
@@ -7,53 +7,178 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.definition import Engine
-from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
+from crankorder.engine.harmonics import (
+    acceleration_harmonics,
+    last_order_above_round_off,
+    rod_acceleration_harmonics,
+)
+from crankorder.engine.rod import two_masses
+from crankorder.engine.slider_crank import sine_cosine
+
+Complex = NDArray[np.complex128]
 
 DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
 """X across, Y along the crankshaft, Z along the cylinder away from the crankshaft; the crank turns from Z to X."""
+X, Y, Z = range(3)
+CANCELLED = 1e-12
+"""Of one cylinder's largest force: what is left below it of several that cancel is rounding."""
 
 
-def reciprocating_mass_by_order(engine: Engine, max_order: int) -> NDArray[np.complex128]:
-    """Complex mass (kg) that still shakes the crankcase at each order times its harmonic, shape (max_order + 1,).
+def reciprocating_mass_by_order(engine: Engine, max_order: int) -> Complex:
+    """Complex mass (kg) that still shakes the crankcase along Z at each order times its harmonic, (max_order + 1,).
 
-    Times crank radius times ω² it is the force along the cylinder. Orders that ``engine`` cancels by shafts keep only
-    the mass that the shafts leave (and, where they are timed to the crank, the quadrature part that an offset makes).
-    ``max_order``: ≥ 1.
+    Times crank radius times ω² it is the force along Z, the sum over all cylinders. Orders that ``engine`` cancels by
+    shafts keep only the mass that the shafts leave (and, where they are timed to the crank, the quadrature part that an
+    offset makes). ``max_order``: ≥ 1.
     """
-    harmonics = acceleration_harmonics(engine.mechanism, max_order)
-    shaken = engine.reciprocating_mass_kg * harmonics
-    for order in engine.shafts.orders:
-        if order <= max_order:
-            cancelled = harmonics[order] if engine.shafts.timed_to == "force" else harmonics[order].real
-            shaken[order] -= (engine.reciprocating_mass_kg - engine.shafts.unbalanced_mass_kg) * cancelled
-    return shaken
+    pistons, shafts = _pistons(engine, max_order), _shafts(engine, max_order)
+    mass: Complex = pistons[:, Z].sum(axis=0) + shafts
+    return mass
 
 
-def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> NDArray[np.complex128]:
+def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complex:
     """Complex peak force (N) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
 
     The second axis from the right is the direction, in the sequence of ``DIRECTIONS``. A line is
-    Re(force · exp(2πi order rev)), rev counted from top dead centre.
+    Re(force · exp(2πi order rev)), rev counted from the engine's crank angle zero: top dead centre of a cylinder whose
+    pin and axis stand along Z. The cylinders add up, each with its phase and bank angle.
 
-    ``engine``: lengths, masses and shafts. ``speed_rpm``: scalar or any shape (…), ≥ 0. ``max_order``: ≥ 1; see
-    :func:`crankorder.engine.harmonics.orders_for` for how many are worth having.
+    ``engine``: lengths, masses, cylinders and shafts. ``speed_rpm``: scalar or any shape (…), ≥ 0. ``max_order``: ≥ 1;
+    see :func:`crankorder.engine.harmonics.orders_for` for how many are worth having.
     Source: truth sheet sections 0, 2.5 and 2.6; a mass that slides along the cylinder has no net force across it.
     """
-    omega_squared = (np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)) ** 2
-    per_omega_squared = np.zeros((3, max_order + 1), dtype=np.complex128)
-    per_omega_squared[2] = engine.crank_radius_m * reciprocating_mass_by_order(engine, max_order)
-    rotating = engine.rotating_unbalance_kg_m * np.exp(1j * np.radians(engine.rotating_unbalance_deg))
-    per_omega_squared[2, 1] += rotating
-    per_omega_squared[0, 1] += -1j * rotating
-    forces: NDArray[np.complex128] = omega_squared[..., None, None] * per_omega_squared
-    return forces
+    per_omega_squared = engine.crank_radius_m * _pistons(engine, max_order).sum(axis=0)
+    per_omega_squared[Z] += engine.crank_radius_m * _shafts(engine, max_order)
+    per_omega_squared[:, 1] += _rotating(engine).sum(axis=0)
+    return _at_speed(speed_rpm, per_omega_squared)
+
+
+def crankcase_moments(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complex:
+    """Complex peak inertia moment (N·m) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
+
+    About X and Z the rocking moments of forces that act at different places along the crankshaft, counted from
+    position 0; about Y (in the sense of rotation) the rolling moment, the reaction to the masses' torque. A line is
+    Re(moment · exp(2πi order rev)). The gas adds −``gas_torque_by_order`` about Y.
+
+    ``engine``: lengths, masses, cylinders with their ``position_m``, and shafts. ``speed_rpm``: scalar or any shape
+    (…), ≥ 0, steady. ``max_order``: ≥ 1.
+    Source: M = r × F; about Y the balance of angular momentum, with the rod's true inertia (truth sheet 2.7).
+    """
+    place = np.array([cylinder.position_m for cylinder in engine.cylinders])
+    forces = engine.crank_radius_m * _pistons(engine, max_order)
+    forces[:, :, 1] += _rotating(engine)
+    at_place = np.einsum("n,ndk->dk", place, forces)
+    moments = np.zeros_like(at_place)
+    moments[X] = at_place[Z] + engine.shafts.position_m * engine.crank_radius_m * _shafts(engine, max_order)
+    moments[Z] = -at_place[X]
+    moments[Y] = _rolling(engine, max_order) * _phases(engine, max_order).sum(axis=0)
+    return _at_speed(speed_rpm, moments)
+
+
+def inertia_torque_by_order(engine: Engine, max_order: int) -> Complex:
+    """Complex peak torque over ω² (kg·m²) that the masses of one cylinder give to the crank, shape (max_order + 1,).
+
+    Counted from the cylinder's own dead centre, in the sense of rotation. ``engine``: lengths, masses and rod;
+    ``max_order``: ≥ 1. Without offset and true rod inertia it leads with m r² (λ/4 sin φ − ½ sin 2φ − ¾ λ sin 3φ).
+    Source: energy, T = −½ ω² d/dφ (m x'² + (J − m a b) ψ'²).
+    """
+    every = last_order_above_round_off(engine.mechanism) + max_order
+    orders = np.arange(every + 1)
+    orders[0] = 1
+    missing = two_masses(engine).missing_inertia_kg_m2
+    velocity = engine.crank_radius_m * acceleration_harmonics(engine.mechanism, every) / (1j * orders)
+    inertia = engine.reciprocating_mass_kg * _squared(velocity)
+    if missing:
+        inertia += missing * _squared(rod_acceleration_harmonics(engine.mechanism, every) / (1j * orders))
+    torque: Complex = (-0.5j * np.arange(every + 1) * inertia)[: max_order + 1]
+    return torque
 
 
 def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float, ...]:
-    """Orders up to ``max_order`` at which ``engine`` shakes its crankcase with at least ``share`` of the largest force.
+    """Orders up to ``max_order`` at which ``engine`` shakes or rocks its crankcase with ``share`` of the most.
 
-    The share does not depend on speed, for every inertia force grows with its square.
+    Of the forces and, where cylinders stand side by side, of the rocking moments: at least ``share`` of the largest
+    one. What cancels to round-off counts for nothing. The share does not depend on speed, for every inertia force grows
+    with its square.
     """
+    alone = engine.model_copy(update={"cylinders": (Cylinder(),), "shafts": BalanceShafts(orders=())})
+    size = np.abs(crankcase_forces(alone, 1000.0, max_order=max_order)).max()
+    span = max(abs(cylinder.position_m) for cylinder in engine.cylinders)
     forces = np.abs(crankcase_forces(engine, 1000.0, max_order=max_order)).max(axis=0)
-    return tuple(float(order) for order in np.flatnonzero(forces >= share * forces.max()) if order > 0)
+    rocking = np.abs(crankcase_moments(engine, 1000.0, max_order=max_order))[[X, Z]].max(axis=0)
+    made = np.zeros(max_order + 1, dtype=bool)
+    for acts, least in ((forces, CANCELLED * size), (rocking, CANCELLED * size * span)):
+        made |= (acts >= share * acts.max()) & (acts > least)
+    return tuple(float(order) for order in np.flatnonzero(made) if order > 0)
+
+
+def _at_speed(speed_rpm: ArrayLike, per_omega_squared: Complex) -> Complex:
+    omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
+    scaled: Complex = (omega**2)[..., None, None] * per_omega_squared
+    return scaled
+
+
+def _phases(engine: Engine, max_order: int) -> Complex:
+    """exp(i k angle) of each cylinder's crank from its own axis at crank angle zero, shape (cylinder, max_order + 1).
+
+    Exact at quarter turns: what cancels in a flat or cross crankshaft cancels to nothing.
+    """
+    lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
+    sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(max_order + 1))
+    phases: Complex = cosine + 1j * sine
+    return phases
+
+
+def _pistons(engine: Engine, max_order: int) -> Complex:
+    """Complex mass of each cylinder by direction and order, shape (cylinder, 3, max_order + 1)."""
+    shaken = engine.reciprocating_mass_kg * acceleration_harmonics(engine.mechanism, max_order)
+    across, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
+    axes = np.stack([across, np.zeros_like(along), along], axis=1)
+    masses: Complex = axes[:, :, None] * (_phases(engine, max_order) * shaken)[:, None, :]
+    return masses
+
+
+def _shafts(engine: Engine, max_order: int) -> Complex:
+    """Complex mass along Z that the balance shafts set against the pistons, shape (max_order + 1,)."""
+    against = np.zeros(max_order + 1, dtype=np.complex128)
+    orders = [order for order in engine.shafts.orders if order <= max_order]
+    if not orders:
+        return against
+    harmonics = acceleration_harmonics(engine.mechanism, max_order)
+    cancelled = harmonics if engine.shafts.timed_to == "force" else harmonics.real
+    _, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
+    mass = engine.reciprocating_mass_kg - engine.shafts.unbalanced_mass_kg
+    against[orders] = -mass * (cancelled * (along @ _phases(engine, max_order)))[orders]
+    return against
+
+
+def _rotating(engine: Engine) -> Complex:
+    """First-order force over ω² of each throw's unbalance, shape (cylinder, 3)."""
+    angle_rev = [(cylinder.crank_deg + engine.rotating_unbalance_deg) / 360 for cylinder in engine.cylinders]
+    sine, cosine = sine_cosine(np.array(angle_rev))
+    unbalance = engine.rotating_unbalance_kg_m * (cosine + 1j * sine)
+    forces: Complex = np.stack([-1j * unbalance, np.zeros_like(unbalance), unbalance], axis=1)
+    return forces
+
+
+def _rolling(engine: Engine, max_order: int) -> Complex:
+    """Moment about Y over ω² of one cylinder, by order, counted from its own dead centre."""
+    missing = two_masses(engine).missing_inertia_kg_m2
+    moment = -inertia_torque_by_order(engine, max_order)
+    if engine.offset_m:
+        lever = engine.reciprocating_mass_kg * engine.offset_m * engine.crank_radius_m
+        moment -= lever * acceleration_harmonics(engine.mechanism, max_order)
+    if missing:
+        moment -= missing * rod_acceleration_harmonics(engine.mechanism, max_order)
+    return moment
+
+
+def _squared(series: Complex) -> Complex:
+    """Harmonics of the square of Re Σ series_k exp(ikφ); the mean is not needed and left at zero."""
+    n = series.size
+    sums = np.convolve(series, series)[:n]
+    differences = np.correlate(series, series, mode="full")[n - 1 :]
+    squared: Complex = 0.5 * sums + differences
+    squared[0] = 0
+    return squared

@@ -7,6 +7,7 @@ they are velocities (accelerations).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,53 @@ class SliderCrank:
         """1 − λ − |ε|, from the lengths: nothing cancels where the rod is hardly longer than the crank."""
         return (self.rod_length_m - self.crank_radius_m - abs(self.offset_m)) / self.rod_length_m
 
+    @property
+    def margin(self) -> float:
+        """1 − λ, from the lengths."""
+        return self.slack + abs(self.offset_ratio)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadCentres:
+    """Crank angles at which the piston turns (revolutions), and the way between them (m)."""
+
+    top_rev: float
+    bottom_rev: float
+    stroke_m: float
+
+
+def dead_centres(mechanism: SliderCrank) -> DeadCentres:
+    """Where the piston stands highest and lowest, and its stroke: with offset more than two crank radii.
+
+    ``mechanism``: lengths in metres. Source: crank and rod in one line, sin φ = e/(l + r) and −sin φ = e/(l − r).
+    """
+    radius, rod, offset = mechanism.crank_radius_m, mechanism.rod_length_m, mechanism.offset_m
+    longest, shortest = rod + radius, mechanism.margin * rod
+    high = math.sqrt((longest - offset) * (longest + offset))
+    low = math.sqrt((shortest - offset) * (shortest + offset))
+    turn = 2 * math.pi
+    return DeadCentres(
+        top_rev=math.asin(offset / longest) / turn,
+        bottom_rev=0.5 + math.asin(offset / shortest) / turn,
+        stroke_m=4 * radius * rod / (high + low),
+    )
+
+
+def sine_cosine(crank_angle_rev: ArrayLike) -> tuple[Angles, Angles]:
+    """Sine and cosine of ``crank_angle_rev`` (revolutions), exact to their own size beside every quarter turn.
+
+    The angle is taken from the nearest quarter turn. Each result has the shape of the angles.
+    """
+    revolutions = np.asarray(crank_angle_rev, dtype=np.float64)
+    quarter = np.rint(4 * revolutions)
+    angle = 2 * np.pi * (revolutions - quarter / 4)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    turn = np.mod(quarter, 4)
+    swapped = np.mod(turn, 2) == 1
+    sign_sine = np.where(turn >= 2, -1.0, 1.0)
+    sign_cosine = np.where((turn == 1) | (turn == 2), -1.0, 1.0)
+    return sign_sine * np.where(swapped, cosine, sine), sign_cosine * np.where(swapped, sine, cosine)
+
 
 def piston_drop(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
     """Way of the piston down from its place at crank angle zero (m), exact near the dead centre too.
@@ -55,7 +103,7 @@ def piston_drop(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
     Source: truth sheet section 0, with the offset carried through.
     """
-    sine, cosine = _sine_cosine(crank_angle_rev)
+    sine, cosine = sine_cosine(crank_angle_rev)
     _, rod_cosine = _rod_direction(sine, cosine, mechanism)
     rod_cosine_top = np.sqrt((1 - mechanism.offset_ratio) * (1 + mechanism.offset_ratio))
     lean = mechanism.crank_ratio * sine - 2 * mechanism.offset_ratio
@@ -68,10 +116,17 @@ def piston_velocity(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angle
     """Velocity of the piston away from the crankshaft per unit of crank speed (m/rad).
 
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
+    Source: −x'/r = sin φ + cos φ tan ψ; below the middle, where the two cancel, 1 + λ cos φ / cos ψ is rewritten as
+    (cos²ψ − λ² cos²φ) / (cos ψ (cos ψ − λ cos φ)), truth sheet section 0, with the offset carried through.
     """
-    sine, cosine = _sine_cosine(crank_angle_rev)
+    ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
+    sine, cosine = sine_cosine(crank_angle_rev)
     rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
-    velocity: Angles = -mechanism.crank_radius_m * (sine + cosine * rod_sine / rod_cosine)
+    flat, lean, size = _flat_rod(sine, mechanism)
+    # cos² ψ - λ² cos² φ = 1 - (λ - e)² - 2 λ e (1 - |sin φ|), e the offset counted towards the side of the crank
+    rest = flat - 2 * ratio * lean * cosine**2 / (1 + size)
+    lower = sine * rest / (rod_cosine * (rod_cosine + ratio * np.abs(cosine))) - offset * cosine / rod_cosine
+    velocity: Angles = -mechanism.crank_radius_m * np.where(cosine < 0, lower, sine + cosine * rod_sine / rod_cosine)
     return velocity
 
 
@@ -82,7 +137,22 @@ def piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> A
     Mass times this times ω² is the inertia force on the crankcase along the cylinder, away from the crankshaft.
     Source: truth sheet section 0; with offset sin ψ = λ sin φ − ε.
     """
-    sine, cosine = _sine_cosine(crank_angle_rev)
+    from crankorder.engine.fast_acceleration import fill_acceleration
+
+    # one kind of array keeps one compiled form: a read-only one would be compiled anew
+    revolutions = np.require(crank_angle_rev, dtype=np.float64, requirements=("C", "W"))
+    acceleration: Angles = np.empty(revolutions.size)
+    ratio, offset, margin = mechanism.crank_ratio, mechanism.offset_ratio, mechanism.margin
+    fill_acceleration(revolutions.ravel(), mechanism.crank_radius_m, ratio, offset, margin, acceleration)
+    return acceleration.reshape(revolutions.shape)
+
+
+def plain_piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
+    """The same as :func:`piston_acceleration` in plain NumPy: slower, and the test of the compiled one.
+
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
+    """
+    sine, cosine = sine_cosine(crank_angle_rev)
     rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
     swing = (mechanism.crank_ratio * cosine**2 - sine * rod_sine * rod_cosine**2) / rod_cosine**3
     acceleration: Angles = mechanism.crank_radius_m * (cosine + swing)
@@ -93,27 +163,17 @@ def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angle
     """Rod angle from the cylinder axis (rad) with its first and second derivative by crank angle.
 
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the
-    angles. Source: truth sheet section 0; ψ'' = −λ (κ'² sin φ + ε (λ (1 + sin² φ) − ε sin φ)) / cos³ψ.
+    angles. The rod turns against the crank: its angular acceleration in the crank's sense is −ψ'' ω².
+    Source: truth sheet section 0; with offset ψ'' = −λ (|s| (1 − (λ − e)²) + λ e (1 − |s|)²) sign(s) / cos³ψ, where
+    s = sin φ and e = ε sign(s): nothing cancels where the rod lies flat.
     """
-    ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
-    sine, cosine = _sine_cosine(crank_angle_rev)
+    ratio = mechanism.crank_ratio
+    sine, cosine = sine_cosine(crank_angle_rev)
     rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
-    kappa_squared = (mechanism.slack + abs(offset)) * (1 + ratio)
-    second = -ratio * (kappa_squared * sine + offset * (ratio * (1 + sine**2) - offset * sine)) / rod_cosine**3
+    flat, lean, size = _flat_rod(sine, mechanism)
+    short = cosine**2 / (1 + size)
+    second = -ratio * np.where(sine < 0, -1.0, 1.0) * (size * flat + ratio * lean * short**2) / rod_cosine**3
     return np.arctan2(rod_sine, rod_cosine), ratio * cosine / rod_cosine, second
-
-
-def _sine_cosine(crank_angle_rev: ArrayLike) -> tuple[Angles, Angles]:
-    """Sine and cosine, exact to their own size beside every quarter turn: the angle is taken from the nearest one."""
-    revolutions = np.asarray(crank_angle_rev, dtype=np.float64)
-    quarter = np.rint(4 * revolutions)
-    angle = 2 * np.pi * (revolutions - quarter / 4)
-    sine, cosine = np.sin(angle), np.cos(angle)
-    turn = np.mod(quarter, 4)
-    swapped = np.mod(turn, 2) == 1
-    sign_sine = np.where(turn >= 2, -1.0, 1.0)
-    sign_cosine = np.where((turn == 1) | (turn == 2), -1.0, 1.0)
-    return sign_sine * np.where(swapped, cosine, sine), sign_cosine * np.where(swapped, sine, cosine)
 
 
 def _rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
@@ -125,3 +185,9 @@ def _rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tupl
     margin = mechanism.slack + (abs(offset) + side * offset)
     near = margin + ratio * cosine**2 / (1 + np.abs(sine))
     return rod_sine, np.sqrt(near * (1 + side * rod_sine))
+
+
+def _flat_rod(sine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles, Angles]:
+    """cos²ψ at 90° on the side of the crank, the offset counted towards that side over the rod length, and |sin φ|."""
+    lean = np.where(sine < 0, -mechanism.offset_ratio, mechanism.offset_ratio)
+    return (mechanism.margin + lean) * (1 + mechanism.crank_ratio - lean), lean, np.abs(sine)

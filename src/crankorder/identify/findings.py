@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Sources, explain_fixed, explain_order
@@ -65,18 +66,20 @@ def _order_record(
     amplitude, error = float(line.amplitude[best]), float(line.amplitude_error[best])
     phase = float(line.phase_deg[best])
     exponent = line.exponent()
+    # the largest of n amplitudes is shown: its interval must hold for all n at once (Bonferroni)
+    simultaneous = float(ndtri(1.0 - 0.025 / len(line.seen))) * error
     return {
         "channel": line.channel,
         "order": line.order,
         "order_ci95": _interval(line.order, line.order_error),
         "amplitude": amplitude,
-        "amplitude_ci95": [max(0.0, amplitude - Z95 * error), amplitude + Z95 * error],
+        "amplitude_ci95": [max(0.0, amplitude - simultaneous), amplitude + simultaneous],
         "phase_deg": None if np.isnan(phase) else phase,
         "phase_deg_ci95": None if np.isnan(phase) else _interval(phase, float(np.degrees(error / amplitude))),
         "unit": unit[line.channel],
         "speed_rpm_at_max": float(line.speed_rpm[best]),
         "speed_exponent": None if exponent is None else exponent[0],
-        "speed_exponent_ci95": None if exponent is None else _interval(*exponent),
+        "speed_exponent_ci95": None if exponent is None else _interval(*exponent, freedom=len(line.seen) - 2),
         "speed_range_rpm": [float(line.speed_rpm.min()), float(line.speed_rpm.max())],
         "n_speeds": len(line.seen),
         "locked": line.evidence == "locked to the shaft",
@@ -88,8 +91,10 @@ def _order_record(
     }
 
 
-def _interval(value: float, error: float) -> list[float]:
-    return [value - Z95 * error, value + Z95 * error]
+def _interval(value: float, error: float, *, freedom: int | None = None) -> list[float]:
+    """95 % interval of an estimate, by Student's t where the error itself comes from ``freedom`` residuals."""
+    half = error * (Z95 if freedom is None else float(stdtrit(freedom, 0.975)))
+    return [value - half, value + half]
 
 
 def _mode_record(mode: Mode, speed_rpm: NDArray[np.float64], sources: Sources, settings: Settings) -> dict[str, Any]:
@@ -127,8 +132,11 @@ def _bearing_records(orders: list[dict[str, Any]], sources: Sources, settings: S
         locked = all(record["locked"] for record in near)
         exact = abs(best["order"] - expected) <= max(settings.identify.order_match / 4, 2 * _half_width(best))
         verdict = "watch: re-run the same test; a growing amplitude means a failing bearing"
-        if locked and exact and line == "N*fs":
-            verdict += ". Exactly locked to the shaft: an 11-fold or other toothed part of that shaft is as likely"
+        elements = _elements(sources, name)
+        if locked and exact and line == "N*fs" and elements is not None:
+            verdict += (
+                f". Exactly locked to the shaft: an {elements}-fold or other toothed part of that shaft is as likely"
+            )
         records.append(
             {
                 "name": name,
@@ -139,7 +147,7 @@ def _bearing_records(orders: list[dict[str, Any]], sources: Sources, settings: S
                 "amplitude": best["amplitude"],
                 "amplitude_ci95": best["amplitude_ci95"],
                 "channel": best["channel"],
-                "verdict": verdict.replace("11-fold", f"{_teeth(sources, name)}-fold"),
+                "verdict": verdict,
             }
         )
     return records
@@ -149,7 +157,7 @@ def _half_width(record: dict[str, Any]) -> float:
     return float(record["order_ci95"][1] - record["order_ci95"][0]) / 2.0
 
 
-def _teeth(sources: Sources, name: str) -> int | None:
+def _elements(sources: Sources, name: str) -> int | None:
     return next(bearing.rolling_elements for bearing in sources.bearings if bearing.name == name)
 
 

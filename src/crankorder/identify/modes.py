@@ -81,8 +81,10 @@ def quiet_spectrum(campbell: xr.Dataset, orders: list[float]) -> NDArray[np.floa
 
 
 def _half_bin(campbell: xr.Dataset) -> float:
-    """Half the width in rpm of a speed group of a run-up; a stepped test's groups are narrow."""
-    return 0.5 * float(campbell.attrs["speed_bin_rpm"]) if campbell.sizes["speed"] > 100 else 0.0
+    """Half the width in rpm of a speed group of a run-up, whose groups touch; a stepped test's groups are narrow."""
+    speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
+    touching = len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width
+    return 0.5 * width if touching else 0.0
 
 
 def find_modes(campbell: xr.Dataset, orders: list[float], *, settings: IdentifySettings) -> list[Mode]:
@@ -238,7 +240,8 @@ def _fit(
     guess = np.clip([frequency[peak], start], *bounds)
     result = least_squares(residual, guess, bounds=bounds, x_scale=[resolution, 0.3], max_nfev=100)
     scatter = max(2.0 * result.cost / (len(f) - 6), 1.0 / n_averages)
-    covariance = np.linalg.pinv(result.jac.T @ result.jac) * scatter
+    # neighbouring bins of a Hann window tell the same: so many fewer of them are independent
+    covariance = np.linalg.pinv(result.jac.T @ result.jac) * scatter * (enbw_hz / resolution)
     centre, half_width = float(result.x[0]), float(np.exp(result.x[1]))
     return (centre, float(np.sqrt(covariance[0, 0]))), (half_width, half_width * float(np.sqrt(covariance[1, 1])))
 

@@ -223,6 +223,9 @@ def _line(
         error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
+    if evidence != "locked to the shaft":  # between two bins a window shows less of a line
+        loss = float(np.sinc(distance) / (1.0 - distance**2))
+        amplitude, error = amplitude / loss, error / loss
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         bin=peak,

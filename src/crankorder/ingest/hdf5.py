@@ -215,6 +215,13 @@ def _check_dataset(dataset: Any, path: Path) -> None:
                 allowed=", ".join(_FILTERS.values()),
                 remedy="Save the file again with gzip or without compression",
             )
+    _check_written(dataset, path, place)
+
+
+def _check_written(dataset: h5py.Dataset, path: Path, place: str) -> None:
+    """Refuse samples that were promised and never written: HDF5 would read them as zeros."""
+    if dataset.size and not dataset.chunks and not dataset.id.get_storage_size():
+        raise InputError("no sample was ever written", file=path, place=place, remedy="Export the recording again")
     if dataset.chunks and dataset.size:
         expected = int(
             np.prod(

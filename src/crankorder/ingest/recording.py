@@ -39,8 +39,8 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     _add_encoder(recording, raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     for channel, row in zip(manifest.channels, signals, strict=True):
+        flags += mend_signal(row, channel.name, path, settings=settings)  # sentinels are those of the file's own unit
         _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
-        flags += mend_signal(row, channel.name, path, settings=settings)
     _add_signals(recording, signals, manifest)
     return Recording(with_flags(recording, flags))
 
@@ -133,7 +133,8 @@ def _add_encoder(
         return
     assert encoder.pulses_per_rev is not None  # the manifest was checked for it
     attrs["pulses_per_rev"], attrs["missing_teeth"] = encoder.pulses_per_rev, encoder.missing_teeth
-    attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
+    if "index_to_tdc_deg" in encoder.model_fields_set:  # unstated, the phase refers to the mark and says so
+        attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
 
     def pulses(source: Source | None, per_rev: int) -> tuple[npt.NDArray[np.float64], float]:
         if encoder.kind in TIME_KINDS:

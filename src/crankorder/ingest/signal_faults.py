@@ -37,8 +37,23 @@ def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSe
             flags.append(flag(path, "non_finite_interpolated", "suspect", detail))
             low, high = float(signal.min()), float(signal.max())
     if low == high:
-        return [*flags, flag(path, "constant_signal", "suspect", f"channel {name}: all samples equal {low:.6g}")]
-    return flags + _clipping(signal, low, high, name, path, settings)
+        return [*flags, flag(path, "constant_signal", "bad", f"channel {name}: all samples equal {low:.6g}")]
+    return flags + _clipping(signal, low, high, name, path, settings) + _dropout(signal, name, path, settings)
+
+
+def _dropout(signal: FloatArray, name: str, path: Path, settings: IngestSettings) -> list[QualityFlag]:
+    """Flag the longest stretch in which the signal stands still, whatever its level, if too long for chance."""
+    still = signal[1:] == signal[:-1]
+    if not still.any():
+        return []
+    starts, ends = _runs(still)
+    longest = int(np.argmax(ends - starts))
+    length = int(ends[longest] - starts[longest]) + 1
+    if length < settings.dropout_samples or length < settings.dropout_fraction * signal.size:
+        return []
+    share = f"{length} samples ({length / signal.size:.1%})"
+    detail = f"channel {name}: the same value for {share} from sample {starts[longest]}"
+    return [flag(path, "dropout", "bad", detail)]
 
 
 def _missing(signal: FloatArray) -> npt.NDArray[np.bool_]:

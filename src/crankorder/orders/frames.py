@@ -14,7 +14,7 @@ from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, time_at
+from crankorder.shaft.angle import angle_at, knots_of, time_at
 
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
@@ -26,7 +26,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     Raises InputError where not even one cycle was recorded.
     """
     cycle = int(shaft.attrs["revs_per_cycle"])
-    signals, angles = _by_angle(band, shaft, settings.max_order, cycle, settings.revs_per_frame)
+    signals, angles = _by_angle(band, shaft, settings.max_order)
     samples_per_rev = round(1.0 / (angles[1] - angles[0])) if len(angles) > 1 else 0
     held = len(angles) // samples_per_rev if samples_per_rev else 0
     revs = min(settings.revs_per_frame, held) // cycle * cycle
@@ -57,19 +57,17 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     return with_flags(frames, [*flags_of(shaft), *_flags(band, revs, settings, cycle)])
 
 
-def _by_angle(
-    band: xr.Dataset, shaft: xr.Dataset, max_order: float, cycle: int, revs: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _by_angle(band: xr.Dataset, shaft: xr.Dataset, max_order: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signals (channels, samples) and their uniform crank angles (samples,) in rev, beginning at a whole revolution."""
     signals = band["signal"].values
     if band.attrs["domain"] == "crank_angle":
         samples_per_rev = int(band.attrs["samples_per_rev"])
         first = float(shaft["crank_angle"].values[0])
-        skip = round((math.ceil(first - 1e-9) - first) * samples_per_rev)
-        angles = math.ceil(first - 1e-9) + np.arange(signals.shape[1] - skip) / samples_per_rev
+        skip = math.ceil((math.ceil(first - 1e-9) - first) * samples_per_rev - 1e-6)
+        angles = first + (skip + np.arange(signals.shape[1] - skip)) / samples_per_rev
         return np.asarray(signals[:, skip:], dtype=np.float64), angles
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
-    knots = _knots(shaft)
+    knots = knots_of(shaft)
     inside = np.array([start + margin() / rate, start + (signals.shape[1] - 1 - margin()) / rate])
     inside = np.clip(inside, knots["knot_time_s"][0], knots["knot_time_s"][-1])
     first_rev, last_rev = angle_at(inside, **knots)
@@ -77,23 +75,18 @@ def _by_angle(
     if count < 1:
         return signals[:, :0], np.empty(0)
     slowest_hz = 1.0 / max(1e-9, float(np.diff(time_at(begin + np.arange(count + 1.0), **knots)).max()))
-    samples_per_rev = _samples_per_rev(rate, slowest_hz, max_order, min(revs, count) // cycle * cycle)
+    samples_per_rev = _samples_per_rev(rate, slowest_hz, max_order)
     angles = begin + np.arange(count * samples_per_rev) / samples_per_rev
     return values_at(signals, (time_at(angles, **knots) - start) * rate), angles
 
 
-def _knots(shaft: xr.Dataset) -> dict[str, NDArray[np.float64]]:
-    return {
-        "knot_time_s": shaft["time"].values,
-        "knot_angle_rev": shaft["crank_angle"].values,
-        "knot_speed_rpm": shaft["speed"].values,
-    }
+def _samples_per_rev(rate_hz: float, slowest_hz: float, max_order: float) -> int:
+    """Samples per revolution such that nothing in the record folds onto an order shown, and fast to transform.
 
-
-def _samples_per_rev(rate_hz: float, slowest_hz: float, max_order: float, revs: int) -> int:
-    """Samples per revolution such that nothing in the record folds onto an order shown; frames of 5-smooth length."""
-    least = math.ceil(0.5 * rate_hz / slowest_hz + max_order) + 1
-    while not _is_smooth(least * max(1, revs)):
+    The resampling kernel lets pass what lies below PASS_BAND of the rate, and fades out its image by 1 - PASS_BAND.
+    """
+    least = math.ceil((1.0 - PASS_BAND) * rate_hz / slowest_hz + max_order) + 1
+    while not _is_smooth(least):
         least += 1
     return least
 
@@ -109,7 +102,7 @@ def _mean_speed(shaft: xr.Dataset, begin: NDArray[np.float64], end: NDArray[np.f
     """Mean speed in rpm between crank angles: revolutions over elapsed time."""
     if shaft.attrs.get("domain", "time") == "crank_angle":
         return np.full(len(begin), float(shaft["speed"].values.mean()))
-    elapsed = time_at(end, **_knots(shaft)) - time_at(begin, **_knots(shaft))
+    elapsed = time_at(end, **knots_of(shaft)) - time_at(begin, **knots_of(shaft))
     return np.asarray(60.0 * (end - begin) / elapsed)
 
 

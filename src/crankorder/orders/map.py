@@ -17,6 +17,9 @@ from crankorder.shaft.speed_groups import speed_groups
 RESIDUAL_FRAMES = 4
 """From so many frames on their scatter tells the noise; with fewer it is taken from quiet bins beside the line."""
 
+OWN_FRAMES = 8.0
+"""From so many independent frames on a bin's own scatter is known well enough to be believed against its neighbours."""
+
 SHAPE_SAMPLES = 1024
 """Samples on which the shape of the window is evaluated where only its overlap matters."""
 
@@ -27,15 +30,15 @@ RESIDUAL_OFFSETS = (-3, -2, 2, 3)
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
     """OrderMap of a test from the OrderFrames of its recordings.
 
-    ``frames`` need not be equally many; recordings whose frames are shorter than the longest of the test are left out
+    ``frames`` need not be equally many; recordings whose frames are not as long as those of most others are left out
     and flagged "bad". Frames within ``settings.speed_bin_rpm`` are averaged twice: by energy (``amplitude``, which
     also sees lines that slip against the shaft) and coherently (``coherent_amplitude`` and ``phase``). Across
     recordings the coherent average is taken only where both have a phase reference (and, for half orders, a known
     cycle); else the recordings' coherent powers are averaged and the phase is NaN.
     """
-    longest = max(int(item.attrs["revs_per_frame"]) for item in frames)
-    used = [item for item in frames if int(item.attrs["revs_per_frame"]) == longest]
-    dropped = [item for item in frames if int(item.attrs["revs_per_frame"]) < longest]
+    common = _common_length(frames)
+    used = [item for item in frames if int(item.attrs["revs_per_frame"]) == common]
+    dropped = [item for item in frames if int(item.attrs["revs_per_frame"]) != common]
     order = used[0]["order"].values
     speed = np.concatenate([item["speed"].values for item in used])
     owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
@@ -70,7 +73,13 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
     _put(result, "n_independent", ("speed",), independent, "independent power spectra", "1")
     _put(result, "n_coherent", ("speed", "order"), n_coherent, "independent complex spectra", "1")
-    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(dropped, longest))
+    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(dropped, common))
+
+
+def _common_length(frames: list[xr.Dataset]) -> int:
+    """Revolutions per frame that most recordings have; the longer where two are equally many."""
+    lengths = [int(item.attrs["revs_per_frame"]) for item in frames]
+    return max(set(lengths), key=lambda length: (lengths.count(length), length))
 
 
 def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: OrderSettings) -> list[NDArray[np.int64]]:
@@ -94,7 +103,8 @@ def _residual_power(
     """Noise power (channels, speeds, orders) of a ``coherent`` average of ``frames`` (speeds,) independent frames.
 
     The median of the bin's own scatter about the average and of the ``energy`` two and three bins beside it, where a
-    Hann window shows nothing of a line: local, so that a resonance near the line does not count.
+    Hann window shows nothing of a line: local, so that a resonance near the line does not count. A resonance on the
+    line, narrower than that, shows in the bin's own scatter alone, which goes first where it is larger.
     """
     n = frames[None, :, None]
     own = (energy - np.abs(coherent) ** 2) * n / np.maximum(n - 1.0, 0.5)
@@ -103,7 +113,7 @@ def _residual_power(
     n_bins = energy.shape[-1]
     beside = [padded[..., reach + k : reach + k + n_bins] for k in RESIDUAL_OFFSETS]
     middle = np.median(np.stack([own, *beside]), axis=0) / (1.0 - 1.0 / (9.0 * n)) ** 3
-    return np.asarray(np.maximum(middle, 0.0) / n)
+    return np.asarray(np.maximum(np.maximum(middle, np.where(n >= OWN_FRAMES, own, 0.0)), 0.0) / n)
 
 
 def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -180,13 +190,13 @@ def _dataset(
     return result
 
 
-def _dropped_flags(dropped: list[xr.Dataset], longest: int) -> list[QualityFlag]:
+def _dropped_flags(dropped: list[xr.Dataset], common: int) -> list[QualityFlag]:
     return [
         {
             "recording": item.attrs["recording"],
-            "flag": "too_short_for_the_test",
+            "flag": "frame_length_differs",
             "severity": "bad",
-            "detail": f"frames of {item.attrs['revs_per_frame']} revolutions where the others have {longest}: left out",
+            "detail": f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out",
         }
         for item in dropped
     ]

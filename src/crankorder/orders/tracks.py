@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -49,6 +51,21 @@ def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderS
     tracks.attrs = {key: order_map.attrs[key] for key in ("amplitude_scaling", "phase_reference", "cycle_known")}
     tracks.attrs["band_width_orders"] = settings.band_width_orders
     return tracks
+
+
+def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:
+    """Orders to follow: those that ``findings`` name and those that ``settings`` ask for.
+
+    An order that is locked to the shaft, and any within a quarter of a bin of ``order_map``, is followed on its bin,
+    where its phase is known; one that slips is followed where it was found.
+    """
+    resolution = 1.0 / float(order_map.attrs["revs_per_frame"])
+    orders = {float(order) for order in settings.track_orders}
+    for record in findings["orders"]:
+        on_bin = round(record["order"] / resolution) * resolution
+        close = record["locked"] or abs(record["order"] - on_bin) < 0.25 * resolution
+        orders.add(round(on_bin if close else record["order"], 6))
+    return sorted(orders)
 
 
 def _band_sum(power: NDArray[np.float64], centre: NDArray[np.float64], width: float) -> NDArray[np.float64]:

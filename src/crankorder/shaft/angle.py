@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 from numba import njit
 
 from crankorder.settings import ShaftSettings
@@ -164,6 +165,15 @@ def _stride_fits(time, angle, rate, stride, allowed):  # type: ignore[no-untyped
             if abs(angle[k] + x * (rate[k] + x * (c2 + x * c3)) - angle[i]) > allowed:
                 return False
     return True
+
+
+def knots_of(shaft: xr.Dataset) -> dict[str, FloatArray]:
+    """Arguments of :func:`angle_at` and :func:`time_at` from the ShaftAngle ``shaft``."""
+    return {
+        "knot_time_s": shaft["time"].values,
+        "knot_angle_rev": shaft["crank_angle"].values,
+        "knot_speed_rpm": shaft["speed"].values,
+    }
 
 
 def angle_at(

@@ -1,0 +1,210 @@
+"""Balance by counterweights on crank and rod: equivalent masses, strategies a to d, and the force that each leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from crankorder.engine.definition import EngineData, NonNegative, Positive
+from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.engine.polar import OrderForce
+from crankorder.engine.slider_crank import SliderCrank, piston_acceleration
+from crankorder.errors import RequestError
+
+Strategy = Literal["none", "a", "b", "c", "d"]
+
+RECIPROCATING_SHARE: dict[Strategy, float] = {"a": 1.0, "b": 0.0, "c": 0.5}
+"""Share of the reciprocating mass that the crank's counterweight stands against, beside the whole rotating mass."""
+
+
+class CrankTrain(EngineData):
+    """Crank, connecting rod and piston as parts: masses in g, lengths and centres of gravity in mm.
+
+    ``crank_centroid_mm`` is counted from the crankshaft's axis, ``rod_centroid_mm`` from the crank pin.
+    """
+
+    crank_mass_g: NonNegative
+    crank_centroid_mm: float
+    crank_radius_mm: Positive
+    rod_mass_g: NonNegative
+    rod_centroid_mm: float
+    rod_length_mm: Positive
+    piston_mass_g: NonNegative
+
+
+class CounterweightPlaces(EngineData):
+    """Radii (mm) at which masses can be added: on the crank, on the rod beyond the crank pin, on balance shafts."""
+
+    crank_mm: Positive | None = None
+    rod_mm: Positive | None = None
+    first_order_shaft_mm: Positive | None = None
+    second_order_shaft_mm: Annotated[float, Field(gt=0)] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EquivalentMasses:
+    """Rod as two masses at its pins, and the sums that rotate (Q1) and reciprocate (Q3), in g at the crank radius."""
+
+    rod_at_crank_pin_g: float
+    rod_at_piston_pin_g: float
+    rotating_g: float
+    reciprocating_g: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReducedMasses:
+    """An engine as its balance sees it: a mass that rotates at the crank radius and one that slides along the cylinder.
+
+    ``rotating_g`` is complex: its angle is that of the unbalance from the crank; a counterweight makes it negative.
+    """
+
+    mechanism: SliderCrank
+    rotating_g: complex
+    reciprocating_g: float
+
+    @property
+    def crank_radius_mm(self) -> float:
+        """Crank radius (mm)."""
+        return self.mechanism.crank_radius_m * 1e3
+
+    @property
+    def rod_length_mm(self) -> float:
+        """Length of the connecting rod (mm)."""
+        return self.mechanism.rod_length_m * 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counterweights:
+    """Masses (g) that a strategy adds: on the crank, opposite to its pin, and on the rod beyond the crank pin."""
+
+    crank_g: float
+    rod_g: float = 0.0
+
+    @property
+    def total_g(self) -> float:
+        """Mass added in all."""
+        return self.crank_g + self.rod_g
+
+
+def equivalent_masses(train: CrankTrain) -> EquivalentMasses:
+    """Masses that replace crank, rod and piston of ``train`` (g and mm) in every force on the frame.
+
+    The two masses of the rod keep its centre of gravity, so forces are exact whatever its moment of inertia; the couple
+    is not. Source: Task 5, equation (5.1).
+    """
+    at_piston_pin = train.rod_mass_g * train.rod_centroid_mm / train.rod_length_mm
+    at_crank_pin = train.rod_mass_g - at_piston_pin
+    return EquivalentMasses(
+        rod_at_crank_pin_g=at_crank_pin,
+        rod_at_piston_pin_g=at_piston_pin,
+        rotating_g=at_crank_pin + train.crank_mass_g * train.crank_centroid_mm / train.crank_radius_mm,
+        reciprocating_g=at_piston_pin + train.piston_mass_g,
+    )
+
+
+def counterweights(masses: ReducedMasses, strategy: Strategy, places: CounterweightPlaces) -> Counterweights:
+    """Counterweights (g) that a strategy asks for.
+
+    ``masses``: engine before balancing. ``strategy``: "a" cancels the first order along the cylinder, "b" the force
+    across it, "c" leaves equal parts of both, "d" brings every centre of gravity to the crankshaft. ``places``: radii;
+    the crank radius stands in for a missing one on the crank. Raises RequestError where "d" has no radius on the rod.
+    Source: Task 5, equations (5.7), (5.10), (5.24), (5.31), (5.33).
+    """
+    leverage = masses.crank_radius_mm / (places.crank_mm or masses.crank_radius_mm)
+    if strategy == "none":
+        return Counterweights(crank_g=0.0)
+    if strategy != "d":
+        against = masses.rotating_g + RECIPROCATING_SHARE[strategy] * masses.reciprocating_g
+        return Counterweights(crank_g=leverage * abs(against))
+    if places.rod_mm is None:
+        raise RequestError("strategy d needs a counterweight on the rod", place="rod_mm", remedy="State its radius")
+    on_rod = masses.reciprocating_g * masses.rod_length_mm / places.rod_mm
+    return Counterweights(
+        crank_g=leverage * abs(masses.rotating_g + masses.reciprocating_g + on_rod),
+        rod_g=on_rod,
+    )
+
+
+def with_counterweights(masses: ReducedMasses, added: Counterweights, places: CounterweightPlaces) -> ReducedMasses:
+    """The engine with counterweights of any size: what then rotates and what slides.
+
+    ``masses``: engine before. ``added``: masses in g. ``places``: their radii (the crank radius where none is stated).
+    A mass beyond the crank pin weighs on the pin with more than itself and takes from the piston. Exact.
+    """
+    on_crank = added.crank_g * (places.crank_mm or masses.crank_radius_mm) / masses.crank_radius_mm
+    lever = (places.rod_mm or 0.0) / masses.rod_length_mm
+    return replace(
+        masses,
+        rotating_g=masses.rotating_g + added.rod_g * (1 + lever) - on_crank,
+        reciprocating_g=masses.reciprocating_g - added.rod_g * lever,
+    )
+
+
+def balanced(masses: ReducedMasses, strategy: Strategy) -> ReducedMasses:
+    """What rotates and what slides under a strategy, in closed form, so that what cancels is exactly zero.
+
+    ``masses``: engine before balancing. ``strategy``: "none", "a", "b", "c" or "d".
+    Source: Task 5, equations (5.8), (5.11), (5.25), (5.26).
+    """
+    if strategy == "none":
+        return masses
+    if strategy == "d":
+        return replace(masses, rotating_g=0.0, reciprocating_g=0.0)
+    return replace(masses, rotating_g=-RECIPROCATING_SHARE[strategy] * masses.reciprocating_g)
+
+
+def force_by_order(masses: ReducedMasses, *, max_order: int) -> tuple[OrderForce, ...]:
+    """Force on the frame over ω² by order 1 … ``max_order`` (g·mm).
+
+    ``masses``: what rotates and what slides. ``max_order``: ≥ 1. Orders that the engine does not make are left out,
+    except the first.
+    Source: Task 5, equations (5.2), (5.3), with harmonics of any order (truth sheet 1) and with offset (2.6).
+    """
+    harmonics = acceleration_harmonics(masses.mechanism, max_order)
+    sliding = masses.crank_radius_mm * masses.reciprocating_g * harmonics
+    rotating = OrderForce(order=1, direct_g_mm=masses.crank_radius_mm * masses.rotating_g)
+    first = OrderForce.of_axes(order=1, x_g_mm=complex(sliding[1]))
+    made = [OrderForce(order=1, direct_g_mm=rotating.direct_g_mm + first.direct_g_mm, reverse_g_mm=first.reverse_g_mm)]
+    made += [OrderForce.of_axes(order=k, x_g_mm=complex(sliding[k])) for k in range(2, max_order + 1) if sliding[k]]
+    return tuple(made)
+
+
+def frame_force(masses: ReducedMasses, crank_angle_rev: ArrayLike) -> NDArray[np.complex128]:
+    """Exact force on the frame over ω² (g·mm): real part along the cylinder, imaginary part across it.
+
+    ``masses``: what rotates and what slides. ``crank_angle_rev``: revolutions, any shape; the result has that shape.
+    """
+    angle = 2 * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)
+    rotating = masses.crank_radius_mm * masses.rotating_g * np.exp(1j * angle)
+    sliding = masses.reciprocating_g * 1e3 * piston_acceleration(crank_angle_rev, masses.mechanism)
+    force: NDArray[np.complex128] = rotating + sliding
+    return force
+
+
+def rod_counterweight_couple(
+    masses: ReducedMasses, added: Counterweights, places: CounterweightPlaces, crank_angle_rev: ArrayLike
+) -> NDArray[np.float64]:
+    """Couple over ω² on the frame (g·mm²) that a counterweight on the rod leaves where all forces cancel.
+
+    ``masses``: lengths (an offset is not treated: RequestError). ``added``, ``places``: counterweights and radii.
+    ``crank_angle_rev``: revolutions, any shape; the result has that shape, positive in the sense of the crank. What
+    the rod's true moment of inertia adds is not in it. Source: angular momentum of a point beyond the crank pin
+    (truth sheet 0).
+    """
+    if masses.mechanism.offset_m:
+        raise RequestError("the couple of a rod counterweight is known without offset only", place="offset_m")
+    angle = 2 * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)
+    radius, length, ratio = masses.crank_radius_mm, masses.rod_length_mm, masses.mechanism.crank_ratio
+    beyond = places.rod_mm or 0.0
+    sine, cosine = np.sin(angle), np.cos(angle)
+    rod_cosine = np.hypot(cosine, np.sqrt((1 - ratio) * (1 + ratio)) * sine)
+    swing = 1e3 * piston_acceleration(crank_angle_rev, masses.mechanism) - radius * cosine  # length · λ² · D
+    place_x, place_y = radius * cosine - beyond * rod_cosine, (radius + beyond * ratio) * sine
+    second_x = -radius * cosine + beyond / length * swing
+    second_y = -place_y
+    couple: NDArray[np.float64] = -added.rod_g * (place_x * second_y - place_y * second_x)
+    return couple

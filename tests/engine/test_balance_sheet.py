@@ -1,0 +1,156 @@
+"""The balance sheet: one JSON document for every shipped engine, with the keys asked for and true sentences."""
+
+import json
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine
+from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.forces import DIRECTIONS, crankcase_forces
+from crankorder.errors import RequestError
+from crankorder.settings import shipped
+
+CRANK_ENGINES = [name for name, text in shipped("engines").items() if "kind" not in tomllib.loads(text)]
+KEYS = {"engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft", "notes", "sentences"}
+
+
+def sheet_of(name: str, **options: Any) -> dict[str, Any]:
+    """Sheet of a shipped engine."""
+    return balance_sheet(load_balanced_engine(name), **options)
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole(name: str) -> None:
+    sheet = sheet_of(name)
+    assert set(sheet) >= KEYS
+    assert json.loads(json.dumps(sheet, allow_nan=False)) == sheet
+    assert sheet == sheet_of(name)
+    assert len(sheet["sentences"]) >= 1
+    assert all(sentence.endswith(".") and len(sentence) < 500 for sentence in sheet["sentences"])
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str) -> None:
+    subject = load_balanced_engine(name)
+    bare = subject.engine.model_copy(update={"shafts": subject.engine.shafts.model_copy(update={"orders": ()})})
+    force = np.abs(crankcase_forces(bare, 2000.0, max_order=8))
+    engine = subject.engine
+    terms_kg_m = engine.reciprocating_mass_kg * engine.crank_radius_m + engine.rotating_unbalance_kg_m
+    round_off_n = 1e-14 * len(engine.cylinders) * terms_kg_m * (2000 * np.pi / 30) ** 2
+    sheet = balance_sheet(subject, speeds_rpm=[2000.0])
+    for axis, direction in (("x", "Z"), ("y", "X")):
+        stated = sheet["force_n"]["2000"][axis] or {}
+        known = force[DIRECTIONS.index(direction)]  # type: ignore[arg-type]
+        assert [stated.get(str(k), 0.0) for k in range(1, 9)] == pytest.approx(known[1:], rel=1e-12, abs=round_off_n)
+
+
+def test_literature_task_5_shows_its_strategies_side_by_side() -> None:
+    sheet = sheet_of("task5")
+    rows = {name: (row["counterweight_g"], row["rotation"]) for name, row in sheet["strategies"].items()}
+    assert rows == {
+        "a": (962.5, "line"),
+        "b": (562.5, "line"),
+        "c": (762.5, "against crank"),
+        "d": (1962.5, "none"),
+    }
+    assert sheet["strategies"]["d"]["total_g"] == 2762.5
+    assert sheet["masses_g"] == {
+        "reciprocating": 320,
+        "rotating_at_crank_radius": 450,
+        "rod_at_crank_pin": 210,
+        "rod_at_piston_pin": 140,
+    }
+    residuals = {name: (row["residual_x_g_mm"], row["residual_y_g_mm"]) for name, row in sheet["strategies"].items()}
+    assert residuals == {"a": (0, 8000), "b": (8000, 0), "c": (4000, 4000), "d": (0, 0)}
+    assert sheet["crankshaft"] is None
+    assert sheet["lambda"] == 0.25
+    assert any("Chosen" in note for note in sheet["notes"])
+
+
+def test_literature_the_optical_engine_shows_table_1_and_what_is_left(truth: dict[str, Any]) -> None:
+    sheet = sheet_of("msu-optical", speeds_rpm=[2000.0])
+    for row in truth["seed001"]["table1"]["rows_g_mm"]["optical"]:
+        order = str(row["order"])
+        assert sheet["force_g_mm"]["x"][order] == pytest.approx(row["exact_Fourier"], rel=1e-12)
+        assert sheet["leading_g_mm"][order] == pytest.approx(row["leading_term_recomputed"], rel=1e-12)
+    assert sheet["force_g_mm"]["y"] is None
+    assert sheet["strategies"]["d"] is None
+    said = " ".join(sheet["sentences"])
+    for fact in ("1299 g·mm (56.98 N", "11068 g·mm (485.5 N", "3338.4 g·mm (146.4 N", "(228.5 N", "(578.4 N", "3.90°"):
+        assert fact in said
+
+
+def test_literature_the_shaft_set_shows_both_scenarios_and_the_rocking_couple() -> None:
+    sheet = sheet_of("msu-shafts")
+    assert sheet["crankshaft"]["couple_Nm_at_rpm"]["2000"] == pytest.approx(59.4, abs=0.02)
+    assert abs(sheet["crankshaft"]["static_kg_mm"]["y"]) < 0.011
+    pair = sheet["shafts"]["pairs"][1]
+    assert pair["scenarios"]["literal"]["residual_x_g_mm"] == pytest.approx(-44973.8, rel=1e-12)
+    assert pair["scenarios"]["physical"]["class"] == "professional racing"
+    assert pair["scenarios"]["literal"]["class"] is None
+    said = " ".join(sheet["sentences"])
+    for fact in ("3.998 times", "44974 g·mm (1973 N at 2000 rpm) too much", "1354.3 kg·mm² (59.41 N·m", "7.6 g·mm"):
+        assert fact in said
+
+
+def test_reverse_cranks_leave_nothing_across_and_the_fourth_order_along() -> None:
+    table = sheet_of("reverse-cranks")["reverse_cranks"]
+    assert table["transverse_g_mm"] < 1e-11
+    assert table["couple_g_mm2"] == 0
+    first = table["pair_moments_g_mm"]["exact"]["1"]
+    assert table["residual_x_g_mm"]["exact"] / first == pytest.approx(0.004173847, rel=1e-6)
+    assert table["residual_x_g_mm"]["leading"] / first == pytest.approx(0.008198890, rel=1e-6)
+    assert 0 < table["tolerances"]["across_g_mm"]["1"]["median"] < table["tolerances"]["across_g_mm"]["1"]["95 %"]
+
+
+def test_an_engine_with_its_own_shafts_shows_what_these_leave() -> None:
+    own = sheet_of("msu-optical-second", speeds_rpm=[2000.0])["shafts"]["own"]
+    assert own["orders"] == [1, 2]
+    assert own["residual_g_mm"]["x"]["3"] == pytest.approx(193249.6 * 0.0071162976, rel=1e-7)
+    assert sheet_of("msu-optical")["shafts"]["own"] is None
+
+
+def test_an_offset_engine_is_balanced_by_a_pair_timed_to_its_force() -> None:
+    shafts = sheet_of("msu-optical-second")["shafts"]
+    assert min(shafts["3"]["residual_g_mm"]["x"], key=int) == "3"
+    assert shafts["3"]["shafts"][0]["phase_deg"] == pytest.approx(180 - 3.9036609781830895, rel=1e-12)
+
+
+def test_an_inline_three_is_free_of_forces_up_to_the_fifth_order_and_says_so() -> None:
+    sheet = sheet_of("inline-3")
+    assert list(sheet["force_g_mm"]["x"]) == ["6"]
+    assert sheet["force_g_mm"]["y"] is None
+    assert "of order 6 along Z" in sheet["sentences"][0]
+
+
+def two_cylinders() -> BalancedEngine:
+    """Two cylinders side by side with opposite pins."""
+    table = {
+        "crank_radius_m": 0.04,
+        "rod_length_m": 0.14,
+        "reciprocating_mass_kg": 0.5,
+        "cylinders": [{"crank_deg": 0.0, "position_m": -0.05}, {"crank_deg": 180.0, "position_m": 0.05}],
+    }
+    return balanced_engine(table, name="inline-2", source="inline-2.toml")
+
+
+def test_several_cylinders_show_their_sum_and_no_strategies_of_one() -> None:
+    sheet = balance_sheet(two_cylinders(), speeds_rpm=[3000.0])
+    assert "1" not in sheet["force_g_mm"]["x"]
+    assert sheet["force_g_mm"]["x"]["2"] == pytest.approx(2 * 0.5e3 * 40 * sheet["harmonics"]["2"], rel=1e-12)
+    assert sheet["strategies"] is None
+    assert sheet["shafts"]["1"] is None
+    assert sheet["moment_g_mm2"]["about_y"]["1"] == pytest.approx(500 * 40 * 100, rel=1e-12)
+    assert any("rocking moment" in sentence for sentence in sheet["sentences"])
+    json.dumps(sheet, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "options", [{"max_order": 3}, {"speeds_rpm": []}, {"speeds_rpm": [0.0]}, {"speeds_rpm": [float("nan")]}]
+)
+def test_a_sheet_without_orders_or_speeds_is_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(RequestError, match="balance sheet"):
+        sheet_of("task5", **options)

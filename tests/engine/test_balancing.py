@@ -1,0 +1,136 @@
+"""Counterweights: Task 5 as printed, the exact forces of the truth sheet, and the laws behind the strategies."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crankorder.engine.balance_data import load_balanced_engine, reduced_masses
+from crankorder.engine.balancing import (
+    CounterweightPlaces,
+    Counterweights,
+    ReducedMasses,
+    balanced,
+    counterweights,
+    equivalent_masses,
+    force_by_order,
+    frame_force,
+    rod_counterweight_couple,
+    with_counterweights,
+)
+from crankorder.engine.polar import polar_diagram
+from crankorder.engine.slider_crank import SliderCrank
+from crankorder.errors import RequestError
+
+ANGLES = np.arange(720) / 720
+TASK5 = load_balanced_engine("task5")
+PLACES = TASK5.balance.places
+
+
+@pytest.fixture
+def masses() -> ReducedMasses:
+    """Task 5 before balancing."""
+    return reduced_masses(TASK5)
+
+
+def test_literature_equivalent_masses_are_those_of_equation_5_1() -> None:
+    assert TASK5.balance.train is not None
+    found = equivalent_masses(TASK5.balance.train)
+    assert found.rod_at_crank_pin_g == 210
+    assert found.rod_at_piston_pin_g == 140
+    assert found.rotating_g == 450
+    assert found.reciprocating_g == 320
+
+
+@pytest.mark.parametrize(("strategy", "printed_g"), [("a", 962.5), ("b", 562.5), ("c", 762.5), ("d", 1962.5)])
+def test_literature_counterweights_are_those_printed(masses: ReducedMasses, strategy: Any, printed_g: float) -> None:
+    assert counterweights(masses, strategy, PLACES).crank_g == printed_g
+
+
+def test_literature_complete_balance_takes_800_g_on_the_rod_and_2762_5_g_in_all(masses: ReducedMasses) -> None:
+    added = counterweights(masses, "d", PLACES)
+    assert (added.rod_g, added.total_g) == (800, 2762.5)
+
+
+@pytest.mark.parametrize("strategy", ["none", "a", "b", "c", "d"])
+def test_residual_first_orders_are_those_of_the_truth_sheet(
+    masses: ReducedMasses, strategy: Any, truth: dict[str, Any]
+) -> None:
+    key = "unbalanced" if strategy == "none" else strategy
+    x_g, y_g = truth["seed000"]["residual_first_harmonic_over_l1w2"]["amplitudes_g"][key]
+    first = force_by_order(balanced(masses, strategy), max_order=2)[0]
+    assert abs(first.x_g_mm) == 25 * x_g
+    assert abs(first.y_g_mm) == 25 * y_g
+
+
+def test_strategy_c_leaves_a_constant_force_that_turns_against_the_crank(masses: ReducedMasses) -> None:
+    first = force_by_order(balanced(masses, "c"), max_order=1)[0]
+    assert first.rotation == "against crank"
+    assert np.abs(polar_diagram([first], ANGLES)) == pytest.approx(np.full(720, 160.0 * 25), rel=1e-14)
+    assert [force_by_order(balanced(masses, name), max_order=1)[0].rotation for name in ("none", "a", "b", "d")] == [
+        "with crank",
+        "line",
+        "line",
+        "none",
+    ]
+
+
+def test_frame_forces_are_those_of_the_truth_sheet(masses: ReducedMasses, truth: dict[str, Any]) -> None:
+    table = truth["seed000"]["Fx_Fy_reference_g_mm_at_omega_1_lambda_0.25_l1_25"]
+    force = frame_force(masses, [float(angle) / 360 for angle in table])
+    known = np.array([complex(float(x), float(y)) for x, y in table.values()])
+    assert len(known) == 12
+    assert np.abs(force - known).max() < 1e-12 * np.abs(known).max()
+
+
+def test_analytic_orders_add_up_to_the_exact_force_with_offset_too(masses: ReducedMasses) -> None:
+    offset = SliderCrank(crank_radius_m=0.025, rod_length_m=0.1, offset_m=0.007)
+    for model in (masses, ReducedMasses(mechanism=offset, rotating_g=450 * np.exp(0.3j), reciprocating_g=320.0)):
+        exact = frame_force(model, ANGLES)
+        assert np.abs(polar_diagram(force_by_order(model, max_order=40), ANGLES) - exact).max() < 1e-13 * 19250
+
+
+@pytest.mark.parametrize("strategy", ["a", "b", "c", "d"])
+def test_analytic_the_counterweights_leave_what_the_strategy_says(masses: ReducedMasses, strategy: Any) -> None:
+    built = with_counterweights(masses, counterweights(masses, strategy, PLACES), PLACES)
+    meant = balanced(masses, strategy)
+    assert abs(built.rotating_g - meant.rotating_g) < 1e-12 * 450
+    assert built.reciprocating_g == pytest.approx(meant.reciprocating_g, abs=1e-12 * 320)
+    if strategy == "d":
+        assert np.abs(frame_force(built, ANGLES)).max() < 1e-10
+
+
+def test_analytic_no_counterweight_on_the_crank_alone_balances_the_first_order(masses: ReducedMasses) -> None:
+    best = min(
+        sum(
+            force_by_order(with_counterweights(masses, Counterweights(crank_g=g), PLACES), max_order=1)[
+                0
+            ].semi_axes_g_mm
+        )
+        for g in np.linspace(0, 1500, 301)
+    )
+    assert best >= 320 * 25 * (1 - 1e-12)
+
+
+def test_analytic_the_couple_of_strategy_d_is_the_rate_of_angular_momentum(masses: ReducedMasses) -> None:
+    added = counterweights(masses, "d", PLACES)
+    step = 1e-4
+    angle = 2 * np.pi * ANGLES
+
+    def place(phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 25 * np.cos(phi) - 40 * np.sqrt(1 - (np.sin(phi) / 4) ** 2), (25 + 40 / 4) * np.sin(phi)
+
+    (x, y), (x_on, y_on), (x_back, y_back) = place(angle), place(angle + step), place(angle - step)
+    rate = x * (y_on - 2 * y + y_back) / step**2 - y * (x_on - 2 * x + x_back) / step**2
+    couple = rod_counterweight_couple(masses, added, PLACES, ANGLES)
+    assert np.abs(couple + 800 * rate).max() < 1e-6 * np.abs(couple).max()
+    assert np.abs(couple).max() > 1e6
+
+
+def test_strategy_d_without_a_place_on_the_rod_is_refused(masses: ReducedMasses) -> None:
+    with pytest.raises(RequestError, match="rod_mm"):
+        counterweights(masses, "d", CounterweightPlaces(crank_mm=20.0))
+
+
+def test_counterweights_act_at_the_crank_radius_where_no_radius_is_stated(masses: ReducedMasses) -> None:
+    assert counterweights(masses, "b", CounterweightPlaces()).crank_g == 450

@@ -1,0 +1,207 @@
+"""What the hinges ask for: weights, counterweights, the table against the hinge angle, the air spring's pressure."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crankorder.engine.crank_torque import CrankTorque, TorqueBranch
+from crankorder.engine.elastic_hinge import hinge_moment, side_force
+from crankorder.engine.hinge_definition import load_hinged_engine
+from crankorder.engine.hinge_inertia import shaking_force, strut_hinge_moment, weight_moment
+from crankorder.engine.hinge_solutions import (
+    Joint,
+    Weight,
+    air_spring_pressure,
+    balanced_crank,
+    crank_angle_of_hinge,
+    hinge_table,
+    vertical_counterweight,
+    weight_without_side_force,
+)
+from crankorder.engine.hinged_crank import Kinematics, rod_motion
+from crankorder.errors import RequestError
+
+ENGINE = load_hinged_engine("elastic-hinge")
+CURVE = ENGINE.curve
+HALF_DEGREES = np.arange(720) / 720
+NO_TORQUE = CrankTorque(branches=(TorqueBranch(angle_deg=(0.0, 360.0), torque_nm=(0.0, 0.0)),))
+
+FIGURE_4: list[tuple[str, Weight, str]] = [
+    ("fig4_a", "rod_weight_n", "a: P2 given P3=79"),
+    ("fig4_b", "piston_weight_n", "b: P3 given P2=10,P4=10,l0=0.1"),
+]
+
+
+@pytest.mark.parametrize(("name", "weight", "key"), FIGURE_4)
+@pytest.mark.parametrize("kinematics", ["truncated", "exact"])
+def test_the_weights_of_figure_4_are_the_true_ones(
+    truth: dict[str, Any], name: str, weight: Weight, key: str, kinematics: Kinematics
+) -> None:
+    crank = ENGINE.cranks[name]
+    found = weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="printed", kinematics=kinematics)
+    assert found == pytest.approx(float(truth["seed003"]["fig4_solutions"][key][kinematics]), rel=1e-12)
+    solved = replace(crank, **{weight: found})
+    assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="printed", kinematics=kinematics)).max() < 1e-11
+
+
+def test_the_document_printed_what_its_truncated_kinematics_give() -> None:
+    printed = []
+    for name, weight, _ in FIGURE_4:
+        for kinematics in ("truncated", "exact"):
+            found = weight_without_side_force(
+                ENGINE.cranks[name],
+                CURVE,
+                weight=weight,
+                pin_hinge="printed",
+                kinematics=kinematics,  # type: ignore[arg-type]
+            )
+            printed.append(round(found, 2))
+    assert printed == [54.40, 55.15, 18.16, 18.17]
+
+
+@pytest.mark.parametrize("weight", ["rod_counterweight_n", "rod_weight_n", "piston_weight_n"])
+def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_the_pin(weight: Weight) -> None:
+    crank = replace(ENGINE.cranks["fig5_bcd"], rod_counterweight_n=200.0)
+    found = weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")
+    solved = replace(crank, **{weight: found})
+    assert abs(solved.static_moment_nm) < 1e-13
+    assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="potential")).max() < 1e-12
+
+
+def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
+    crank = ENGINE.cranks["fig3_ac"]
+    for weight in ("rod_weight_n", "rod_counterweight_n"):
+        with pytest.raises(RequestError, match="without side force"):
+            weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")  # type: ignore[arg-type]
+
+
+def test_equation_12_gives_the_printed_counterweights_with_the_radius_mended() -> None:
+    a, b = ENGINE.cranks["fig5_a"], ENGINE.cranks["fig5_bcd"]
+    assert vertical_counterweight(a) == pytest.approx(47.50, rel=1e-14)
+    assert vertical_counterweight(replace(a, crank_counterweight_radius_m=0.1)) == pytest.approx(95.0, rel=1e-14)
+    assert round(vertical_counterweight(b), 2) == 31.47
+    assert vertical_counterweight(b) == pytest.approx(31.47058823529411764705882, rel=1e-14)
+    for crank in (a, b):
+        held = replace(crank, crank_counterweight_n=vertical_counterweight(crank))
+        assert abs(weight_moment(held)) < 1e-14
+        assert np.abs(shaking_force(HALF_DEGREES, held)[1]).max() < 1e-15
+
+
+@pytest.mark.parametrize("name", ["fig5_a", "fig5_bcd"])
+def test_equation_13_cancels_every_shaking_force(truth: dict[str, Any], name: str) -> None:
+    crank = balanced_crank(ENGINE.cranks[name])
+    along, across = shaking_force(HALF_DEGREES, crank)
+    assert np.abs(along).max() < 1e-14
+    assert np.abs(across).max() < 1e-14
+    assert abs(crank.static_moment_nm) < 1e-13
+    # with the centre of mass at the crank pin equations (12) and (13) ask for the same counterweight
+    assert vertical_counterweight(crank) == pytest.approx(crank.crank_counterweight_n, rel=1e-14)
+    if name == "fig5_a":
+        numbers = truth["seed003"]["eq13"]
+        assert crank.rod_counterweight_n == pytest.approx(float(numbers["P4"]), rel=1e-14)
+        assert crank.crank_counterweight_n == pytest.approx(float(numbers["P5"]), rel=1e-14)
+
+
+def test_a_counterweight_without_a_radius_is_refused() -> None:
+    for call in (vertical_counterweight, balanced_crank):
+        with pytest.raises(RequestError, match="without a radius"):
+            call(ENGINE.cranks["fig3_ac"])
+
+
+@pytest.mark.parametrize("name", sorted(ENGINE.cranks))
+def test_the_crank_angle_of_a_hinge_angle_is_its_inverse(name: str) -> None:
+    crank = ENGINE.cranks[name]
+    turns = np.linspace(-1.3, 2.6, 1001)
+    motion = rod_motion(turns, crank)
+    rod = np.arctan2(crank.mechanism.crank_ratio * motion.sine, motion.rod_cosine) / (2 * np.pi)
+    np.testing.assert_allclose(crank_angle_of_hinge(turns + rod, crank), turns, rtol=0, atol=2e-15)
+    np.testing.assert_array_equal(crank_angle_of_hinge([0, 0.5, 1, 1.5], crank), [0, 0.5, 1, 1.5])
+
+
+@pytest.mark.parametrize("name", sorted(ENGINE.cranks))
+@pytest.mark.parametrize("joint", ["pin", "strut"])
+def test_a_table_closes_and_holds_the_moment_at_its_angles(name: str, joint: Joint) -> None:
+    crank = ENGINE.cranks[name]
+    table = hinge_table(crank, CURVE, joint=joint, speed_rpm=2000.0, n_steps=90)
+    scale = np.abs(table.moment_nm).max()
+    assert abs(table.work_j[-1]) < 1e-13 * scale
+    needed = hinge_moment if joint == "pin" else strut_hinge_moment
+    moment = needed(table.crank_angle_rev, crank, CURVE, speed_rpm=2000.0, pin_hinge="potential")
+    np.testing.assert_allclose(table.moment_nm, moment, rtol=0, atol=1e-14 * scale)
+    assert (np.diff(table.crank_angle_rev) > 0).all()
+    assert table.crank_angle_rev[[0, 45, 90]].tolist() == [0, 0.5, 1]
+
+
+@pytest.mark.parametrize("joint", ["pin", "strut"])
+def test_the_work_of_a_table_does_not_depend_on_its_steps(joint: Joint) -> None:
+    crank = ENGINE.cranks["fig5_bcd"]
+    coarse = hinge_table(crank, CURVE, joint=joint, speed_rpm=2000.0, n_steps=30)
+    fine = hinge_table(crank, CURVE, joint=joint, speed_rpm=2000.0, n_steps=360)
+    scale = np.abs(fine.work_j).max()
+    np.testing.assert_allclose(coarse.work_j, fine.work_j[::12], rtol=0, atol=1e-11 * scale)
+    slope = np.gradient(fine.work_j, fine.hinge_angle_rev * 2 * np.pi)[1:-1]
+    np.testing.assert_allclose(slope, fine.moment_nm[1:-1], atol=2e-3 * np.abs(fine.moment_nm).max())
+
+
+def test_a_table_of_the_printed_characteristic_does_not_close() -> None:
+    crank = ENGINE.cranks["fig5_a"]
+    table = hinge_table(crank, CURVE, joint="pin", speed_rpm=2000.0, pin_hinge="printed")
+    assert table.work_j[-1] == pytest.approx(250.2258531339688, rel=1e-10)
+
+
+@pytest.mark.parametrize("n_steps", [0, 7])
+def test_a_table_of_odd_steps_is_refused(n_steps: int) -> None:
+    with pytest.raises(RequestError, match="even number"):
+        hinge_table(ENGINE.cranks["fig5_a"], CURVE, joint="pin", speed_rpm=2000.0, n_steps=n_steps)
+
+
+@pytest.mark.parametrize("joint", ["pin", "strut"])
+def test_the_same_speed_needs_the_same_pressure(joint: Joint) -> None:
+    crank = ENGINE.cranks["fig5_bcd"]
+    change = air_spring_pressure(crank, CURVE, joint=joint, designed_speed_rpm=2000.0, speed_rpm=2000.0)
+    assert change.pressure_ratio == pytest.approx(1, rel=1e-15)
+    assert change.residual_share < 1e-15
+    assert change.speed_fluctuation < 1e-15
+
+
+def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed() -> None:
+    crank = balanced_crank(ENGINE.cranks["fig5_bcd"])
+    cases: tuple[tuple[Joint, CrankTorque], ...] = (("pin", NO_TORQUE), ("strut", NO_TORQUE), ("strut", CURVE))
+    for joint, torque in cases:
+        change = air_spring_pressure(crank, torque, joint=joint, designed_speed_rpm=2000.0, speed_rpm=3000.0)
+        # at the strut the gas torque is taken whole by the hinge at the pin
+        assert change.pressure_ratio == pytest.approx(2.25, rel=1e-12)
+        assert change.residual_share < 1e-12
+
+
+def test_no_other_pressure_leaves_less_and_what_is_left_is_told() -> None:
+    crank = ENGINE.cranks["fig5_bcd"]
+    change = air_spring_pressure(crank, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
+    before, after = (hinge_table(crank, CURVE, joint="pin", speed_rpm=rpm, n_steps=2880) for rpm in (1000.0, 1200.0))
+
+    def rms(ratio: float) -> float:
+        return float(np.sqrt(np.mean((after.moment_nm - ratio * before.moment_nm)[:-1] ** 2)))
+
+    assert change.residual_rms_nm == pytest.approx(rms(change.pressure_ratio), rel=1e-3)
+    assert rms(change.pressure_ratio) < min(rms(change.pressure_ratio * 0.999), rms(change.pressure_ratio * 1.001))
+    assert 1 < change.pressure_ratio < 1.44
+    assert change.residual_share == pytest.approx(change.residual_rms_nm / rms(0.0), rel=1e-3)
+    swing = np.ptp(after.work_j - change.pressure_ratio * before.work_j)
+    assert change.energy_swing_j == pytest.approx(swing, rel=1e-4)
+
+
+def test_the_speed_fluctuation_is_the_energy_swing_over_the_inertia() -> None:
+    crank = ENGINE.cranks["fig5_bcd"]
+    heavy = replace(crank, crank_inertia_kg_m2=1e6)
+    change = air_spring_pressure(heavy, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
+    assert change.speed_fluctuation == pytest.approx(change.energy_swing_j / (1e6 * (40 * np.pi) ** 2), rel=2e-6)
+
+
+def test_a_spring_without_moment_or_speed_is_refused() -> None:
+    weightless = replace(ENGINE.cranks["fig3_ac"], rod_weight_n=0.0, piston_weight_n=0.0, rod_inertia_kg_m2=0.0)
+    with pytest.raises(RequestError, match="without a moment"):
+        air_spring_pressure(weightless, NO_TORQUE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=2000.0)
+    with pytest.raises(RequestError, match="positive"):
+        air_spring_pressure(weightless, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=0.0)
