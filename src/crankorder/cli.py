@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
+MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
 
 
 class Guarded(click.Group):
@@ -243,6 +244,32 @@ def report(results: tuple[Path, ...]) -> None:
 
     for result in results:
         click.echo(str(redraw(result)))
+
+
+@main.command()
+@click.argument("engine")
+@click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
+@click.option("--out", type=FOLDER, help="Folder for balance.json, pictures and balance.nc; made if missing.")
+@click.option(
+    "--speed",
+    "speeds",
+    metavar="RPM",
+    multiple=True,
+    type=click.FloatRange(0, MAX_SPEED_RPM, min_open=True),
+    help="Crank speed at which forces are given; repeat it for more. [default: those of the engine file]",
+)
+@click.option(
+    "--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order in the tables."
+)
+def balance(engine: str, as_json: bool, out: Path | None, speeds: tuple[float, ...], max_order: int) -> None:
+    """Predict forces by order, balance strategies, shafts and residuals of ENGINE, a shipped name or a TOML file."""
+    from crankorder.batch.balance import balance_of, document_text, publish_balance, table_text
+
+    made = balance_of(engine, max_order=max_order, speeds_rpm=speeds)
+    if out is not None:
+        for path in publish_balance(made, out):
+            click.echo(str(path), err=True)
+    click.echo(document_text(made) if as_json else table_text(made), nl=as_json)
 
 
 @main.command()

@@ -1,0 +1,151 @@
+"""Forces and moments of an engine by order, before and after each balance, as one dataset: what the pictures show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.engine.balance_data import BalancedEngine, reduced_masses
+from crankorder.engine.balance_sheet import ONE_RADIAN_PER_S_RPM, POSSIBILITIES, STRATEGIES
+from crankorder.engine.balancing import balanced, force_by_order
+from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
+from crankorder.engine.polar import OrderForce, polar_diagram, unbalance_force_n
+from crankorder.engine.shafts import shaft_layout
+
+Forces = tuple[OrderForce, ...]
+
+SYSTEMS: dict[str, str] = {
+    "none": "no balancing",
+    **{str(name): f"strategy {name}" for name in STRATEGIES},
+    **{str(name): f"shafts {name}" for name in POSSIBILITIES},
+    "own": "its own shafts",
+}
+"""What each system is called: the plain engine, counterweights, counterweights with additional shafts, as it is."""
+
+MOMENT_AXES = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
+"""Axes that moments are named for in a balance sheet, and the engine's direction that each of them is."""
+
+_POINTS = 720  # half a degree; at high orders 16 points a cycle
+
+
+def balance_dataset(
+    subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int, speeds_rpm: Sequence[float]
+) -> xr.Dataset:
+    """Force by system, axis and order over ω², in N by speed, and as the curve that it draws during a revolution.
+
+    ``subject``: engine with its balance data. ``sheet``: its balance sheet; orders that it leaves out are zero here.
+    ``max_order``: highest order, that of the sheet. ``speeds_rpm``: crank speeds, > 0, those of the sheet.
+    Returns dims system, axis ("x" along the cylinder, "y" across), order, speed, crank_angle; complex amplitudes a mean
+    Re(a exp(i order φ)). Engines of several cylinders also have ``moment`` over moment_axis.
+    """
+    orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
+    systems = forces_by_system(subject, sheet, max_order=max_order)
+    force = np.zeros((len(systems), 2, max_order), dtype=complex)
+    for number, forces in enumerate(systems.values()):
+        for one in forces:
+            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    curves = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
+    speeds = np.asarray(speeds_rpm, dtype=np.float64)
+    shares = {int(order): share for order, share in sheet["harmonics"].items()}
+    dataset = xr.Dataset(
+        {
+            "force": (("system", "axis", "order"), force, _about("amplitude over squared crank speed", "g mm")),
+            "force_at_speed": (
+                ("system", "axis", "order", "speed"),
+                unbalance_force_n(np.abs(force)[..., None], speeds),
+                _about("amplitude of the force on the crankcase", "N"),
+            ),
+            "curve": (
+                ("system", "axis", "crank_angle"),
+                np.stack([curves.real, curves.imag], axis=1),
+                _about("force over squared crank speed", "g mm"),
+            ),
+            "rotation": ("system", [_rotation(forces) for forces in systems.values()], _about("of its largest order")),
+            "harmonic": (
+                "harmonic_order",
+                np.array(list(shares.values())),
+                _about("amplitude of the piston's acceleration over that of order 1", "1"),
+            ),
+        },
+        coords={
+            "system": ("system", list(systems), _about("what is balanced and how")),
+            "axis": ("axis", ["x", "y"], _about("x along the cylinder, y across it")),
+            "order": ("order", orders.astype(np.float64), _about("cycles per crank revolution", "1")),
+            "speed": ("speed", speeds, _about("crank speed", "min-1")),
+            "crank_angle": ("crank_angle", angles, _about("from top dead centre", "rev")),
+            "harmonic_order": ("harmonic_order", np.array(list(shares), dtype=np.float64), _about("order", "1")),
+        },
+    )
+    return dataset if sheet["moment_g_mm2"] is None else _with_moments(dataset, subject, sheet, max_order)
+
+
+def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int) -> dict[str, Forces]:
+    """Force by order that each system makes, by its name in :data:`SYSTEMS`, plain engine first.
+
+    ``subject``: engine with its balance data. ``sheet``: its balance sheet, which says what systems it has.
+    ``max_order``: highest order.
+    """
+    engine = subject.engine
+    if sheet["strategies"] is None:
+        bare = engine.model_copy(update={"shafts": BalanceShafts(orders=())})
+        systems = {"none": _engine_force(bare, sheet["force_g_mm"], max_order)}
+    else:
+        masses = reduced_masses(subject)
+        systems = {"none": force_by_order(masses, max_order=max_order)}
+        for strategy in STRATEGIES:
+            if sheet["strategies"][strategy] is not None:
+                systems[strategy] = force_by_order(balanced(masses, strategy), max_order=max_order)
+        for possibility in POSSIBILITIES:
+            if sheet["shafts"][possibility] is not None:
+                systems[possibility] = shaft_layout(masses, possibility, max_order=max_order).residual
+    own = sheet["shafts"]["own"]
+    if own is not None:
+        systems["own"] = _engine_force(engine, own["residual_g_mm"], max_order)
+    return systems
+
+
+def _engine_force(engine: Engine, listed: Mapping[str, Any], max_order: int) -> Forces:
+    """Force of the whole engine; orders that the sheet has not ``listed`` are round-off of the sum over cylinders."""
+    forces = crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e6
+    kept = {
+        axis: [
+            complex(forces[DIRECTIONS.index(along)][k]) if str(k) in (listed[axis] or {}) else 0j
+            for k in range(max_order + 1)
+        ]
+        for axis, along in (("x", "Z"), ("y", "X"))
+    }
+    return tuple(OrderForce.of_axes(order=k, x_g_mm=kept["x"][k], y_g_mm=kept["y"][k]) for k in range(1, max_order + 1))
+
+
+def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: Mapping[str, Any], max_order: int) -> xr.Dataset:
+    """The dataset with the moments of several cylinders, of the engine as it is."""
+    found = crankcase_moments(subject.engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
+    moment = np.zeros((len(MOMENT_AXES), max_order), dtype=complex)
+    for row, (name, direction) in enumerate(MOMENT_AXES.items()):
+        for order in sheet["moment_g_mm2"].get(name) or {}:
+            moment[row, int(order) - 1] = found[DIRECTIONS.index(direction)][int(order)]
+    about = _about("amplitude over squared crank speed", "g mm2")
+    return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(moment=(("moment_axis", "order"), moment, about))
+
+
+def order_sum(amplitudes: NDArray[np.complex128], crank_angle_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum over the orders 1, 2, …: shape (…, angle).
+
+    ``amplitudes`` complex, shape (…, order); ``crank_angle_rev`` revolutions, shape (angle,).
+    """
+    orders = np.arange(1, amplitudes.shape[-1] + 1)
+    turn = np.exp(2j * np.pi * orders[:, None] * crank_angle_rev)
+    return np.asarray((amplitudes @ turn).real)
+
+
+def _rotation(forces: Forces) -> str:
+    return max(forces, key=lambda force: force.semi_axes_g_mm[0]).rotation if forces else "none"
+
+
+def _about(long_name: str, units: str = "") -> dict[str, str]:
+    return {"long_name": long_name, **({"units": units} if units else {})}

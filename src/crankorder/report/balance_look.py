@@ -1,0 +1,86 @@
+"""What the pictures of a balance share: systems with their colours and names, and keys in those colours."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from crankorder.report.balance_dataset import SYSTEMS
+from crankorder.report.notation import listed
+from crankorder.report.style import INK, LINES, text_width_in, write
+
+COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
+SHAFT_SETS = ("none", "1", "2", "3", "4", "4+2", "own")
+MEANING = {
+    "none": "no counterweight, no shaft",
+    "a": "order 1 along cancelled",
+    "b": "order 1 across cancelled",
+    "c": "equal along and across",
+    "d": "counterweight on the rod too",
+    "1": "pair at crank speed",
+    "2": "pair at twice crank speed",
+    "3": "both pairs",
+    "4": "one, against the crank",
+    "4+2": "one, and pair at twice speed",
+    "own": "as the engine file has them",
+}
+"""What strategies of counterweights and possibilities of additional shafts are."""
+
+MOMENT_TEXT = {"about_x": "about Z", "about_y": "about X", "about_crankshaft": "about Y, the crankshaft"}
+
+NO_FORCE = 1e-9
+"""A curve below this share of the largest is drawn as nothing."""
+
+Box = tuple[float, float, float, float]
+_KEY_SIZE = 8.0
+_BOLD = 1.13  # text_width_in measures the regular weight
+
+
+def axis_names(balance: xr.Dataset) -> tuple[str, str]:
+    """What the axes x and y of ``balance`` are called: one cylinder has its own directions, several have Z and X."""
+    return ("along Z", "along X") if "moment" in balance else ("along the cylinder", "across the cylinder")
+
+
+def system_color(name: str) -> str:
+    """Colour of the system ``name`` in every picture; the plain engine is ink."""
+    others = [system for system in SYSTEMS if system != "none"]
+    return INK if name == "none" else LINES[others.index(name) % len(LINES)]
+
+
+def alike(curves: xr.DataArray) -> list[list[str]]:
+    """Names of the systems whose ``curves`` (system, …) are the same, together, in their order."""
+    limit = NO_FORCE * float(np.abs(curves.values).max())
+    groups: list[list[str]] = []
+    for name in map(str, curves["system"].values):
+        values = curves.sel(system=name).values
+        same = (group for group in groups if np.abs(values - curves.sel(system=group[0]).values).max() <= limit)
+        group = next(same, None)
+        if group is None:
+            groups.append([name])
+        else:
+            group.append(name)
+    return groups
+
+
+def called(names: list[str]) -> str:
+    """``names`` of systems, what they have in common said once: ``"shafts 1 and 4"``."""
+    kinds: dict[str, list[str]] = {}
+    for name in sorted(names, key=list(SYSTEMS).index):
+        kind, _, mark = SYSTEMS[name].rpartition(" ")
+        kinds.setdefault(kind, []).append(mark)
+    return ", ".join(f"{kind} {listed(marks)}" for kind, marks in kinds.items())
+
+
+def color_key(figure: Figure, box: Box, entries: list[tuple[str, str]]) -> None:
+    """Names in their colours in one line above a panel, from its left edge, smaller where the line is full.
+
+    ``figure`` to draw on; ``box`` of the panel in inches (left, bottom, width, height); ``entries`` text and colour.
+    """
+    widths = [text_width_in(text, _KEY_SIZE) * _BOLD + 0.16 for text, _ in entries]
+    shrink = min(1.0, box[2] / max(sum(widths), 1e-9))
+    place = box[0]
+    for (text, color), width in zip(entries, widths, strict=True):
+        write(figure, place, box[1] + box[3] + 0.06, text, color=color, fontsize=_KEY_SIZE * shrink, fontweight="bold",
+              va="bottom")  # fmt: skip
+        place += width * shrink

@@ -1,0 +1,190 @@
+"""The pictures of a balance show the forces of the model, legibly, and with the same bytes each time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, reduced_masses
+from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.balancing import frame_force
+from crankorder.engine.hinge_definition import load_hinged_engine
+from crankorder.engine.polar import unbalance_force_n
+from crankorder.report.balance_bars_figure import order_bars_figure
+from crankorder.report.balance_dataset import balance_dataset
+from crankorder.report.balance_figures import force_figure
+from crankorder.report.balance_look import alike, called
+from crankorder.report.balance_polar_figure import polar_figure
+from crankorder.report.figures import png_bytes
+from crankorder.report.hinge_figure import hinge_figure
+from crankorder.settings import shipped, toml_table
+
+CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
+PICTURES = [polar_figure, force_figure, order_bars_figure]
+SPEED = 3000.0
+
+
+def _dataset(subject: BalancedEngine, max_order: int = 8) -> xr.Dataset:
+    sheet = balance_sheet(subject, max_order=max_order, speeds_rpm=[SPEED])
+    return balance_dataset(subject, sheet, max_order=max_order, speeds_rpm=[SPEED])
+
+
+def _changed(name: str, **values: Any) -> BalancedEngine:
+    """A shipped engine without its balance table and with other values."""
+    table, _ = toml_table(name, "engines")
+    table.pop("balance", None)
+    return balanced_engine({**table, **values}, name=name, source=name)
+
+
+@pytest.fixture(scope="module")
+def task5() -> xr.Dataset:
+    return _dataset(load_balanced_engine("task5"))
+
+
+def _overlaps(figure: Figure) -> list[tuple[str, str]]:
+    """Pairs of drawn texts that lie on one another, and texts that leave the canvas."""
+    figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    hidden = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            for tick in [*axis.majorTicks, *axis.minorTicks]:
+                if not low * (1 - 1e-9) <= tick.get_loc() <= high * (1 + 1e-9):
+                    hidden |= {id(tick.label1), id(tick.label2)}
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    boxes = [
+        (text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94))
+        for text in texts
+        if id(text) not in hidden
+    ]
+    width, height = figure.bbox.width, figure.bbox.height
+    beyond = [
+        (text, "edge of the canvas")
+        for text, box in boxes
+        if box.x0 < 0 or box.y0 < 0 or box.x1 > width + 1 or box.y1 > height + 1
+    ]
+    return beyond + [
+        (one, two)
+        for number, (one, first) in enumerate(boxes)
+        for two, second in boxes[number + 1 :]
+        if first.overlaps(second)
+    ]
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+@pytest.mark.parametrize("draw", PICTURES)
+def test_no_text_lies_on_another_for_any_engine(name: str, draw: Any, settings: Any) -> None:
+    figure = draw(_dataset(load_balanced_engine(name)), title=name, settings=settings)
+    assert _overlaps(figure) == []
+
+
+@pytest.mark.parametrize("draw", PICTURES)
+def test_the_same_balance_gives_the_same_bytes_and_another_gives_others(draw: Any, settings: Any, task5: Any) -> None:
+    first, second = (png_bytes(draw(task5, title="t", settings=settings), dpi=50) for _ in range(2))
+    assert first == second
+    other = _dataset(load_balanced_engine("msu-standard"))
+    assert png_bytes(draw(other, title="t", settings=settings), dpi=50) != first
+
+
+@pytest.mark.parametrize("draw", PICTURES)
+@pytest.mark.parametrize(
+    "hard",
+    [
+        {"rod_length_m": 0.0251},
+        {"reciprocating_mass_kg": 1e-9},
+        {"title": "$\\frac{x}$ \x1b[31m 漢字 " + "w" * 300},
+    ],
+)
+def test_extreme_engines_and_hostile_titles_are_drawn(draw: Any, hard: dict[str, Any], settings: Any) -> None:
+    subject = _changed("task5", **hard)
+    figure = draw(_dataset(subject, max_order=100), title=subject.engine.title, settings=settings)
+    assert _overlaps(figure) == []
+    assert len(png_bytes(figure, dpi=50)) > 1000
+    assert not any("\x1b" in text.get_text() for text in figure.findobj(Text))
+
+
+@pytest.mark.parametrize("draw", PICTURES)
+def test_an_engine_without_any_force_is_drawn(draw: Any, settings: Any, task5: Any) -> None:
+    still = task5.assign(force=0 * task5["force"], curve=0 * task5["curve"])
+    assert _overlaps(draw(still, title="t", settings=settings)) == []
+
+
+def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5: Any) -> None:
+    exact = frame_force(reduced_masses(load_balanced_engine("task5")), task5["crank_angle"].values)
+    curve = task5["curve"].sel(system="none")
+    assert np.abs(curve.sel(axis="x") - exact.real).max() < 1e-3  # of 21250 g·mm: orders above 8
+    assert np.abs(curve.sel(axis="y") - exact.imag).max() < 1e-9
+
+
+def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5: Any, settings: Any) -> None:
+    figure = polar_figure(task5, title="t", settings=settings)
+    turning: dict[str, list[float]] = {}
+    for axes, name in zip(figure.axes, task5["system"].values, strict=True):
+        for arrow in axes.texts:
+            if arrow.get_text() or getattr(arrow, "arrow_patch", None) is None or not arrow.get_gid():
+                continue
+            start, end = np.array(arrow.xyann), np.array(arrow.xy)
+            turning.setdefault(str(name), []).append(float(start[0] * end[1] - start[1] * end[0]))
+    assert set(turning) == {"none", "c"}
+    assert all(turn < 0 for turn in turning["none"])  # clockwise, as the crank: up is along the cylinder
+    assert all(turn > 0 for turn in turning["c"])
+
+
+def test_force_curves_are_in_newtons_at_the_highest_speed(task5: Any, settings: Any) -> None:
+    figure = force_figure(task5, title="t", settings=settings)
+    lines = {line.get_gid(): line for axes in figure.axes for line in axes.lines if line.get_gid()}
+    for axis, column in (("x", 0), ("y", 1)):
+        expected = unbalance_force_n(task5["curve"].values[0, column], SPEED)
+        np.testing.assert_allclose(lines[f"force-{axis}-none"].get_ydata(), expected, rtol=1e-12, atol=1e-9)
+    assert {"force-x-a", "force-x-b", "force-x-c", "force-x-1", "force-x-2", "force-x-3"} <= set(lines)
+    assert "force-y-b" not in lines  # nothing is left across the cylinder: said in words
+
+
+def test_bars_are_the_amplitudes_of_the_sheet(task5: Any, settings: Any) -> None:
+    figure = order_bars_figure(task5, title="t", settings=settings)
+    heights = sorted({round(bar.get_height(), 6) for axes in figure.axes for bar in axes.patches if bar.get_height()})
+    grams = [19250.0, 11250.0, 8000.0, 4000.0, 2032.200338455802, 32.78488937623422]
+    assert heights == sorted(round(float(unbalance_force_n(value, SPEED)), 6) for value in grams)
+
+
+def test_systems_that_leave_the_same_are_named_together(task5: Any) -> None:
+    groups = alike(task5["curve"])
+    assert ["1", "4"] in groups
+    assert ["3", "4+2"] in groups
+    assert called(["4", "1"]) == "shafts 1 and 4"
+    assert called(["none", "b", "own"]) == "no balancing, strategy b, its own shafts"
+
+
+def test_moments_of_several_cylinders_are_drawn_and_those_of_one_are_not(settings: Any, task5: Any) -> None:
+    four = _dataset(load_balanced_engine("v-twin"))
+    drawn = {line.get_gid() for axes in force_figure(four, title="t", settings=settings).axes for line in axes.lines}
+    assert {"moment-about_x", "moment-about_y", "moment-about_crankshaft"} <= drawn
+    assert "moment" not in task5
+
+
+def test_the_dataset_keeps_what_the_sheet_says() -> None:
+    subject = load_balanced_engine("msu-optical-second")
+    sheet = balance_sheet(subject, speeds_rpm=[SPEED])
+    dataset = balance_dataset(subject, sheet, max_order=8, speeds_rpm=[SPEED])
+    own = np.abs(dataset["force"].sel(system="own", axis="x").values)
+    listed = sheet["shafts"]["own"]["residual_g_mm"]["x"]
+    np.testing.assert_allclose(own, [listed[str(order)] for order in range(1, 9)], rtol=1e-12)
+    newtons = dataset["force_at_speed"].sel(system="none", axis="x", speed=SPEED).values
+    listed = sheet["force_n"]["3000"]["x"]
+    np.testing.assert_allclose(newtons, [listed[str(order)] for order in range(1, 9)], rtol=1e-12)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_the_picture_of_each_hinge_mechanism_has_no_text_on_another(number: int, settings: Any) -> None:
+    engine = load_hinged_engine("elastic-hinge")
+    mechanism = engine.mechanisms[number]
+    figure = hinge_figure(engine, mechanism, mechanism.speeds_rpm, settings=settings)
+    assert _overlaps(figure) == []
+    lines = [line for axes in figure.axes for line in axes.lines if str(line.get_gid()).startswith("pin-")]
+    assert len(lines) == len(mechanism.speeds_rpm)

@@ -1,0 +1,124 @@
+"""The text of a balance fits a terminal, shows what the document holds and nothing that it does not."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from crankorder.engine.balance_data import load_balanced_engine
+from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.hinge_definition import load_hinged_engine
+from crankorder.report.balance_text import balance_text, shown_orders
+from crankorder.report.hinge_sheet import hinge_sheet
+from crankorder.report.hinge_text import hinge_text
+from crankorder.report.text_table import MISSING, WIDTH, paragraph, short_number, text_table
+from crankorder.settings import shipped
+
+CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
+
+
+def _sheet(name: str, **options: Any) -> dict[str, Any]:
+    return balance_sheet(load_balanced_engine(name), **options)
+
+
+def _line(text: str, start: str) -> list[str]:
+    """Words of the first line that starts so."""
+    return next(line for line in text.splitlines() if line.strip().startswith(start)).split()
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+@pytest.mark.parametrize("speeds", [None, (500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 123456.0)])
+def test_no_line_is_wider_than_a_terminal_and_nothing_is_none(name: str, speeds: Any) -> None:
+    text = balance_text(_sheet(name, speeds_rpm=speeds, max_order=12))
+    assert max(map(len, text.splitlines())) <= WIDTH
+    words = set(text.split())
+    assert not words & {"None", "nan", "inf", "NaN"}
+
+
+def test_the_hinges_fit_a_terminal_too() -> None:
+    text = hinge_text(hinge_sheet(load_hinged_engine("elastic-hinge"), max_order=8))
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert "None" not in text
+
+
+def test_strategies_stand_side_by_side_with_the_masses_of_the_document() -> None:
+    text = balance_text(_sheet("task5"))
+    assert _line(text, "counterweight on the crank, g")[-5:] == [MISSING, "962.5", "562.5", "762.5", "1962.5"]
+    assert _line(text, "counterweight on the rod, g")[-1] == "800"
+    assert _line(text, "order 1 along, g·mm")[-5:] == ["19250", "0", "8000", "4000", "0"]
+    assert _line(text, "order 1 across, g·mm")[-5:] == ["11250", "8000", "0", "4000", "0"]
+    assert "against crank" in next(line for line in text.splitlines() if "order 1 turns" in line)
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+def test_every_sentence_and_note_is_told_in_full(name: str) -> None:
+    sheet = _sheet(name)
+    told = " ".join(balance_text(sheet).split())
+    assert sheet["sentences"]
+    for text in (*sheet["sentences"], *sheet["notes"]):
+        assert " ".join(text.split()) in told
+
+
+def test_an_engine_of_several_cylinders_shows_forces_and_moments_and_no_strategy() -> None:
+    text = balance_text(_sheet("v-twin"))
+    assert "Moments by order" in text
+    assert "Strategies" not in text
+    assert "Additional shafts" not in text
+
+
+def test_shaft_parts_the_crankshaft_and_both_readings_of_a_printed_pair_are_shown() -> None:
+    text = balance_text(_sheet("msu-shafts"))
+    assert "−44974" in text
+    assert _line(text, "dynamic, kg·mm²")[-2:] == ["0.43007", "1354.3"]
+    assert _line(text, "Counterweight 1")[2] == "38.344"
+
+
+def test_text_from_a_file_cannot_reach_the_terminal_raw() -> None:
+    sheet = copy.deepcopy(_sheet("msu-shafts"))
+    evil = "\x1b[31mred\x07" + "w" * 200
+    sheet["engine"] = evil
+    sheet["notes"] = [evil]
+    sheet["crankshaft"]["planes"][0]["name"] = evil
+    sheet["sentences"] = [evil]
+    text = balance_text(sheet)
+    assert "\x1b" not in text
+    assert "\x07" not in text
+    assert max(map(len, text.splitlines())) <= WIDTH
+
+
+def test_numbers_stand_with_their_points_in_one_column() -> None:
+    lines = text_table("T", ["", "g", "mm"], [("a", 1.25, 1.0), ("b", 1000.0, None), ("c", 10.5, 2.0)])
+    assert [line[5:12] for line in lines[1:5]] == ["      g", "   1.25", "1000   ", "  10.5 "]
+    assert lines[3].split() == ["b", "1000", MISSING]
+
+
+def test_a_table_without_a_number_is_not_shown_and_columns_without_one_are_left_out() -> None:
+    assert text_table("T", ["", "g"], [("a", None)]) == []
+    assert "empty" not in "".join(text_table("T", ["", "empty", "g"], [("a", None, 1.0)]))
+
+
+def test_a_wide_table_repeats_the_names_of_its_rows() -> None:
+    lines = text_table("T", ["name", *(f"column {n}" for n in range(20))], [["row", *map(float, range(20))]])
+    assert max(map(len, lines)) <= WIDTH
+    assert sum("row" in line for line in lines) > 1
+    assert [float(word) for line in lines if "row" in line for word in line.split()[1:]] == list(map(float, range(20)))
+
+
+def test_orders_that_nobody_can_feel_are_left_out_of_the_text() -> None:
+    assert shown_orders([{"1": 1.0, "2": 1e-12}, None, {"10": 0.5}]) == ["1", "10"]
+    assert len(shown_orders([{str(order): 1.0 for order in range(1, 800)}])) < 50
+
+
+def test_a_number_has_no_zeros_at_its_end() -> None:
+    assert [short_number(value) for value in (962.5, 4000.0, 0.25, 0.0, 1e9, 44973.8)] == [
+        "962.5", "4000", "0.25", "0", "1.0000e9", "44974",
+    ]  # fmt: skip
+
+
+def test_the_second_line_of_a_paragraph_stands_under_the_first() -> None:
+    lines = paragraph("word " * 60, bullet="  * ")
+    assert len(lines) > 2
+    assert lines[0].startswith("  * word")
+    assert all(line.startswith("    word") for line in lines[1:])
