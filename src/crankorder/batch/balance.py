@@ -18,9 +18,9 @@ from crankorder.batch.store import publish, text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.hinge_definition import HingedEngine, load_hinged_engine
+from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.errors import RequestError
 from crankorder.report.balance_text import balance_text
-from crankorder.report.hinge_sheet import hinge_sheet
 from crankorder.report.hinge_text import hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 

@@ -86,7 +86,7 @@ def balance_sheet(
         "force_g_mm": _axes(made),
         "moment_g_mm2": None if single else _moments(engine, max_order),
         "leading_g_mm": None if one is None or engine.offset_m else _leading(masses, max_order),
-        "force_n": {f"{speed:g}": _forces_n(made, speed) for speed in speeds},
+        "force_n": {f"{speed:.15g}": _forces_n(made, speed) for speed in speeds},
         "strategies": None
         if one is None
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},

@@ -38,7 +38,7 @@ def newton(unbalance_g_mm: float, speed_rpm: float) -> float:
 
 def newton_by_speed(unbalance_g_mm: float, speeds: Sequence[float]) -> dict[str, float]:
     """Force (N) of ``unbalance_g_mm`` at each of the ``speeds`` (rpm)."""
-    return {f"{speed:g}": newton(unbalance_g_mm, speed) for speed in speeds}
+    return {f"{speed:.15g}": newton(unbalance_g_mm, speed) for speed in speeds}
 
 
 def harmonic_shares(mechanism: SliderCrank, max_order: int) -> dict[str, float]:
@@ -72,7 +72,7 @@ def crankshaft_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[s
     return {
         "static_kg_mm": _xy(sums.static_kg_mm),
         "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
-        "couple_Nm_at_rpm": {f"{speed:g}": float(couple_n_m(sums.dynamic_kg_mm2, speed)) for speed in speeds},
+        "couple_Nm_at_rpm": {f"{speed:.15g}": float(couple_n_m(sums.dynamic_kg_mm2, speed)) for speed in speeds},
         "planes": planes,
         "overbalance_kg_mm": None if data.overbalance_kg_mm is None else list(data.overbalance_kg_mm),
     }
@@ -115,7 +115,7 @@ def added_mass_table(subject: BalancedEngine, max_order: int, speeds: Sequence[f
         "mass_g": grams,
         "residual_x_g_mm": unbalance,
         "residual_n": {
-            f"{speed:g}": {order: newton(amount, speed) for order, amount in unbalance.items()} for speed in speeds
+            f"{speed:.15g}": {order: newton(amount, speed) for order, amount in unbalance.items()} for speed in speeds
         },
         "class": unbalance_class(unbalance["1"], subject.balance.residual_classes),
     }
@@ -145,7 +145,9 @@ def offset_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, 
         "quadrature_x_g_mm": quadrature,
         "quadrature_n": newton_by_speed(quadrature, speeds),
         "couple_Nm_at_rpm": {
-            f"{speed:g}": {order: float(offset_couple_n_m(amount, offset_mm, speed)) for order, amount in lines.items()}
+            f"{speed:.15g}": {
+                order: float(offset_couple_n_m(amount, offset_mm, speed)) for order, amount in lines.items()
+            }
             for speed in speeds
         },
     }

@@ -148,11 +148,12 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
     left = force_by_order(balanced(masses, strategy), max_order=max_order)
     by_order = {force.order: force for force in left}
     shafts: tuple[Shaft, ...] = ()
-    if possibility in ("1", "3"):
+    # an order without force needs no shaft
+    if possibility in ("1", "3") and 1 in by_order:
         shafts += opposing_pair(by_order[1].x_g_mm, order=1)
-    if possibility in ("4", "4+2"):
+    if possibility in ("4", "4+2") and 1 in by_order:
         shafts += (opposing_shaft(by_order[1]),)
-    if possibility in ("2", "3", "4+2"):
+    if possibility in ("2", "3", "4+2") and 2 in by_order:
         shafts += opposing_pair(by_order[2].x_g_mm, order=2)
     return ShaftLayout(strategy=strategy, shafts=shafts, residual=with_shafts(left, shafts))
 

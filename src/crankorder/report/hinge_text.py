@@ -18,7 +18,7 @@ _WEIGHTS = {
 def hinge_text(sheet: Mapping[str, Any]) -> str:
     """Tables and sentences of a hinge sheet, no line wider than a terminal's page.
 
-    ``sheet`` as :func:`crankorder.report.hinge_sheet.hinge_sheet` makes it; solutions that do not exist are left out.
+    ``sheet`` as :func:`crankorder.engine.hinge_sheet.hinge_sheet` makes it; solutions that do not exist are left out.
     """
     torque = sheet["torque"]
     lines = [printable(sheet["engine"], WIDTH), ""]
