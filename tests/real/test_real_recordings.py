@@ -82,6 +82,13 @@ def test_the_run_ups_speed_comes_from_the_calibrated_signal(analysed):
     assert shaft["speed_max"].item() == pytest.approx(4821, abs=2)
 
 
+def test_no_run_up_order_excludes_the_half_order_that_it_is(analysed):
+    for record in analysed("ansys_accel", "ansys_accel").findings["orders"]:
+        low, high = record["order_ci95"]
+        assert low <= round(2 * record["order"]) / 2 <= high
+        assert record["phase_deg"] is None  # a speed signal gives no phase reference
+
+
 def test_every_coast_down_decodes(analysed):
     shaft = analysed("rotorbalancer", "rotorbalancer").group("shaft")
     assert shaft.sizes["recording"] == 60
@@ -138,6 +145,14 @@ def test_the_genset_wheel_keeps_its_58_teeth_at_every_load(shared_data):
         steps = np.diff(recording["pulse_time"].values)
         gaps = np.flatnonzero(steps > 2.0 * np.median(steps))
         assert set(np.diff(gaps)) == {58}, path.name
+
+
+def test_the_gensets_pressure_orders_are_named_and_none_of_them_is_called_a_mode(analysed):
+    findings = analysed("tue_genset", "tue_genset").findings
+    assert [round(record["order"], 2) for record in findings["orders"]] == [0.5, 1.0, 1.5, 2.0]
+    assert {record["explained_by"] for record in findings["orders"]} == {"gas cycle"}
+    assert all("too few revolutions" in record["evidence"] for record in findings["orders"])
+    assert [record for record in findings["modes"] if record["explained_by"] == "mode"] == []
 
 
 def test_the_pressure_orders_of_the_genset_at_full_load(analysed):

@@ -87,7 +87,7 @@ def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: 
             raise NoUsableRecordingError(
                 "no recording could be used",
                 file=plan.folder,
-                remedy="Mend the faults listed; `crankorder check` repeats them",
+                remedy="Mend the faults listed above",
             )
         _finish(plan, results, provenance, key, outcome, clock)
     except CrankorderError as error:
@@ -109,6 +109,11 @@ def _finish(
     made = analyse_test(list(results.values()), test=plan.name, sources=_sources(plan), settings=plan.settings)
     clock.lap("test")
     findings = dict(made.findings)
+    outcome.faults += [
+        InputError("left out of the order map", file=flag["recording"], found=flag["detail"])
+        for flag in findings["quality"]
+        if flag["flag"] == "frame_length_differs"
+    ]
     findings["quality"] = [*findings["quality"], *outcome.flags, *_fault_flags(outcome.faults)]
     groups = {
         "order_map": made.order_map,
@@ -116,7 +121,8 @@ def _finish(
         "order_tracks": made.order_tracks,
         "shaft": _shaft_summary(results),
     }
-    files = test_files(groups, findings, provenance, settings=plan.settings.report)
+    stated = {**provenance, "quality": findings["quality"]}
+    files = test_files(groups, findings, stated, settings=plan.settings.report)
     clock.lap("report")
     publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
     clock.lap("publish")
@@ -238,11 +244,14 @@ def _provenance(plan: TestPlan, hashes: dict[Path, str]) -> dict[str, Any]:
     return {
         "schema_version": 1,
         "test": plan.name,
-        "crankorder": version("crankorder"),
         "code_sha256": code_sha256(),
-        "libraries": {name: version(name) for name in LIBRARIES},
+        "versions": {name: version(name) for name in ("crankorder", *LIBRARIES)},
         "inputs": [
-            {"file": printable(path.relative_to(plan.folder).as_posix()), "sha256": hashes[path]}
+            {
+                "name": printable(path.relative_to(plan.folder).as_posix()),
+                "sha256": None if hashes[path].startswith("unreadable") else hashes[path],
+                "bytes": path.stat().st_size,
+            }
             for path in plan.recordings
         ],
         "manifest": plan.manifest.model_dump(mode="json"),

@@ -59,7 +59,7 @@ def test_files(
     drawn = pictures(as_stored(groups), findings, settings=settings)
     captions = [(name, caption) for name, (_, caption) in drawn.items()]
     page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
-    attrs = {"title": str(findings["test"]), "source": f"crankorder {provenance['crankorder']}"}
+    attrs = {"title": str(findings["test"]), "source": f"crankorder {provenance['versions']['crankorder']}"}
     return {
         "results.nc": results_bytes({**groups, **findings_datasets(findings)}, attrs=attrs),
         "findings.json": json_bytes(findings),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.identify.order_lines import OrderLine, orders_agreed
+from crankorder.identify.order_lines import Z95, OrderLine, orders_agreed
 from crankorder.settings import IdentifySettings
 
 NEAR = 0.04
@@ -40,7 +40,9 @@ def crossings(
             rpm = 60.0 * frequency / order
             inside = bool(low <= rpm <= high)
             half = 1.959964 * 60.0 * error / order
-            ratio = max((_amplification(line, rpm) for line in of_order), default=0.0) if inside else 0.0
+            ratios = {line.channel: _amplification(line, rpm) if inside else (0.0, 0.0) for line in of_order}
+            excited = [channel for channel, (_, sure) in ratios.items() if sure >= EXCITED_RATIO]
+            ratio = max((value for value, _ in ratios.values()), default=0.0)
             records.append(
                 {
                     "order": order,
@@ -48,17 +50,24 @@ def crossings(
                     "rpm": rpm,
                     "rpm_ci95": [rpm - half, rpm + half],
                     "in_range": inside,
-                    "excited": ratio >= EXCITED_RATIO,
+                    "excited": bool(excited),
+                    "channels": excited or list(ratios),
                     "amplification": ratio,
                 }
             )
     return sorted(records, key=lambda record: (record["rpm"], record["order"]))
 
 
-def _amplification(line: OrderLine, rpm: float) -> float:
-    """Amplitude of ``line`` at ``rpm`` over the median of the speeds beside it; 0 where either is not known."""
+def _amplification(line: OrderLine, rpm: float) -> tuple[float, float]:
+    """Amplitude of ``line`` at ``rpm`` over the median of the speeds beside it, and the least that it surely is.
+
+    Both are 0 where either amplitude is not known.
+    """
     distance = np.abs(line.speed_rpm / rpm - 1.0)
     beside = (distance > NEAR) & (distance < AWAY)
     if not (distance <= NEAR).any() or np.count_nonzero(beside) < 2:
-        return 0.0
-    return float(line.amplitude[distance <= NEAR].max() / np.median(line.amplitude[beside]))
+        return 0.0, 0.0
+    at = int(np.argmax(np.where(distance <= NEAR, line.amplitude, 0.0)))
+    trend = float(np.median(line.amplitude[beside]))
+    least = line.amplitude[at] - Z95 * line.amplitude_error[at]
+    return float(line.amplitude[at] / trend), float(least / trend)

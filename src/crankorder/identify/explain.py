@@ -14,6 +14,10 @@ HALF_ORDER_QUANTITIES = ("pressure",)
 """In these quantities every half order is the gas cycle of a four-stroke engine itself."""
 
 
+SPEED_SPREAD = 0.01
+"""Share by which the speed of a steady recording wanders, and with it the frequency of an order."""
+
+
 @dataclass(frozen=True)
 class Sources:
     """What is known of the machine: its cycle, the orders that its kinematics make, its bearings."""
@@ -70,7 +74,7 @@ def explain_fixed(
     if speed_rpm.max() < settings.mode_speed_ratio * speed_rpm.min():
         step = float(np.median(speed_rpm)) / 60.0 / revs_per_cycle
         spread = 0.5 * np.ptp(speed_rpm) / np.median(speed_rpm) * frequency_hz
-        if abs(frequency_hz - step * max(1, round(frequency_hz / step))) <= spread + settings.order_match * step:
+        if abs(frequency_hz - step * max(1, round(frequency_hz / step))) <= spread + SPEED_SPREAD * frequency_hz:
             return "order"
     if width_hz > 0.0:
         return "mode"

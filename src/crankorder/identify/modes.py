@@ -131,7 +131,9 @@ def _lines(
             continue
         (centre, centre_error), (half_width, half_width_error) = fit
         damping = half_width / centre
-        if damping > settings.max_damping_ratio or abs(centre - frequency[peak]) > max(4 * resolution, 2 * half_width):
+        far = abs(centre - frequency[peak]) > max(4 * resolution, 2 * half_width)
+        vague = centre_error > 2.0 * max(half_width, resolution)
+        if damping > settings.max_damping_ratio or far or vague:
             continue
         found.append(
             FixedLine(

@@ -31,7 +31,21 @@ FOLLOWED_BINS = 20.0
 FOLLOWED_SIGMAS = 6.0
 """… and stand so many standard deviations of the noise above the orders beside it."""
 
-Evidence = Literal["locked to the shaft", "steady, not locked", "follows the speed"]
+STANDING_RATIO = 100.0
+"""A line that cannot be proven must stand 20 dB over its floor."""
+
+PROVABLE_FRAMES = 8.0
+"""With so many independent frames beyond the first, a lock can be proven and must be."""
+
+SWEPT_BINS = 0.15
+"""Standard error, in bins, that a change of amplitude within the frames of a run-up leaves in the place of a line."""
+
+Evidence = Literal[
+    "locked to the shaft",
+    "steady, not locked",
+    "follows the speed",
+    "stands out, too few revolutions for proof",
+]
 
 Z95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""
@@ -73,9 +87,10 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     """Order lines of all channels of the OrderMap ``order_map``, by channel, then by order.
 
     A line stands above the level that noise alone reaches with ``settings.false_alarm_probability`` at enough speeds
-    (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, was seen over a
-    speed range in which a line of fixed frequency would have left its bin, and is no resonance that noise excites:
-    its frames agree in phase (locked to the shaft) or in amplitude (it slips), or it follows the speed far.
+    (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, and is no
+    resonance that noise excites: its frames agree in phase (locked to the shaft), or in amplitude over speeds at which
+    a fixed frequency would have left its bin (it slips), or it follows the speed far. In a test too short for such
+    proof, a high line on an order of the cycle is named with that reservation.
     ``orders`` gives the floor's width.
     """
     axis, speed = order_map["order"].values, order_map["speed"].values
@@ -96,7 +111,7 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     needed = min(len(speed), max(settings.min_speeds, round(settings.min_speed_fraction * len(speed))))
     lines = []
     for channel in range(len(excess)):
-        for peak in _peaks(excess[channel], axis, speed, needed):
+        for peak in _peaks(excess[channel], axis, needed):
             seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
             evidence = _evidence(order_map, ratio[channel], channel, int(peak), seen, settings.false_alarm_probability)
             if evidence is not None:
@@ -124,11 +139,26 @@ def _evidence(
     """What tells the line from a resonance that noise excites; None where nothing does."""
     if _is_locked(order_map, channel, peak, seen, false_alarm_probability):
         return "locked to the shaft"
-    if _is_steady(order_map, channel, peak, seen):
+    if _has_moved(order_map, peak, seen) and _is_steady(order_map, channel, peak, seen):
         return "steady, not locked"
     if _follows(order_map, ratio, peak, seen):
         return "follows the speed"
+    if _stands_out(order_map, ratio, peak, seen):
+        return "stands out, too few revolutions for proof"
     return None
+
+
+def _stands_out(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether a line on an order of the cycle is far over its floor in a test too short to prove any lock.
+
+    ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its reservation rather than
+    kept back: a resonance that noise excites could be as high, but seldom on an order of the cycle at every speed.
+    """
+    axis, step = order_map["order"].values, 1.0 / int(order_map.attrs["revs_per_cycle"])
+    off = abs(axis[peak] - step * round(axis[peak] / step)) / (axis[1] - axis[0])
+    provable = float(np.maximum(order_map["n_coherent"].values[:, peak] - 1.0, 0.0).sum())
+    high = float(np.median(ratio[seen, peak])) > STANDING_RATIO and len(seen) == order_map.sizes["speed"]
+    return off < 0.5 and provable < PROVABLE_FRAMES and high
 
 
 def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
@@ -180,9 +210,7 @@ def _is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.
     return mean < -STEADY_SIGMAS * 2.0 / float(np.sqrt(frames[known].sum())) and mean < STEADY_KURTOSIS
 
 
-def _peaks(
-    excess: NDArray[np.float64], axis: NDArray[np.float64], speed: NDArray[np.float64], needed: int
-) -> NDArray[np.int64]:
+def _peaks(excess: NDArray[np.float64], axis: NDArray[np.float64], needed: int) -> NDArray[np.int64]:
     """Bins that are above the level at ``needed`` speeds and the largest within a quarter order."""
     resolution = axis[1] - axis[0]
     score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
@@ -191,12 +219,15 @@ def _peaks(
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
     seen = excess > 1.0
     enough = (seen.sum(axis=0) >= needed) & (score > 0.0) & (score >= highest)
-    if len(speed) > 1 and np.isfinite(speed).all():
-        fastest = np.where(seen, speed[:, None], -np.inf).max(axis=0)
-        slowest = np.where(seen, speed[:, None], np.inf).min(axis=0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            enough &= axis * (fastest / slowest - 1.0) > 2.0 * resolution
     return np.flatnonzero(enough)
+
+
+def _has_moved(order_map: xr.Dataset, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether a line of fixed frequency would have left its bin over the speeds ``seen``; True for a single speed."""
+    axis, speed = order_map["order"].values, order_map["speed"].values
+    if len(speed) < 2 or not np.isfinite(speed).all():
+        return True
+    return bool(axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) > 2.0 * (axis[1] - axis[0]))
 
 
 def _line(
@@ -230,7 +261,7 @@ def _line(
         channel=str(order_map["channel"].values[channel]),
         bin=peak,
         order=float(axis[peak]) + resolution * distance,
-        order_error=resolution * distance_error,
+        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(order_map) else 0.0)),
         seen=seen,
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,
@@ -239,6 +270,12 @@ def _line(
         evidence=evidence,
         level_over_floor_db=float(10.0 * np.log10(ratio[channel, seen, peak].max())),
     )
+
+
+def _is_swept(order_map: xr.Dataset) -> bool:
+    """Whether the speeds are those of a run-up or coast-down, whose groups touch, and not steps."""
+    speed = np.sort(order_map["speed"].values)
+    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(order_map.attrs["speed_bin_rpm"]))
 
 
 def _refined(lobe: NDArray[np.float64], noise: NDArray[np.float64]) -> tuple[float, float]:
@@ -274,5 +311,8 @@ def orders_agreed(lines: list[OrderLine]) -> list[tuple[float, list[OrderLine]]]
 
 
 def _agreed(group: list[OrderLine]) -> float:
-    weights = [1.0 / line.order_error**2 for line in group]
-    return float(np.average([line.order for line in group], weights=weights))
+    weights = np.array([1.0 / line.order_error**2 for line in group])
+    mean = float(np.average([line.order for line in group], weights=weights))
+    half = round(2.0 * mean) / 2.0
+    # within its error a line is the half order beside it: that is what shafts make
+    return half if abs(mean - half) <= max(0.005, Z95 / float(np.sqrt(weights.sum()))) else mean

@@ -85,7 +85,7 @@ def _samples_per_rev(rate_hz: float, slowest_hz: float, max_order: float) -> int
 
     The resampling kernel lets pass what lies below PASS_BAND of the rate, and fades out its image by 1 - PASS_BAND.
     """
-    least = math.ceil((1.0 - PASS_BAND) * rate_hz / slowest_hz + max_order) + 1
+    least = math.ceil(max((1.0 - PASS_BAND) * rate_hz / slowest_hz + max_order, 2.0 * max_order)) + 2
     while not _is_smooth(least):
         least += 1
     return least

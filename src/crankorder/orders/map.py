@@ -14,11 +14,8 @@ from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_fl
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
-RESIDUAL_FRAMES = 4
+RESIDUAL_FRAMES = 1.8
 """From so many frames on their scatter tells the noise; with fewer it is taken from quiet bins beside the line."""
-
-OWN_FRAMES = 8.0
-"""From so many independent frames on a bin's own scatter is known well enough to be believed against its neighbours."""
 
 SHAPE_SAMPLES = 1024
 """Samples on which the shape of the window is evaluated where only its overlap matters."""
@@ -66,7 +63,8 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     dims = ("channel", "speed", "order")
     _put(result, "amplitude", dims, np.sqrt(energy), "peak amplitude, energy average")
     _put(result, "coherent_amplitude", dims, np.abs(coherent), "peak amplitude, coherent average")
-    phase = np.where(apart == 1, np.degrees(np.angle(coherent)), np.nan)
+    referenced = all(item.attrs["phase_reference"] != "none" for item in used)
+    phase = np.where((apart == 1) & referenced, np.degrees(np.angle(coherent)), np.nan)
     _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
     _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
     _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
@@ -113,7 +111,7 @@ def _residual_power(
     n_bins = energy.shape[-1]
     beside = [padded[..., reach + k : reach + k + n_bins] for k in RESIDUAL_OFFSETS]
     middle = np.median(np.stack([own, *beside]), axis=0) / (1.0 - 1.0 / (9.0 * n)) ** 3
-    return np.asarray(np.maximum(np.maximum(middle, np.where(n >= OWN_FRAMES, own, 0.0)), 0.0) / n)
+    return np.asarray(np.maximum(np.maximum(middle, own), 0.0) / n)
 
 
 def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:

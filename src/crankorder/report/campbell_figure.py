@@ -165,7 +165,7 @@ def _draw_crossings(axes: Axes, findings: dict[str, Any], channel: str) -> bool:
     places = [
         (float(crossing["mode_hz"]), float(crossing["rpm"]))
         for crossing in findings.get("crossings", [])
-        if crossing.get("excited") and crossing.get("in_range") and crossing.get("channel", channel) == channel
+        if crossing.get("excited") and crossing.get("in_range") and channel in crossing.get("channels", [channel])
     ]
     if places:
         axes.plot(

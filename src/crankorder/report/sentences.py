@@ -112,6 +112,8 @@ def _what(findings: dict[str, Any]) -> list[str]:
         if is_number(record.get("amplitude")) and record["amplitude"] > 0
     ]
     if not records:
+        if any(flag.get("flag") == "short_recording" for flag in findings.get("quality", [])):
+            return ["No order could be proven: the recordings hold too few revolutions."]
         return ["No order stands above the noise."]
     top: dict[str, float] = {}
     for record in records:

@@ -298,5 +298,9 @@ def _flag_lost(lost: IntArray, pulses_per_rev: int, index_tooth: float, revs: fl
         listed = ", ".join(f"{value:.2f}" for value in angle[:5])
         after = "the index" if known else "the first pulse"
         flags.append(
-            ("encoder_damaged_line", "suspect", f"pulse lost in most revolutions at {listed} degrees after {after}")
+            (
+                "encoder_damaged_line",
+                "suspect",
+                f"pulse lost in most revolutions at {listed} degrees after {after} (a wheel with missing teeth?)",
+            )
         )
