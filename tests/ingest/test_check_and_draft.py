@@ -115,7 +115,7 @@ def test_a_draft_is_valid_whatever_the_names_are(tmp_path, name):
 def test_a_draft_marks_what_the_files_do_not_say(tmp_path):
     (tmp_path / "a.csv").write_text("acc,ir\n1,0\n2,1\n3,0\n")
     text = draft_manifest(tmp_path)
-    assert "rate_hz = 1.0" in text
+    assert "rate_hz = 0.0" in text
     assert text.count("# state:") >= 5
 
 

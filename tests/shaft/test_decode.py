@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.speed_signal import integrated_speed
 
 SETTINGS = load_settings().shaft
@@ -114,3 +116,31 @@ def test_gaps_in_a_speed_signal_are_bridged_and_flagged():
     for bad in (np.full(100, np.nan), np.zeros(1000)):
         with pytest.raises(InputError):
             integrated_speed(bad, rate_hz=1000.0, settings=SETTINGS)
+
+
+def test_an_encoder_with_too_few_samples_per_tooth_is_bad_and_says_when():
+    time_s = np.arange(30_000) / 6000.0
+    revs = (10.0 * time_s + 5.0 * time_s**2) % 1.0  # 600 to 3600 rpm: 60 teeth a revolution reach 3600 teeth a second
+    trace = (np.floor(revs * 120) % 2).astype(np.float32)
+    pulses = find_pulses(trace, rate_hz=6000.0, kind="square", edge="rising", pulses_per_rev=60, settings=SETTINGS)
+    recording = xr.Dataset(
+        {
+            "signal": (("channel", "time"), np.zeros((1, 30_000)), {"units": "see unit"}),
+            "pulse_time": ("pulse", pulses.time_s, {"units": "s"}),
+        },
+        coords={name: ("channel", ["A"], {"units": "1"}) for name in ("channel", "unit", "quantity")},
+        attrs={
+            "recording": "made",
+            "domain": "time",
+            "rate_hz": 6000.0,
+            "encoder_kind": "square",
+            "pulses_per_rev": 60,
+            "pulse_noise_s": pulses.noise_s,
+            "revs_per_cycle": 1,
+        },
+    )
+    try:
+        flags = flags_of(shaft_angle(recording, settings=SETTINGS))
+    except InputError:
+        return  # refused outright is as good
+    assert "encoder_undersampled" in {flag["flag"] for flag in flags if flag["severity"] == "bad"}

@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 
 from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
-from crankorder.ingest.manifest import TRACE_KINDS, Manifest, load_manifest
+from crankorder.ingest.manifest import MANIFEST_NAME, TRACE_KINDS, Manifest, load_manifest
 from crankorder.settings import IngestSettings
 
 
@@ -31,6 +31,17 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
     except CrankorderError as error:
         return [error]
     faults = [*found.faults, *_unused_speeds(manifest, found.paths, folder)]
+    if manifest.sampling.domain == "time" and manifest.encoder.kind == "none":
+        faults.append(
+            RequestError(
+                "nothing tells the speed",
+                file=manifest_path or folder / MANIFEST_NAME,
+                place="encoder.kind",
+                found="none",
+                allowed="an encoder, a speed channel or a constant speed_rpm",
+                remedy="Name one; speed from the vibration itself is not built yet",
+            )
+        )
     for path in found.paths:
         faults += check_recording(path, manifest, settings=settings)
     return faults

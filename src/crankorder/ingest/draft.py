@@ -104,7 +104,7 @@ def _sampling(contents: Contents, roles: dict[str, str]) -> list[str]:
     if time is not None:
         lines.append(f"time_source = {_text(time)}")
     elif not contents.rates_hz:
-        lines.append("rate_hz = 1.0                     # state: samples per second, which the file does not say")
+        lines.append("rate_hz = 0.0                     # state: samples per second, which the file does not say")
     return [*lines, ""]
 
 

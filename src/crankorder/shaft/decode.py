@@ -17,6 +17,9 @@ from crankorder.shaft.speed_signal import integrated_speed
 from crankorder.shaft.wheel import NumberedTeeth, number_teeth
 
 # Jitter so many times the noise of sampling is worth a remark.
+FEWEST_SAMPLES_PER_TOOTH = 2.5
+"""A tooth and its gap need a sample each, and the fastest teeth of a turn are shorter than the mean."""
+
 JITTER_RATIO = 1.5
 PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
 
@@ -94,8 +97,24 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         flags.append(
             ("encoder_jitter", "info", f"pulses jitter by {share:.2g} of their distance, more than their sampling")
         )
+    flags += _undersampled(recording, teeth)
     knots = replace(knots, angle_rev=knots.angle_rev - tdc - np.ceil(first - 1e-9))
     return _dataset(recording, knots, reference, teeth.time_s.size, [*teeth.flags, *flags])
+
+
+def _undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
+    """Remark where a sampled encoder has too few samples per tooth: edges are lost then without any trace."""
+    if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
+        return []
+    steps = np.diff(teeth.time_s) / np.diff(teeth.tooth) * float(recording.attrs["rate_hz"])
+    fewest = float(np.quantile(steps, 0.02))
+    if fewest >= FEWEST_SAMPLES_PER_TOOTH:
+        return []
+    start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
+    detail = (
+        f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample the encoder faster"
+    )
+    return [("encoder_undersampled", "bad", detail)]
 
 
 def _tdc(teeth: NumberedTeeth, pulses_per_rev: int, recording: xr.Dataset) -> tuple[float, str, list[Remark]]:
