@@ -52,14 +52,18 @@ def test_every_fault_of_a_folder_is_listed_at_once(tmp_path, limits):
         "channel.h5: channel acc not in file; has a1",
         "unit.h5: source acc: channel Z: Pa (pressure) cannot become m/s2 (acceleration)",
         "text.h5: is text, though its name ends in .h5",
+        "encoder.kind: nothing tells the speed",
     ):
         assert words in text
-    assert len(text.split("\n")) == 7
+    assert len(text.split("\n")) == 8
     assert before == sorted((path.name, path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir())
 
 
 def test_a_right_folder_has_no_faults(tmp_path, limits):
-    (tmp_path / "run.toml").write_text(MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5"))
+    (tmp_path / "run.toml").write_text(
+        MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5")
+        + '[encoder]\nkind = "constant"\nspeed_rpm = 1000\n'
+    )
     recorded(tmp_path / "good.h5", acc=np.arange(10.0))
     assert check_folder(tmp_path, settings=limits) == []
 

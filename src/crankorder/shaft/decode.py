@@ -111,9 +111,7 @@ def _undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
     if fewest >= FEWEST_SAMPLES_PER_TOOTH:
         return []
     start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
-    detail = (
-        f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample the encoder faster"
-    )
+    detail = f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample faster"
     return [("encoder_undersampled", "bad", detail)]
 
 
