@@ -187,7 +187,7 @@ def _parsed(path: Path, layout: _Layout) -> FloatArray:
         raise InputError("not a table of numbers", file=path, found=error) from None
     if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
         frame = frame.iloc[:, :-1]  # every line ends with a separator
-    table = frame.to_numpy()
+    table: FloatArray = np.asarray(frame.to_numpy(), dtype=np.float64)
     if table.shape[1] != len(layout.names) or np.isnan(table).any():
         # pandas fills short lines with NaN without a word
         _find_bad_cell(path, layout)
