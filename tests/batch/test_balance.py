@@ -118,8 +118,7 @@ class TestEveryEngine:
         found = json.loads(outcome.stdout)
         faults = jsonschema.Draft202012Validator(schema_of("balance")).iter_errors(found)
         assert [fault.message for fault in faults] == []
-        if name != "elastic-hinge":
-            assert set(KEYS) <= set(found)
+        assert set(KEYS) <= set(found)
 
     @pytest.mark.parametrize("name", sorted(shipped("engines")))
     def test_the_text_of_a_shipped_engine_fits_100_columns(self, name):
@@ -129,10 +128,24 @@ class TestEveryEngine:
         assert max(map(len, outcome.stdout.splitlines())) <= WIDTH == 100
 
     def test_a_schema_refuses_a_document_without_a_key_of_the_issue(self):
-        found = document("task5")
         validator = jsonschema.Draft202012Validator(schema_of("balance"))
-        for key in KEYS:
-            assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
+        for found in (document("task5"), document("elastic-hinge")):
+            for key in KEYS:
+                assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
+
+    def test_only_elastic_hinges_have_null_for_the_parts_of_a_crank_engine(self):
+        validator = jsonschema.Draft202012Validator(schema_of("balance"))
+        crank, hinged = document("task5"), document("elastic-hinge")
+        assert [hinged[key] for key in KEYS[1:-1]] == [None] * 6
+        for key in ("lambda", "harmonics", "force_g_mm", "shafts"):
+            assert list(validator.iter_errors({**crank, key: None}))
+            assert list(validator.iter_errors({**hinged, key: crank[key]}))
+
+    @pytest.mark.parametrize("name", sorted(shipped("engines")))
+    @pytest.mark.parametrize("speed", ["1234.5678", "1000000", "0.1234567"])
+    def test_any_speed_has_a_text(self, name, speed):
+        outcome = balance(name, "--speed", speed)
+        assert outcome.exit_code == 0, outcome.output
 
 
 class TestFolder:

@@ -10,6 +10,7 @@ import pytest
 from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
+from crankorder.engine.residual_tables import speed_key
 from crankorder.errors import RequestError
 from crankorder.settings import shipped
 
@@ -45,6 +46,42 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str
         stated = sheet["force_n"]["2000"][axis] or {}
         known = force[DIRECTIONS.index(direction)]  # type: ignore[arg-type]
         assert [stated.get(str(k), 0.0) for k in range(1, 9)] == pytest.approx(known[1:], rel=1e-12, abs=round_off_n)
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+def test_any_speed_keeps_its_name_in_tables_and_sentences(name: str) -> None:
+    for speed, text in ((1234.5678, "1234.5678"), (1000000.0, "1000000"), (0.1234567, "0.1234567")):
+        sheet = sheet_of(name, speeds_rpm=[speed])
+        assert list(sheet["force_n"]) == [text] == [speed_key(speed)]
+        assert f" {text} rpm" in " ".join(sheet["sentences"]) or sheet["force_g_mm"] == {"x": None, "y": None}
+
+
+def single_cylinder(unbalance_deg: float) -> BalancedEngine:
+    """One cylinder of 1000 g whose crank has 1000 g at its radius already, as an engine file states them."""
+    table = {
+        "crank_radius_m": 0.05,
+        "rod_length_m": 0.2,
+        "reciprocating_mass_kg": 1.0,
+        "rotating_unbalance_kg_m": 0.05,
+        "rotating_unbalance_deg": unbalance_deg,
+    }
+    return balanced_engine(table, name="single", source="single.toml")
+
+
+def test_the_sheet_says_what_to_take_off_and_where_to_add() -> None:
+    heavy, beside = (balance_sheet(single_cylinder(angle_deg)) for angle_deg in (180.0, 37.0))
+    found = heavy["strategies"]["b"]
+    assert (found["counterweight_g"], found["counterweight_deg"], found["total_g"]) == (-1000, 0, -1000)
+    assert "Strategy b (1000 g off the crank opposite to its pin)" in " ".join(heavy["sentences"])
+    found = beside["strategies"]["b"]
+    assert (found["counterweight_g"], found["counterweight_deg"]) == pytest.approx((1000, 37), rel=1e-12)
+    assert "Strategy b (1000 g on the crank, 37° on from opposite to its pin)" in " ".join(beside["sentences"])
+
+
+def test_an_engine_whose_counterweights_count_is_not_called_one_without_balancing() -> None:
+    assert sheet_of("v-twin")["sentences"][0].startswith("As built the engine shakes with ")
+    for name in ("task5", "msu-optical", "inline-3"):
+        assert sheet_of(name)["sentences"][0].startswith("With no balancing the engine shakes with ")
 
 
 def test_literature_task_5_shows_its_strategies_side_by_side() -> None:

@@ -18,7 +18,7 @@ from crankorder.engine.balancing import (
     rod_counterweight_couple,
     with_counterweights,
 )
-from crankorder.engine.polar import polar_diagram
+from crankorder.engine.polar import phasor, polar_diagram
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import RequestError
 
@@ -134,3 +134,31 @@ def test_strategy_d_without_a_place_on_the_rod_is_refused(masses: ReducedMasses)
 
 def test_counterweights_act_at_the_crank_radius_where_no_radius_is_stated(masses: ReducedMasses) -> None:
     assert counterweights(masses, "b", CounterweightPlaces()).crank_g == 450
+
+
+@pytest.mark.parametrize("strategy", ["none", "a", "b", "c", "d"])
+@pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0, 180.0, 217.0])
+def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy: Any, angle_deg: float) -> None:
+    turned = ReducedMasses(
+        mechanism=TASK5.engine.mechanism, rotating_g=1000 * phasor(angle_deg), reciprocating_g=1000.0
+    )
+    built = with_counterweights(turned, counterweights(turned, strategy, PLACES), PLACES)
+    meant = balanced(turned, strategy)
+    assert abs(built.rotating_g - meant.rotating_g) < 1e-12 * 1000
+    assert built.reciprocating_g == pytest.approx(meant.reciprocating_g, abs=1e-12 * 1000)
+
+
+def test_a_crank_with_too_much_counterweight_already_has_some_taken_off() -> None:
+    heavy = ReducedMasses(mechanism=TASK5.engine.mechanism, rotating_g=1000 * phasor(180), reciprocating_g=1000.0)
+    added = {name: counterweights(heavy, name, CounterweightPlaces()) for name in ("a", "b", "c")}
+    assert {name: (one.crank_g, one.crank_deg) for name, one in added.items()} == {
+        "a": (0.0, 0.0),
+        "b": (-1000.0, 0.0),
+        "c": (-500.0, 0.0),
+    }
+
+
+def test_a_counterweight_against_an_unbalance_beside_the_crank_has_an_angle() -> None:
+    beside = ReducedMasses(mechanism=TASK5.engine.mechanism, rotating_g=1000 * phasor(37), reciprocating_g=1000.0)
+    added = counterweights(beside, "b", CounterweightPlaces())
+    assert (added.crank_g, added.crank_deg) == pytest.approx((1000, 37), rel=1e-14)

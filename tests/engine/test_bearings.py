@@ -19,7 +19,10 @@ def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(truth: dict[s
         assert {line: orders[line] for line in ("FTF", "BSF", "BPFO", "BPFI")} == pytest.approx(
             {line: known[line] for line in ("FTF", "BSF", "BPFO", "BPFI")}, rel=1e-14
         )
-        assert orders["N*fs"] == 5.5
+        assert orders["N*fs"] == 5.5 == pytest.approx(known["BPFO+BPFI"], rel=1e-14)
+        assert {f"2{line}": 2 * orders[line] for line in ("BSF", "BPFO", "BPFI")} == pytest.approx(
+            {line: known[line] for line in ("2BSF", "2BPFO", "2BPFI")}, rel=1e-14
+        )
 
 
 @given(st.integers(3, 40), st.floats(0.05, 0.6), st.floats(0, 60), st.floats(0.1, 4))

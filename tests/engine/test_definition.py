@@ -4,8 +4,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from crankorder.engine.definition import load_engine
+from crankorder.engine.reverse_cranks import GearTrain
+from crankorder.engine.shafts import ShaftPairParts
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import shipped
 
@@ -109,3 +112,48 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path, text: str, fault: str
     with pytest.raises(ManyErrors, match=fault) as caught:
         load_engine("bad.toml", tmp_path)
     assert len(caught.value.faults) == 1
+
+
+def places_and_problems(folder: Path, text: str) -> list[tuple[str, str]]:
+    """Place and problem of every fault that is told of an engine file of this text."""
+    (folder / "bad.toml").write_text(text)
+    with pytest.raises(ManyErrors) as caught:
+        load_engine("bad.toml", folder)
+    return [(str(fault.place), fault.problem) for fault in caught.value.faults]
+
+
+@pytest.mark.parametrize("offset", ["'far'", "inf", "[1]"])
+def test_a_faulty_offset_does_not_hide_a_rod_too_short(tmp_path: Path, offset: str) -> None:
+    told = places_and_problems(tmp_path, GOOD.replace("0.15", "0.05") + f"offset_m = {offset}\n")
+    assert [place for place, _ in told] == ["offset_m", "rod_length_m"]
+    assert "could not turn" in told[1][1]
+
+
+def test_a_faulty_offset_is_all_that_is_told_of_a_sound_rod(tmp_path: Path) -> None:
+    assert [place for place, _ in places_and_problems(tmp_path, GOOD + "offset_m = 'far'\n")] == ["offset_m"]
+
+
+def test_a_fault_of_an_entry_is_told_once_and_not_of_its_list(tmp_path: Path) -> None:
+    text = "[[cylinders]]\ncrank_deg = 'x'\n[gas]\ncrank_angle_deg = ['a', 90.0]\ntorque_n_m = [0.0, 1.0]\n"
+    told = places_and_problems(tmp_path, GOOD + text)
+    assert [place for place, _ in told] == ["cylinders.0.crank_deg", "gas.crank_angle_deg.0"]
+
+
+def test_a_gas_curve_of_one_angle_is_refused(tmp_path: Path) -> None:
+    told = places_and_problems(tmp_path, GOOD + "[gas]\ncrank_angle_deg = [0.0]\ntorque_n_m = [0.0]\n")
+    assert [place for place, _ in told] == ["gas.crank_angle_deg"]
+    assert "at least 2" in told[0][1]
+
+
+def test_a_fault_of_a_shafts_part_or_a_gear_is_told_once_and_an_empty_list_too() -> None:
+    for kind, table, place in (
+        (ShaftPairParts, {"order": 1, "parts": [{"name": "a", "design_mass_g": -1.0, "centroid_mm": 1.0}]}, "parts"),
+        (ShaftPairParts, {"order": 1, "parts": []}, "parts"),
+        (GearTrain, {"gears": [{"name": ""}]}, "gears"),
+        (GearTrain, {"gears": []}, "gears"),
+    ):
+        with pytest.raises(ValidationError) as caught:
+            kind.model_validate(table)
+        told = [fault["loc"] for fault in caught.value.errors()]
+        assert all(one[0] == place for one in told)
+        assert ((place,) in told) == (not table[place])

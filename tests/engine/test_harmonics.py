@@ -74,6 +74,50 @@ def test_harmonics_up_to_order_800_have_twelve_digits(ratio: float) -> None:
     assert np.abs(found / known - 1).max() < 1e-12
 
 
+@pytest.mark.parametrize("ratio", [0.99, 0.9997, 0.9999, 1 - 1e-6])
+def test_harmonics_of_the_shortest_rods_have_twelve_digits_up_to_order_2000(ratio: float) -> None:
+    orders = (2, 4, 300, 344, 360, 1000, 2000)
+    known = np.array([decimal_harmonic(order, ratio) for order in orders])
+    found = even_harmonics(1000, ratio)
+    assert np.abs(found[np.array(orders) // 2 - 1] / known - 1).max() < 1e-12
+    assert np.isfinite(found).all()
+    assert (found > 0).all()
+
+
+@pytest.mark.parametrize("ratio", [0.9997, 0.9999, 1 - 1e-6])
+def test_the_harmonics_of_the_shortest_rods_add_up_to_the_acceleration_at_ninety_degrees(ratio: float) -> None:
+    even = even_harmonics(40000, ratio)
+    assert np.sum(even) == pytest.approx(ratio / np.sqrt((1 - ratio) * (1 + ratio)), rel=1e-13)
+    assert np.sum(even[::2] - even[1::2]) == pytest.approx(ratio, rel=1e-12)
+
+
+@pytest.mark.parametrize("margin", [1e-10, 1e-12, 1e-15])
+def test_a_rod_as_long_as_the_crank_has_the_harmonics_of_a_bent_line(margin: float) -> None:
+    # |cos φ| = 2/π + (4/π) Σ (−1)^(k+1) cos 2kφ / (4k² − 1); what is left falls as (1 − λ) log(1 − λ)
+    k = np.arange(1, 31)
+    limit = 16 / np.pi * k**2 / (4 * k**2 - 1)
+    assert np.abs(even_harmonics(30, 1 - margin) / limit - 1).max() < 1600 * margin * -np.log(margin)
+
+
+@pytest.mark.parametrize(("tolerance", "order"), [(1e-2, 218), (1e-3, 318), (1e-6, 612)])
+def test_the_orders_of_a_short_rod_are_those_of_its_summed_tail(tolerance: float, order: int) -> None:
+    # 1 − λ = 3e-4: the peak is λ/κ', and what is left out is summed in exact terms until they no longer count
+    ratio = 0.9997
+    tail = np.array([decimal_harmonic(one, ratio) for one in range(order, order + 1200, 2)])[::-1].cumsum()[::-1]
+    allowed = tolerance * ratio / np.sqrt((1 - ratio) * (1 + ratio))
+    assert tail[1] < allowed <= tail[0]
+    assert orders_for(tolerance, SliderCrank(crank_radius_m=ratio, rod_length_m=1.0)) == order
+
+
+def test_harmonics_without_a_finite_sum_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_mechanism: SliderCrank, max_order: int) -> np.ndarray:
+        return np.where(np.arange(max_order + 1) == 20, np.nan, 0j)
+
+    monkeypatch.setattr("crankorder.engine.harmonics.acceleration_harmonics", broken)
+    with pytest.raises(RequestError, match="no finite sum"):
+        orders_for(1e-3, SliderCrank(crank_radius_m=0.3, rod_length_m=1.0))
+
+
 @pytest.mark.parametrize("offset", [1e-14, 1e-300])
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 0.9, 0.99])
 def test_the_fourier_sums_beside_the_crank_angle_give_the_closed_form(ratio: float, offset: float) -> None:

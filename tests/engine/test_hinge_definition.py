@@ -73,3 +73,32 @@ def test_data_that_cannot_turn_or_do_not_join_are_refused(tmp_path: Path, before
 def test_a_file_that_does_not_exist_is_told() -> None:
     with pytest.raises(RequestError, match="no such engine"):
         load_hinged_engine("nowhere")
+
+
+def places(folder: Path, text: str) -> list[str]:
+    """Place of every fault that is told of a file of this text."""
+    with pytest.raises(ManyErrors) as caught:
+        load(folder, text)
+    return [str(fault.place) for fault in caught.value.faults]
+
+
+@pytest.mark.parametrize("key", ["rod_weight_n", "piston_weight_n"])
+def test_a_negative_weight_does_not_hide_a_rod_too_short(tmp_path: Path, key: str) -> None:
+    short = GOOD.replace("rod_centre_to_piston_m = 0.2", "rod_centre_to_piston_m = 0.0")
+    told = places(tmp_path, short.replace(f"{key} = 1", f"{key} = -1"))
+    assert told == ["mechanisms.0.rod_centre_to_piston_m", f"mechanisms.0.{key}"]
+
+
+def test_a_faulty_mechanism_hides_no_gap_of_the_torque_curve_and_the_other_way_round(tmp_path: Path) -> None:
+    gap = GOOD.replace("[0, 360]", "[0, 180]")
+    assert places(tmp_path, gap.replace("piston_weight_n = 1", "piston_weight_n = -1")) == [
+        "torque",
+        "mechanisms.0.piston_weight_n",
+    ]
+    twice = gap + GOOD[GOOD.index("[[mech") :]
+    assert places(tmp_path, twice) == ["torque", "mechanisms"]
+
+
+def test_falling_angles_and_a_missing_torque_are_told_of_the_branch(tmp_path: Path) -> None:
+    assert places(tmp_path, GOOD.replace("[0, 360]", "[360, 0]")) == ["torque.0.angle_deg"]
+    assert places(tmp_path, GOOD.replace("[0, 0]", "[0]")) == ["torque.0.torque_nm"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.crank_torque import CrankTorque, TorqueBranch
-from crankorder.engine.elastic_hinge import hinge_moment, side_force
+from crankorder.engine.elastic_hinge import hinge_moment, side_force, withheld_moment
 from crankorder.engine.hinge_definition import load_hinged_engine
 from crankorder.engine.hinge_inertia import shaking_force, strut_hinge_moment, weight_moment
 from crankorder.engine.hinge_solutions import (
@@ -44,6 +44,22 @@ def test_the_weights_of_figure_4_are_the_true_ones(
     assert found == pytest.approx(float(truth["seed003"]["fig4_solutions"][key][kinematics]), rel=1e-12)
     solved = replace(crank, **{weight: found})
     assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="printed", kinematics=kinematics)).max() < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("name", "weight", "printed_n", "key"),
+    [
+        ("fig4_a", "rod_weight_n", 54.4, ("a: residual mean M12 with printed P2 (truncated)", "a: (exact)")),
+        ("fig4_b", "piston_weight_n", 18.16, ("b: residual mean M12 with printed P3 (truncated)", "b: (exact)")),
+    ],
+)
+def test_the_printed_weights_of_figure_4_leave_the_true_mean_of_m12(
+    truth: dict[str, Any], name: str, weight: Weight, printed_n: float, key: tuple[str, str]
+) -> None:
+    crank = replace(ENGINE.cranks[name], **{weight: printed_n})
+    for kinematics, leaf in zip(("truncated", "exact"), key, strict=True):
+        mean = withheld_moment(crank, CURVE, pin_hinge="printed", kinematics=kinematics)  # type: ignore[arg-type]
+        assert mean == pytest.approx(float(truth["seed003"]["fig4_solutions"][leaf]), abs=1e-13 * 66)
 
 
 def test_the_document_printed_what_its_truncated_kinematics_give() -> None:

@@ -161,3 +161,16 @@ def test_what_is_missing_for_loads_is_named() -> None:
     ):
         with pytest.raises(RequestError, match=fault):
             main_bearing_loads(model, ANGLES, SPEED_RPM)
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 1e-11, -1e-11])
+def test_a_rod_that_almost_lies_flat_keeps_the_digits_of_its_loads(offset_m: float) -> None:
+    # at 90° cos ψ = √((1 − λ + ε)(1 + λ − ε)): thrust and torque follow from the lengths alone
+    radius, rod = 0.045 * (1 - 1e-9), 0.045
+    bare = {"rod": None, "crank_radius_m": radius, "rod_length_m": rod, "offset_m": offset_m}
+    model = engine(**bare)
+    loads = cylinder_loads(model, np.array([0.25]), 0.0)
+    gas = float(loads.head_n[0])
+    across, short = radius - offset_m, rod - radius + offset_m
+    assert loads.side_thrust_n[0] == pytest.approx(-gas * across / np.sqrt(short * (rod + across)), rel=1e-13)
+    assert loads.torque_n_m[0] == pytest.approx(gas * radius, rel=1e-14)

@@ -120,6 +120,7 @@ def test_shafts_timed_to_the_crank_leave_the_quadrature_and_the_moment_of_the_tr
         (49822.3, "first_order_49822.3gmm"),
         (15001.4, "second_15001.4gmm"),
         (193249.6, "first_order_optical_193249.6gmm"),
+        (57084.9, "second_order_optical_57084.9"),
         (116 * 44.9, "spacer_116g_first(44.9)"),
     ):
         assert offset_couple_n_m(unbalance, 10.0, 2000) == pytest.approx(known[key], rel=1e-12)

@@ -52,6 +52,27 @@ def test_strategies_stand_side_by_side_with_the_masses_of_the_document() -> None
     assert "against crank" in next(line for line in text.splitlines() if "order 1 turns" in line)
 
 
+def test_the_angle_of_a_counterweight_is_shown_only_where_there_is_one() -> None:
+    sheet = _sheet("task5")
+    assert "opposite to the pin" not in balance_text(sheet)
+    sheet["strategies"]["b"]["counterweight_deg"] = 37.0
+    assert _line(balance_text(sheet), "… on from opposite to the pin")[-5:] == [MISSING, "0", "37", "0", "0"]
+
+
+def test_a_crank_ratio_just_below_one_is_not_called_one() -> None:
+    texts = [balance_text({**_sheet("task5"), "lambda": ratio}) for ratio in (1 - 1e-12, 0.9999998, 0.25)]
+    assert [text.splitlines()[1] for text in texts] == [
+        "Crank ratio λ = 1 − 1e-12",
+        "Crank ratio λ = 0.9999998",
+        "Crank ratio λ = 0.25",
+    ]
+
+
+def test_forces_that_counterweights_leave_are_called_as_built() -> None:
+    assert "Force by order as built" in balance_text(_sheet("v-twin"))
+    assert "Force by order with no balancing" in balance_text(_sheet("task5"))
+
+
 @pytest.mark.parametrize("name", CRANK_ENGINES)
 def test_every_sentence_and_note_is_told_in_full(name: str) -> None:
     sheet = _sheet(name)

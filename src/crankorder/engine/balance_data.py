@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from crankorder.engine.balancing import CounterweightPlaces, CrankTrain, ReducedMasses, equivalent_masses
 from crankorder.engine.crankshaft import CrankshaftSection
-from crankorder.engine.definition import Engine, EngineData, NonNegative, Positive
+from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, NonNegative, Positive
 from crankorder.engine.polar import phasor
 from crankorder.engine.residuals import UnbalanceClass
 from crankorder.engine.reverse_cranks import GearTrain
@@ -29,7 +29,7 @@ AGREEMENT = 1e-9
 class CrankshaftData(EngineData):
     """Sections of a crankshaft, the two counterweights' names, and the overbalance left for the balancing machine."""
 
-    sections: tuple[CrankshaftSection, ...] = Field(strict=False, min_length=1)
+    sections: Annotated[tuple[CrankshaftSection, ...], NOT_EMPTY] = Field(strict=False)
     counterweights: tuple[str, str] = Field(strict=False)
     overbalance_kg_mm: tuple[NonNegative, NonNegative] | None = Field(default=None, strict=False)
 
@@ -59,7 +59,7 @@ class BalanceData(EngineData):
     """
 
     notes: tuple[str, ...] = Field(default=(), strict=False)
-    speeds_rpm: tuple[Positive, ...] = Field(default=(1000.0, 2000.0), strict=False, min_length=1)
+    speeds_rpm: Annotated[tuple[Positive, ...], NOT_EMPTY] = Field(default=(1000.0, 2000.0), strict=False)
     train: CrankTrain | None = None
     places: CounterweightPlaces = CounterweightPlaces()
     rod_split: RodSplits | None = None

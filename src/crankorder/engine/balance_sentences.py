@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from crankorder.engine.polar import unbalance_force_n
+from crankorder.engine.residual_tables import speed_key
 
 NEARLY_STATIC = 0.01
 """Static unbalance below this share of a crankshaft's largest counterweight is named as balance."""
@@ -22,7 +24,9 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     which forces are named.
     """
     where = CYLINDER if sheet["strategies"] else FRAME
-    said = [f"With no balancing the engine shakes with {_amounts(sheet['force_g_mm'], speed_rpm, where=where)}."]
+    state = plain_state(sheet)
+    said = [f"{state[0].upper()}{state[1:]} the engine shakes with "]
+    said[0] += f"{_amounts(sheet['force_g_mm'], speed_rpm, where=where)}."
     said += _of_moments(sheet["moment_g_mm2"] or {}, speed_rpm)
     said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
     said += _of_shafts(sheet["shafts"], speed_rpm, where)
@@ -35,9 +39,17 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     return said
 
 
+def plain_state(sheet: Mapping[str, Any]) -> str:
+    """What the plain engine of a ``sheet`` is called: a rotating unbalance that its file states has counterweights."""
+    masses = sheet["masses_g"]
+    if masses["rod_at_crank_pin"] is not None or not masses["rotating_at_crank_radius"]:
+        return "with no balancing"
+    return "as built" if sheet["shafts"]["own"] is None else "without its shafts"
+
+
 def _one(amount_g_mm: float, speed_rpm: float) -> str:
     force = float(unbalance_force_n(abs(amount_g_mm), speed_rpm))
-    return f"{abs(amount_g_mm):.5g} g·mm ({force:.4g} N at {speed_rpm:g} rpm)"
+    return f"{abs(amount_g_mm):.5g} g·mm ({force:.4g} N at {speed_key(speed_rpm)} rpm)"
 
 
 def _amounts(
@@ -58,7 +70,8 @@ def _of_moments(moments: dict[str, dict[str, float] | None], speed_rpm: float) -
         for order, amount in list(orders.items())[:2]:
             moment = 1e-3 * float(unbalance_force_n(amount, speed_rpm))
             said.append(
-                f"A rocking moment of {moment:.4g} N·m at {speed_rpm:g} rpm of order {order} about {axis} remains."
+                f"A rocking moment of {moment:.4g} N·m at {speed_key(speed_rpm)} rpm of order {order} about {axis} "
+                "remains."
             )
     return said
 
@@ -70,12 +83,12 @@ def _of_strategies(strategies: dict[str, Any], speed_rpm: float) -> list[str]:
         if found is None:
             continue
         if name == "d":
-            couple = ""
+            couple, adds = "", "takes off" if found["total_g"] < 0 else "adds"
             if found["couple_g_mm2"] is not None:
                 couple = f" of up to {1e-3 * float(unbalance_force_n(found['couple_g_mm2'], speed_rpm)):.4g} N·m"
             said.append(
-                f"Strategy d adds {found['total_g']:.5g} g and leaves no force of any order; a couple{couple} at "
-                f"{speed_rpm:g} rpm remains."
+                f"Strategy d {adds} {abs(found['total_g']):.5g} g and leaves no force of any order; a couple{couple} "
+                f"at {speed_key(speed_rpm)} rpm remains."
             )
             continue
         first = {
@@ -83,10 +96,18 @@ def _of_strategies(strategies: dict[str, Any], speed_rpm: float) -> list[str]:
         }
         higher = "" if not found["higher_orders_x_g_mm"] else ", and every higher order along the cylinder"
         said.append(
-            f"Strategy {name} ({found['counterweight_g']:.5g} g on the crank) leaves {_amounts(first, speed_rpm)}"
+            f"Strategy {name} ({_on_crank(found)}) leaves {_amounts(first, speed_rpm)}"
             f"{turning.get(found['rotation'], '')}{higher}."
         )
     return said
+
+
+def _on_crank(strategy: dict[str, Any]) -> str:
+    """The counterweight of a strategy in words, its angle where it does not stand opposite to the pin."""
+    grams, angle_deg = strategy["counterweight_g"], strategy["counterweight_deg"]
+    if grams < 0:
+        return f"{-grams:.5g} g off the crank opposite to its pin"
+    return f"{grams:.5g} g on the crank" + (f", {angle_deg:.5g}° on from opposite to its pin" if angle_deg else "")
 
 
 def _of_shafts(shafts: dict[str, Any], speed_rpm: float, where: dict[str, str]) -> list[str]:
@@ -136,14 +157,14 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
     dynamic = abs(complex(table["dynamic_kg_mm2"]["x"], table["dynamic_kg_mm2"]["y"]))
     largest = max(abs(complex(plane["has_kg_mm"]["x"], plane["has_kg_mm"]["y"])) for plane in table["planes"])
     state = "is in static balance within" if static < NEARLY_STATIC * largest else "has a static unbalance of"
-    couple = table["couple_Nm_at_rpm"][f"{speed_rpm:g}"]
+    couple = table["couple_Nm_at_rpm"][speed_key(speed_rpm)]
     needs = " and ".join(
         f"{abs(complex(plane['correction_kg_mm']['x'], plane['correction_kg_mm']['y'])):.4g} kg·mm in {plane['name']}"
         for plane in table["planes"]
     )
     return [
         f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
-        f"({couple:.4g} N·m at {speed_rpm:g} rpm) turns with it, which corrections of {needs} would end."
+        f"({couple:.4g} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would end."
     ]
 
 
@@ -169,7 +190,7 @@ def _of_added_mass(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
 def _of_offset(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
     if table is None:
         return []
-    couple = table["couple_Nm_at_rpm"][f"{speed_rpm:g}"]
+    couple = table["couple_Nm_at_rpm"][speed_key(speed_rpm)]
     return [
         f"An offset of {table['offset_mm']:g} mm leaves {_one(table['quadrature_x_g_mm'], speed_rpm)} of order 1 "
         f"beside shafts for the whole reciprocating mass timed to the crank; {abs(table['rephasing_deg']):.2f}° of "
@@ -187,7 +208,9 @@ def _of_reverse_cranks(table: dict[str, Any] | None, speed_rpm: float) -> list[s
     ]
     if table["couple_g_mm2"] > 0:
         couple = 1e-3 * float(unbalance_force_n(table["couple_g_mm2"], speed_rpm))
-        said.append(f"Their wheels stand unevenly and leave a couple of {couple:.4g} N·m at {speed_rpm:g} rpm.")
+        said.append(
+            f"Their wheels stand unevenly and leave a couple of {couple:.4g} N·m at {speed_key(speed_rpm)} rpm."
+        )
     if table["tolerances"] is not None:
         across = table["tolerances"]["across_g_mm"]["1"]["95 %"]
         along = table["tolerances"]["along_g_mm"]["1"]["95 %"]

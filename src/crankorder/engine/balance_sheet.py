@@ -34,6 +34,7 @@ from crankorder.engine.residual_tables import (
     offset_table,
     reverse_crank_table,
     rod_split_table,
+    speed_key,
 )
 from crankorder.engine.residuals import leading_harmonics, unbalance_class
 from crankorder.engine.shafts import (
@@ -86,7 +87,7 @@ def balance_sheet(
         "force_g_mm": _axes(made),
         "moment_g_mm2": None if single else _moments(engine, max_order),
         "leading_g_mm": None if one is None or engine.offset_m else _leading(masses, max_order),
-        "force_n": {f"{speed:.15g}": _forces_n(made, speed) for speed in speeds},
+        "force_n": {speed_key(speed): _forces_n(made, speed) for speed in speeds},
         "strategies": None
         if one is None
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
@@ -186,6 +187,7 @@ def _strategy(
         couple = float(np.abs(rod_counterweight_couple(masses, added, places, FULL_TURN_REV)).max())
     return {
         "counterweight_g": added.crank_g,
+        "counterweight_deg": added.crank_deg,
         "rod_counterweight_g": added.rod_g if name == "d" else None,
         "total_g": added.total_g,
         "residual_x_g_mm": abs(first.x_g_mm),

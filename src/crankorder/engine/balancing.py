@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -11,7 +13,7 @@ from pydantic import Field
 
 from crankorder.engine.definition import EngineData, NonNegative, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.polar import OrderForce
+from crankorder.engine.polar import OrderForce, phasor
 from crankorder.engine.slider_crank import SliderCrank, piston_acceleration
 from crankorder.errors import RequestError
 
@@ -79,14 +81,19 @@ class ReducedMasses:
 
 @dataclass(frozen=True, kw_only=True)
 class Counterweights:
-    """Masses (g) that a strategy adds: on the crank, opposite to its pin, and on the rod beyond the crank pin."""
+    """Masses (g) that a strategy adds: on the crank, opposite to its pin, and on the rod beyond the crank pin.
+
+    ``crank_g`` below zero is to be taken off. ``crank_deg`` turns its place on, in the sense of the crank; it is zero
+    where the mass lies along the crank.
+    """
 
     crank_g: float
+    crank_deg: float = 0.0
     rod_g: float = 0.0
 
     @property
     def total_g(self) -> float:
-        """Mass added in all."""
+        """Mass added in all; below zero, taken off."""
         return self.crank_g + self.rod_g
 
 
@@ -107,7 +114,7 @@ def equivalent_masses(train: CrankTrain) -> EquivalentMasses:
 
 
 def counterweights(masses: ReducedMasses, strategy: Strategy, places: CounterweightPlaces) -> Counterweights:
-    """Counterweights (g) that a strategy asks for.
+    """Counterweights (g) that a strategy asks for, below zero where the crank has too much already.
 
     ``masses``: engine before balancing. ``strategy``: "a" cancels the first order along the cylinder, "b" the force
     across it, "c" leaves equal parts of both, "d" brings every centre of gravity to the crankshaft. ``places``: radii;
@@ -119,14 +126,19 @@ def counterweights(masses: ReducedMasses, strategy: Strategy, places: Counterwei
         return Counterweights(crank_g=0.0)
     if strategy != "d":
         against = masses.rotating_g + RECIPROCATING_SHARE[strategy] * masses.reciprocating_g
-        return Counterweights(crank_g=leverage * abs(against))
+        return _on_crank(leverage, against)
     if places.rod_mm is None:
         raise RequestError("strategy d needs a counterweight on the rod", place="rod_mm", remedy="State its radius")
     on_rod = masses.reciprocating_g * masses.rod_length_mm / places.rod_mm
-    return Counterweights(
-        crank_g=leverage * abs(masses.rotating_g + masses.reciprocating_g + on_rod),
-        rod_g=on_rod,
-    )
+    return replace(_on_crank(leverage, masses.rotating_g + masses.reciprocating_g + on_rod), rod_g=on_rod)
+
+
+def _on_crank(leverage: float, against_g: complex) -> Counterweights:
+    """The mass on the crank against a rotating one, signed along the crank and else with its angle."""
+    against = complex(against_g)
+    if not against.imag:
+        return Counterweights(crank_g=leverage * against.real)
+    return Counterweights(crank_g=leverage * abs(against), crank_deg=math.degrees(cmath.phase(against)))
 
 
 def with_counterweights(masses: ReducedMasses, added: Counterweights, places: CounterweightPlaces) -> ReducedMasses:
@@ -139,7 +151,7 @@ def with_counterweights(masses: ReducedMasses, added: Counterweights, places: Co
     lever = (places.rod_mm or 0.0) / masses.rod_length_mm
     return replace(
         masses,
-        rotating_g=masses.rotating_g + added.rod_g * (1 + lever) - on_crank,
+        rotating_g=masses.rotating_g + added.rod_g * (1 + lever) - on_crank * phasor(added.crank_deg),
         reciprocating_g=masses.reciprocating_g - added.rod_g * lever,
     )
 

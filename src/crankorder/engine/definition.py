@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from crankorder.engine.bearings import Bearing
 from crankorder.engine.slider_crank import SliderCrank
@@ -16,6 +17,17 @@ from crankorder.settings import toml_table, validation_fault
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+Entries = TypeVar("Entries", bound=Sized)
+
+
+def _not_empty(value: Entries) -> Entries:
+    if not len(value):
+        raise ValueError("must have at least 1 entry")
+    return value
+
+
+NOT_EMPTY = AfterValidator(_not_empty)
+"""For lists; ``min_length`` counts the sound entries alone and so blames the list too for a fault of an entry."""
 REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
 
 
@@ -72,7 +84,7 @@ class GasCurve(EngineData):
     ``pressure_pa``: absolute, with ``surroundings_pa`` below the piston; or ``torque_n_m`` in the sense of rotation.
     """
 
-    crank_angle_deg: tuple[float, ...] = Field(strict=False, min_length=2)
+    crank_angle_deg: tuple[float, ...] = Field(strict=False)
     pressure_pa: tuple[float, ...] | None = Field(default=None, strict=False)
     torque_n_m: tuple[float, ...] | None = Field(default=None, strict=False)
     surroundings_pa: NonNegative = 101325.0
@@ -80,6 +92,8 @@ class GasCurve(EngineData):
     @field_validator("crank_angle_deg")
     @classmethod
     def _ascends(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) < 2:
+            raise ValueError("must have at least 2 entries")
         if any(after <= before for before, after in pairwise(value)):
             raise ValueError("must ascend")
         return value
@@ -121,7 +135,7 @@ class Engine(EngineData):
     rotating_unbalance_kg_m: NonNegative = 0.0
     rotating_unbalance_deg: float = 0.0
     rod: Rod | None = None
-    cylinders: tuple[Cylinder, ...] = Field(default=(Cylinder(),), strict=False, min_length=1)
+    cylinders: Annotated[tuple[Cylinder, ...], NOT_EMPTY] = Field(default=(Cylinder(),), strict=False)
     main_bearings_m: tuple[float, ...] = Field(default=(), strict=False)
     bore_m: Positive | None = None
     gas: GasCurve | None = None
@@ -133,8 +147,9 @@ class Engine(EngineData):
     @field_validator("rod_length_m")
     @classmethod
     def _rod_reaches(cls, value: float, info: ValidationInfo) -> float:
-        radius, offset = info.data.get("crank_radius_m"), info.data.get("offset_m")
-        if radius is not None and offset is not None and value <= radius + abs(offset):
+        # a faulty offset counts as none: a rod too short without it is too short with any
+        radius, offset = info.data.get("crank_radius_m"), info.data.get("offset_m", 0.0)
+        if radius is not None and value <= radius + abs(offset):
             raise ValueError("rod_length_m must exceed crank_radius_m and offset_m together: the crank could not turn")
         return value
 

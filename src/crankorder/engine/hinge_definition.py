@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from crankorder.engine.crank_torque import CrankTorque, TorqueBranch
 from crankorder.engine.definition import EngineData, NonNegative, Positive
 from crankorder.engine.hinged_crank import HingedCrank, slender_rod_inertia
+from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import ManyErrors
 from crankorder.settings import toml_table, validation_fault
 
@@ -22,10 +24,22 @@ class TorqueBranchData(EngineData):
     angle_deg: tuple[float, ...] = Field(strict=False)
     torque_nm: tuple[float, ...] = Field(strict=False)
 
-    @model_validator(mode="after")
-    def _nodes_fit(self) -> Self:
-        _ = self.branch
-        return self
+    # As in definition.py: one check a field, on what comes before it.
+
+    @field_validator("angle_deg")
+    @classmethod
+    def _rises(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) < 2 or any(after <= before for before, after in pairwise(value)):
+            raise ValueError("a branch of a torque curve needs two or more rising angles")
+        return value
+
+    @field_validator("torque_nm")
+    @classmethod
+    def _as_many_as_angles(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        angles = info.data.get("angle_deg")
+        if angles is not None and len(value) != len(angles):
+            raise ValueError(f"must have one torque for each of the {len(angles)} crank angles")
+        return value
 
     @cached_property
     def branch(self) -> TorqueBranch:
@@ -57,10 +71,13 @@ class HingedCrankData(EngineData):
     gravity_m_s2: Positive = 9.81
     speeds_rad_s: tuple[Positive, ...] = Field(default=(), strict=False)
 
-    @model_validator(mode="after")
-    def _can_turn(self) -> Self:
-        _ = self.crank
-        return self
+    @field_validator("rod_centre_to_piston_m")
+    @classmethod
+    def _rod_reaches(cls, value: float, info: ValidationInfo) -> float:
+        radius_m, to_centre_m = info.data.get("crank_radius_m"), info.data.get("pin_to_rod_centre_m")
+        if radius_m is not None and to_centre_m is not None:
+            SliderCrank(crank_radius_m=radius_m, rod_length_m=to_centre_m + value)
+        return value
 
     @cached_property
     def crank(self) -> HingedCrank:
@@ -86,15 +103,21 @@ class HingedEngine(EngineData):
     torque: tuple[TorqueBranchData, ...] = Field(strict=False)
     mechanisms: tuple[HingedCrankData, ...] = Field(strict=False)
 
-    @model_validator(mode="after")
-    def _names_and_branches_fit(self) -> Self:
-        names = [mechanism.name for mechanism in self.mechanisms]
+    @field_validator("torque")
+    @classmethod
+    def _closes(cls, value: tuple[TorqueBranchData, ...]) -> tuple[TorqueBranchData, ...]:
+        CrankTorque(branches=tuple(branch.branch for branch in value))
+        return value
+
+    @field_validator("mechanisms")
+    @classmethod
+    def _names_differ(cls, value: tuple[HingedCrankData, ...]) -> tuple[HingedCrankData, ...]:
+        names = [mechanism.name for mechanism in value]
         if not names:
             raise ValueError("an engine with elastic hinges needs at least one [[mechanisms]]")
         if len(set(names)) < len(names):
             raise ValueError(f"two mechanisms bear one name: {', '.join(names)}")
-        _ = self.curve
-        return self
+        return value
 
     @cached_property
     def curve(self) -> CrankTorque:

@@ -35,20 +35,25 @@ TABLE_STEPS = 36
 ROUND_OFF = 1e-12
 """A force or work below this share of its terms is what is left of terms that cancel, and set to zero."""
 
+CRANK_ENGINE_PARTS = ("lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft")
+"""What every balance document names and an engine with elastic hinges does not have; each mechanism has its own λ."""
+
 _ANGLES = np.arange(1440) / 1440
 
 
 def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[float] | None = None) -> dict[str, Any]:
     """Torque, hinge moments, side forces and solutions as one document of plain numbers, lists and texts.
 
-    A solution that does not exist is None. ``engine``: torque curve and mechanisms. ``max_order``: highest harmonic of
-    the torque, ≥ 1. ``speeds_rpm``: crank speeds, > 0; those of each mechanism where left out.
+    A solution that does not exist is None, and so are the parts of a crank engine. ``engine``: torque curve and
+    mechanisms. ``max_order``: highest harmonic of the torque, ≥ 1. ``speeds_rpm``: crank speeds, > 0; those of each
+    mechanism where left out.
     Raises RequestError where a mechanism has no speed.
     """
     mechanisms = [_mechanism(one, engine.curve, speeds_rpm) for one in engine.mechanisms]
     sheet: dict[str, Any] = {
         "engine": engine.title,
         "kind": engine.kind,
+        **dict.fromkeys(CRANK_ENGINE_PARTS),
         "torque": _torque(engine.curve, max_order),
         "mechanisms": mechanisms,
         "notes": ["Rods without a stated moment of inertia are taken as uniform and slender."],

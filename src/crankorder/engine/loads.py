@@ -11,7 +11,7 @@ from crankorder.engine.definition import Cylinder, Engine
 from crankorder.engine.forces import DIRECTIONS, X, Z
 from crankorder.engine.gas import firing_angle_deg, gas_force
 from crankorder.engine.rod import rod_couple, two_masses
-from crankorder.engine.slider_crank import piston_acceleration, rod_angle, sine_cosine
+from crankorder.engine.slider_crank import piston_acceleration, rod_direction, sine_cosine
 from crankorder.errors import RequestError
 
 Angles = NDArray[np.float64]
@@ -48,13 +48,13 @@ def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float,
     gas = _gas_on_piston(engine, where, angles)
     omega_squared = (speed_rpm * np.pi / 30) ** 2
     sine, cosine = sine_cosine(own)
-    psi, _, _ = rod_angle(own, engine.mechanism)
+    rod_sine, rod_cosine = rod_direction(own, engine.mechanism)
     rod = two_masses(engine)
     inertia = omega_squared * piston_acceleration(own, engine.mechanism)  # of one kilogram, away from the crankshaft
 
     through_rod = gas - engine.reciprocating_mass_kg * inertia
     couple = rod_couple(engine, own, speed_rpm)
-    thrust = -np.tan(psi) * through_rod - couple / (engine.rod_length_m * np.cos(psi))
+    thrust = -(rod_sine * through_rod + couple / engine.rod_length_m) / rod_cosine
     radius = engine.crank_radius_m
     big_end = rod.big_end_kg * radius * omega_squared
     pin_along, pin_across = big_end * cosine - through_rod, big_end * sine - thrust

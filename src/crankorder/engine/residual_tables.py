@@ -31,6 +31,11 @@ FULL_TURN_REV = np.arange(720) / 720
 """Crank angles of a full turn; the quarter turns, where residuals peak, are among them."""
 
 
+def speed_key(speed_rpm: float) -> str:
+    """``speed_rpm`` as tables and sentences name it: every digit that a user can have meant, no zeros at the end."""
+    return f"{speed_rpm:.15g}"
+
+
 def newton(unbalance_g_mm: float, speed_rpm: float) -> float:
     """Force (N) of ``unbalance_g_mm``, an amplitude over ω², at ``speed_rpm`` of the crank."""
     return float(unbalance_force_n(unbalance_g_mm, speed_rpm))
@@ -38,7 +43,7 @@ def newton(unbalance_g_mm: float, speed_rpm: float) -> float:
 
 def newton_by_speed(unbalance_g_mm: float, speeds: Sequence[float]) -> dict[str, float]:
     """Force (N) of ``unbalance_g_mm`` at each of the ``speeds`` (rpm)."""
-    return {f"{speed:.15g}": newton(unbalance_g_mm, speed) for speed in speeds}
+    return {speed_key(speed): newton(unbalance_g_mm, speed) for speed in speeds}
 
 
 def harmonic_shares(mechanism: SliderCrank, max_order: int) -> dict[str, float]:
@@ -72,7 +77,7 @@ def crankshaft_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[s
     return {
         "static_kg_mm": _xy(sums.static_kg_mm),
         "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
-        "couple_Nm_at_rpm": {f"{speed:.15g}": float(couple_n_m(sums.dynamic_kg_mm2, speed)) for speed in speeds},
+        "couple_Nm_at_rpm": {speed_key(speed): float(couple_n_m(sums.dynamic_kg_mm2, speed)) for speed in speeds},
         "planes": planes,
         "overbalance_kg_mm": None if data.overbalance_kg_mm is None else list(data.overbalance_kg_mm),
     }
@@ -115,7 +120,7 @@ def added_mass_table(subject: BalancedEngine, max_order: int, speeds: Sequence[f
         "mass_g": grams,
         "residual_x_g_mm": unbalance,
         "residual_n": {
-            f"{speed:.15g}": {order: newton(amount, speed) for order, amount in unbalance.items()} for speed in speeds
+            speed_key(speed): {order: newton(amount, speed) for order, amount in unbalance.items()} for speed in speeds
         },
         "class": unbalance_class(unbalance["1"], subject.balance.residual_classes),
     }
@@ -145,7 +150,7 @@ def offset_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, 
         "quadrature_x_g_mm": quadrature,
         "quadrature_n": newton_by_speed(quadrature, speeds),
         "couple_Nm_at_rpm": {
-            f"{speed:.15g}": {
+            speed_key(speed): {
                 order: float(offset_couple_n_m(amount, offset_mm, speed)) for order, amount in lines.items()
             }
             for speed in speeds

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from crankorder.engine.balancing import ReducedMasses
-from crankorder.engine.definition import EngineData, NonNegative, Positive
+from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.engine.harmonics import even_harmonics
 from crankorder.engine.polar import polar_diagram
 from crankorder.engine.shafts import Shaft
@@ -55,7 +55,7 @@ class GearTolerances(EngineData):
 class GearTrain(EngineData):
     """Gears in the sequence in which motion reaches them; the first sits on the crankshaft."""
 
-    gears: tuple[Gear, ...] = Field(strict=False, min_length=1)
+    gears: Annotated[tuple[Gear, ...], NOT_EMPTY] = Field(strict=False)
     tolerances: GearTolerances | None = None
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from crankorder.engine.balancing import ReducedMasses, Strategy, balanced, force_by_order
-from crankorder.engine.definition import EngineData, Positive
+from crankorder.engine.definition import NOT_EMPTY, EngineData, Positive
 from crankorder.engine.polar import OrderForce, phasor, sum_by_order
 from crankorder.errors import RequestError
 
@@ -71,7 +71,7 @@ class ShaftPairParts(EngineData):
     """A counter-rotating pair: order, the parts of one of its two shafts, and what a document prints for the pair."""
 
     order: Annotated[int, Field(ge=1)]
-    parts: tuple[ShaftPart, ...] = Field(strict=False, min_length=1)
+    parts: Annotated[tuple[ShaftPart, ...], NOT_EMPTY] = Field(strict=False)
     printed_pair_g_mm: Positive | None = None
     printed_needed_g_mm: Positive | None = None
 

@@ -176,6 +176,15 @@ def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angle
     return np.arctan2(rod_sine, rod_cosine), ratio * cosine / rod_cosine, second
 
 
+def rod_direction(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angles, Angles]:
+    """Sine and cosine of the rod angle from the cylinder axis, exact to their own size where the rod lies flat.
+
+    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the
+    angles; the cosine is above zero. Source: sin ψ = λ sin φ − ε; the cosine by the factors of 1 − sin²ψ.
+    """
+    return _rod_direction(*sine_cosine(crank_angle_rev), mechanism)
+
+
 def _rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
     """Sine and cosine of the rod angle; 1 ∓ λ sin φ is rewritten to keep its digits where the rod lies flat."""
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio

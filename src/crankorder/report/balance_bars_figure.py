@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from crankorder.engine.polar import unbalance_force_n
+from crankorder.engine.residual_tables import speed_key
 from crankorder.report.balance_look import MOMENT_TEXT, alike, axis_names, called, color_key, system_color
 from crankorder.report.notation import number_text, order_text
 from crankorder.report.style import (
@@ -71,7 +72,9 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         entries = [(called(system), system_color(system[0])) for system in systems]
         if len(entries) > 1:
             color_key(figure, (_LEFT, settings.height_in - _TOP + 0.2, width, 0.1), entries)
-        said = f"Amplitude at {speed:g} rpm. Bars below 1/{1 / _share(settings):.0f} of the largest are left out."
+        said = (
+            f"Amplitude at {speed_key(speed)} rpm. Bars below 1/{1 / _share(settings):.0f} of the largest are left out."
+        )
         said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
         said += f" No force: {called(idle)}." if idle else ""

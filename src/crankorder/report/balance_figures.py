@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from crankorder.engine.polar import unbalance_force_n
+from crankorder.engine.residual_tables import speed_key
 from crankorder.report.balance_dataset import SYSTEMS, order_sum
 from crankorder.report.balance_look import (
     COUNTERWEIGHTS,
@@ -64,7 +65,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
             _force_row(figure, row, curves, text, axis_names(balance))
         if "moment" in balance:
             _moment_row(figure, boxes[-1], balance, speed)
-        said = f"Force on the crankcase at {speed:g} rpm: {_in_words(balance, speed)}"
+        said = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · force against crank angle", said)
         return figure
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from crankorder.engine.polar import unbalance_force_n
+from crankorder.engine.residual_tables import speed_key
 from crankorder.report.balance_dataset import SYSTEMS, order_sum
 from crankorder.report.balance_look import COUNTERWEIGHTS, MEANING, NO_FORCE, SHAFT_SETS, axis_names, system_color
 from crankorder.report.notation import number_text
@@ -76,9 +77,8 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
                 if number == place == 0:
                     _crank_sense(axes, side)
         up, right = axis_names(balance)
-        said = (
-            f"Up {up}, right {right}; dots mark top dead centre. {speed:g} rpm; the frame is ±{number_text(limit)} N."
-        )
+        said = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; "
+        said += f"the frame is ±{number_text(limit)} N."
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · polar diagrams", said)
         return figure
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from crankorder.engine.balance_sentences import plain_state
 from crankorder.errors import printable
 from crankorder.report.balance_residuals import residual_rows
 from crankorder.report.text_table import WIDTH, Cell, paragraph, short_number, text_table
@@ -34,7 +35,7 @@ def balance_text(sheet: Sheet) -> str:
     ``sheet`` as :func:`crankorder.engine.balance_sheet.balance_sheet` makes it. Parts that it has no data for are left
     out.
     """
-    lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {short_number(sheet['lambda'], digits=7)}", ""]
+    lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}", ""]
     for table in (_masses, _forces, _moments, _strategies, _shafts, _shaft_residuals, _pairs, _crankshaft, _gears):
         lines += table(sheet)
     speeds = list(sheet["force_n"])
@@ -49,6 +50,12 @@ def balance_text(sheet: Sheet) -> str:
     for note in sheet["notes"]:
         lines += paragraph(note, bullet="  * ")
     return "\n".join(lines) + "\n"
+
+
+def _crank_ratio(ratio: float) -> str:
+    """λ to seven digits; what it lacks to one where those would say that the crank cannot turn."""
+    text = short_number(ratio, digits=7)
+    return f"1 − {1 - ratio:.3g}" if text == "1" and ratio < 1 else text
 
 
 def shown_orders(tables: Iterable[Mapping[str, float] | None]) -> list[str]:
@@ -77,8 +84,9 @@ def _forces(sheet: Sheet) -> list[str]:
             own = axis == "x"
             share = sheet["harmonics"].get(order) if own else None
             rows.append([order, name, share, amounts[order], leading.get(order) if own else None, *at_speeds])
-    title = "Force by order without balancing (amplitude; g·mm: over ω²; leading: slider alone, first term)"
-    return text_table(title, heads, rows, kept=2) or ["Force by order without balancing: none", ""]
+    state = plain_state(sheet)
+    title = f"Force by order {state} (amplitude; g·mm: over ω²; leading: slider alone, first term)"
+    return text_table(title, heads, rows, kept=2) or [f"Force by order {state}: none", ""]
 
 
 def _axes_of(sheet: Sheet) -> tuple[tuple[str, str], ...]:
@@ -120,12 +128,14 @@ def _strategies(sheet: Sheet) -> list[str]:
     rows: list[list[Cell]] = []
     for key, text in (
         ("counterweight_g", "counterweight on the crank, g"),
+        ("counterweight_deg", "… on from opposite to the pin, °"),
         ("rod_counterweight_g", "counterweight on the rod, g"),
         ("total_g", "counterweights in all, g"),
         ("residual_x_g_mm", "order 1 along, g·mm"),
         ("residual_y_g_mm", "order 1 across, g·mm"),
     ):
-        rows.append([text, *(column.get(key) for column in columns)])
+        if key != "counterweight_deg" or any(column.get(key) for column in columns):
+            rows.append([text, *(column.get(key) for column in columns)])
     for key, text in (("residual_x_g_mm", "along"), ("residual_y_g_mm", "across")):
         rows.append([f"order 1 {text}, N at {speed} rpm", *(_newton(column[key], speed) for column in columns)])
     for order in shown_orders(column["higher_orders_x_g_mm"] for column in columns)[:4]:
