@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.batch.plan import TestPlan
-from crankorder.batch.publish import test_files
+from crankorder.batch.publish import files_of_test
 from crankorder.batch.store import (
     code_sha256,
     file_sha256,
@@ -122,7 +122,7 @@ def _finish(
         "shaft": _shaft_summary(results),
     }
     stated = {**provenance, "quality": findings["quality"]}
-    files = test_files(groups, findings, stated, settings=plan.settings.report)
+    files = files_of_test(groups, findings, stated, settings=plan.settings.report)
     clock.lap("report")
     publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
     clock.lap("publish")

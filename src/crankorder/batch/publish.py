@@ -44,7 +44,7 @@ def pictures(
     return made
 
 
-def test_files(
+def files_of_test(
     groups: dict[str, xr.Dataset],
     findings: dict[str, Any],
     provenance: dict[str, Any],
@@ -67,6 +67,3 @@ def test_files(
         "report.html": page.encode("utf-8", "backslashreplace"),
         "run.json": json_bytes(provenance),
     }
-
-
-test_files.__test__ = False  # type: ignore[attr-defined]

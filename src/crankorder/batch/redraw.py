@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from crankorder.batch.publish import test_files
+from crankorder.batch.publish import files_of_test
 from crankorder.batch.store import DONE, publish
 from crankorder.errors import InputError
 from crankorder.report.netcdf import read_results
@@ -34,7 +34,7 @@ def redraw(result: Path) -> Path:
         ) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
     settings = ReportSettings.model_validate(provenance["settings"]["report"])
-    files = test_files(groups, findings, provenance, settings=settings)
+    files = files_of_test(groups, findings, provenance, settings=settings)
     kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     publish(folder, files | kept, key=key)
     return folder / "report.html"
