@@ -148,3 +148,19 @@ def test_a_white_noise_interval_holds_the_truth_as_often_as_it_says():
         (record,) = [item for item in made["orders"] if round(item["order"], 1) == 3.0]
         hits += record["amplitude_ci95"][0] <= 1.0 <= record["amplitude_ci95"][1]
     assert hits >= 52  # 57 expected; fewer than 52 of 60 has a chance of 1 % at 95 % coverage
+
+
+@pytest.mark.parametrize("damping", [0.003, 0.01, 0.02])
+def test_a_resonance_exactly_on_an_order_is_no_order_though_one_speed_was_run(damping):
+    def ringing(seed):
+        def signal(time_s, _):
+            frequency = np.fft.rfftfreq(len(time_s), 1 / RATE_HZ)
+            at = 100.0 / 3.0
+            response = frequency**2 / (at**2 - frequency**2 + 2j * damping * at * frequency)
+            noise = np.random.default_rng(seed).standard_normal(len(time_s))
+            return np.fft.irfft(np.fft.rfft(0.05 * noise) * response, len(time_s))
+
+        return signal
+
+    made = [findings_of(lambda rpm, k, s=s: [ringing(s)], speeds=[1000.0], duration_s=15.0) for s in range(25)]
+    assert [item["orders"] for item in made] == [[]] * 25

@@ -151,4 +151,5 @@ def test_the_error_of_a_line_on_a_resonance_that_noise_excites_is_that_of_the_re
     ]
     amplitudes = np.array([item["coherent_amplitude"].sel(order=2.0).item() for item in made])
     errors = np.array([item["standard_error"].sel(order=2.0).item() for item in made])
-    assert np.sqrt(np.mean(errors**2)) > 0.6 * amplitudes.std()
+    # the memory of the resonance is estimated from the frames: measured 0.8 of the true scatter
+    assert np.sqrt(np.mean(errors**2)) > 0.75 * amplitudes.std()

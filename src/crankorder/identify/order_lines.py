@@ -156,7 +156,7 @@ def _stands_out(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, se
     """
     axis, step = order_map["order"].values, 1.0 / int(order_map.attrs["revs_per_cycle"])
     off = abs(axis[peak] - step * round(axis[peak] / step)) / (axis[1] - axis[0])
-    provable = float(np.maximum(order_map["n_coherent"].values[:, peak] - 1.0, 0.0).sum())
+    provable = float(np.maximum(order_map["n_independent"].values - 1.0, 0.0).sum())
     high = float(np.median(ratio[seen, peak])) > STANDING_RATIO and len(seen) == order_map.sizes["speed"]
     return off < 0.5 and provable < PROVABLE_FRAMES and high
 
@@ -191,7 +191,7 @@ def _is_locked(
     """
     energy = order_map["amplitude"].values[channel, seen, peak] ** 2
     coherence = order_map["coherent_amplitude"].values[channel, seen, peak] ** 2 / energy
-    n_independent = np.maximum(1.0, order_map["n_coherent"].values[seen, peak])
+    n_independent = np.maximum(1.0, order_map["n_coherent"].values[channel, seen, peak])
     evidence = float(np.sum(-(n_independent - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))))
     return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
 

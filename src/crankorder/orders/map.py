@@ -35,7 +35,6 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     """
     common = _common_length(frames)
     used = [item for item in frames if int(item.attrs["revs_per_frame"]) == common]
-    dropped = [item for item in frames if int(item.attrs["revs_per_frame"]) != common]
     order = used[0]["order"].values
     speed = np.concatenate([item["speed"].values for item in used])
     owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
@@ -52,11 +51,13 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     coherent = np.stack([part[1] for part in parts], axis=1)
     kurtosis = np.stack([part[2] for part in parts], axis=1)
     apart = np.stack([part[3] for part in parts])[None]
-    n_coherent = independent_phase[:, None] / apart[0]
+    memory = np.stack([part[4] for part in parts], axis=1)
+    kept = count[:, None] * (1.0 - memory) / (1.0 + memory)
+    n_coherent = np.maximum(1.0, np.minimum(kept, independent_phase[None, :, None])) / apart
     line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
     bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
     floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=apart)
-    residual = _residual_power(energy, coherent, independent_phase)
+    residual = _residual_power(energy, coherent, n_coherent)
     enough = (independent_phase[None, :, None] >= RESIDUAL_FRAMES) & (apart == 1) & np.isfinite(residual)
     floor = np.where(enough, residual, floor)
     result = _dataset(used[0], order, np.array([np.mean(speed[group]) for group in groups]), settings)
@@ -70,8 +71,8 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
     _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
     _put(result, "n_independent", ("speed",), independent, "independent power spectra", "1")
-    _put(result, "n_coherent", ("speed", "order"), n_coherent, "independent complex spectra", "1")
-    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(dropped, common))
+    _put(result, "n_coherent", dims, n_coherent, "independent complex spectra", "1")
+    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(frames, common))
 
 
 def _common_length(frames: list[xr.Dataset]) -> int:
@@ -96,15 +97,14 @@ def _independent(count: NDArray[np.int64], overlap: float) -> tuple[NDArray[np.f
 
 
 def _residual_power(
-    energy: NDArray[np.float64], coherent: NDArray[np.complex128], frames: NDArray[np.float64]
+    energy: NDArray[np.float64], coherent: NDArray[np.complex128], n: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Noise power (channels, speeds, orders) of a ``coherent`` average of ``frames`` (speeds,) independent frames.
+    """Noise power (channels, speeds, orders) of a ``coherent`` average of ``n`` independent frames.
 
     The median of the bin's own scatter about the average and of the ``energy`` two and three bins beside it, where a
     Hann window shows nothing of a line: local, so that a resonance near the line does not count. A resonance on the
     line, narrower than that, shows in the bin's own scatter alone, which goes first where it is larger.
     """
-    n = frames[None, :, None]
     own = (energy - np.abs(coherent) ** 2) * n / np.maximum(n - 1.0, 0.5)
     reach = max(RESIDUAL_OFFSETS)
     padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), mode="reflect")
@@ -124,10 +124,11 @@ def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[n
 
 def _average(
     spectrum: NDArray[np.complex128], owner: NDArray[np.int64], comparable: NDArray[np.bool_], n_independent: float
-) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Mean energy, coherent mean and kurtosis (channels, orders) of ``spectrum`` (channels, frames, orders) of a group.
 
-    The fourth result (orders,) is the number of recordings whose coherent powers had to be averaged without phase.
+    The fourth result (orders,) is the number of recordings whose coherent powers had to be averaged without phase, the
+    fifth (channels, orders) the memory of the frames.
     """
     power = np.abs(spectrum) ** 2
     energy = _mean(power, axis=1)
@@ -140,7 +141,26 @@ def _average(
         weights = np.array([np.count_nonzero(owner == name) for name in names], dtype=float)
         squared = np.tensordot(weights / weights.sum(), np.abs(means) ** 2, axes=1)
         whole = np.where(comparable, whole, np.sqrt(squared))
-    return energy, whole, kurtosis, n_coherent
+    return energy, whole, kurtosis, n_coherent, _memory(spectrum, owner, power)
+
+
+def _memory(
+    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], power: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Correlation (channels, orders), 0 to 1, of each frame's scatter about the mean with the next frame's.
+
+    Frames correlate by their overlap and, where noise excites a resonance, by its decay: so many fewer of them are
+    independent, (1 - r) / (1 + r) of all for a first-order memory r. Its square is relieved of what chance adds, 1/n.
+    """
+    n_frames = spectrum.shape[1]
+    if n_frames < 3:
+        return np.zeros(power[:, 0].shape)
+    scatter = spectrum - _mean(spectrum, axis=1)[:, None]
+    next_to = owner[1:] == owner[:-1]
+    product = np.nan_to_num(scatter[:, 1:] * scatter[:, :-1].conj())[:, next_to].sum(axis=1)
+    total = np.nan_to_num(np.abs(scatter) ** 2).sum(axis=1)
+    squared = np.abs(product) ** 2 / np.maximum(total**2, np.finfo(np.float64).tiny) - 1.0 / n_frames
+    return np.asarray(np.sqrt(np.clip(squared, 0.0, 1.0)))
 
 
 def _spectral_kurtosis(power: NDArray[np.float64], energy: NDArray[np.float64], n: float) -> NDArray[np.float64]:
@@ -188,7 +208,7 @@ def _dataset(
     return result
 
 
-def _dropped_flags(dropped: list[xr.Dataset], common: int) -> list[QualityFlag]:
+def _dropped_flags(frames: list[xr.Dataset], common: int) -> list[QualityFlag]:
     return [
         {
             "recording": item.attrs["recording"],
@@ -196,5 +216,6 @@ def _dropped_flags(dropped: list[xr.Dataset], common: int) -> list[QualityFlag]:
             "severity": "bad",
             "detail": f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out",
         }
-        for item in dropped
+        for item in frames
+        if int(item.attrs["revs_per_frame"]) != common
     ]
