@@ -274,6 +274,8 @@ class TestWhatIsLeftOut:
             crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs, "-q")
         one, two = (next((tmp_path / str(jobs)).glob("*/findings.json")).read_bytes() for jobs in (1, 2))
         assert one == two
+        bad = [flag["recording"] for flag in json.loads(one)["quality"] if flag["severity"] == "bad"]
+        assert bad == ["rpm_1500.h5", "rpm_1600.h5"]  # two empty files are two faults, not one and its copy
 
     def test_pictures_of_a_channel_that_is_gone_do_not_stay(self, four_speeds, tmp_path):
         crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")

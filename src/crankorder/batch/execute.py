@@ -36,6 +36,8 @@ from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
 LIBRARIES = ("numpy", "scipy", "xarray", "h5py", "h5netcdf", "matplotlib", "numba", "pyfftw")
 
+SHA256_DIGITS = 64
+
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
 
@@ -128,9 +130,8 @@ def _finish(
     clock.lap("publish")
     outcome.findings = findings
     outcome.status = "partial" if outcome.faults else "done"
-    with contextlib.suppress(
-        OSError
-    ):  # timings are no result: a full disk must not turn a finished test into a failed one
+    # timings are no result: a full disk must not turn a finished test into a failed one
+    with contextlib.suppress(OSError):
         write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
 
 
@@ -165,7 +166,9 @@ def _analyse(
     """Results of the usable recordings in the order of the plan; the faults of the others join the outcome."""
     results: dict[Path, RecordingResult] = {}
     first_of: dict[str, Path] = {}
-    wanted = [path for path in plan.recordings if first_of.setdefault(hashes[path], path) == path]
+    # what cannot be read, and empty files, are no copies of each other: each gets its own error
+    alike = {path: digest for path, digest in hashes.items() if len(digest) == SHA256_DIGITS and path.stat().st_size}
+    wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path, str(path)), path) == path]
     outcome.flags += [
         {
             "recording": path.name,

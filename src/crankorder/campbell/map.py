@@ -83,7 +83,8 @@ def _group_means(values: NDArray[np.float64], groups: list[NDArray[np.int64]]) -
 def _tone_power(frames: xr.Dataset) -> NDArray[np.float64]:
     """Power of a tone near each bin: the energy of three bins over the noise bandwidth of the window.
 
-    For a Hann window this is true to 0.1 dB wherever the tone lies; a zero-padded spectrum needs no such sum.
+    For a Hann window this is true to 0.1 dB wherever the tone lies (0.25 dB after interpolation onto the frequencies
+    of the test); a zero-padded spectrum needs no such sum.
     """
     power = frames["power"].values
     if int(frames.attrs["zero_padded"]):

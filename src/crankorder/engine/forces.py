@@ -25,18 +25,6 @@ CANCELLED = 1e-12
 """Of one cylinder's largest force: what is left below it of several that cancel is rounding."""
 
 
-def reciprocating_mass_by_order(engine: Engine, max_order: int) -> Complex:
-    """Complex mass (kg) that still shakes the crankcase along Z at each order times its harmonic, (max_order + 1,).
-
-    Times crank radius times ω² it is the force along Z, the sum over all cylinders. Orders that ``engine`` cancels by
-    shafts keep only the mass that the shafts leave (and, where they are timed to the crank, the quadrature part that an
-    offset makes). ``max_order``: ≥ 1.
-    """
-    pistons, shafts = _pistons(engine, max_order), _shafts(engine, max_order)
-    mass: Complex = pistons[:, Z].sum(axis=0) + shafts
-    return mass
-
-
 def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complex:
     """Complex peak force (N) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
 

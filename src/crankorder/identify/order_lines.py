@@ -56,7 +56,6 @@ class OrderLine:
     """One order in one channel, over the speeds (``seen``) at which it stands above the false-alarm level."""
 
     channel: str
-    bin: int
     order: float
     order_error: float
     seen: NDArray[np.int64]
@@ -259,7 +258,6 @@ def _line(
         amplitude, error = amplitude / loss, error / loss
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
-        bin=peak,
         order=float(axis[peak]) + resolution * distance,
         order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(order_map) else 0.0)),
         seen=seen,

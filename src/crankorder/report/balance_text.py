@@ -8,7 +8,7 @@ from typing import Any
 from crankorder.engine.balance_sentences import plain_state
 from crankorder.errors import printable
 from crankorder.report.balance_residuals import residual_rows
-from crankorder.report.text_table import WIDTH, Cell, paragraph, short_number, text_table
+from crankorder.report.text_table import WIDTH, Cell, closing, short_number, text_table
 
 Sheet = Mapping[str, Any]
 Axes = Mapping[str, Mapping[str, float] | None]
@@ -42,14 +42,7 @@ def balance_text(sheet: Sheet) -> str:
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
     lines += text_table("Residuals of single causes", heads, residual_rows(sheet, speeds), kept=3)
     lines += _tolerances(sheet)
-    lines += ["What remains unbalanced"]
-    for sentence in sheet["sentences"]:
-        lines += paragraph(sentence, bullet="  * ")
-    if sheet["notes"]:
-        lines += ["", "Notes"]
-    for note in sheet["notes"]:
-        lines += paragraph(note, bullet="  * ")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *closing("What remains unbalanced", sheet)]) + "\n"
 
 
 def _crank_ratio(ratio: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from crankorder.errors import printable
-from crankorder.report.text_table import WIDTH, Cell, paragraph, text_table
+from crankorder.report.text_table import WIDTH, Cell, closing, text_table
 
 _WEIGHTS = {
     "rod_weight_n": "rod weight",
@@ -34,14 +34,7 @@ def hinge_text(sheet: Mapping[str, Any]) -> str:
     for one in sheet["mechanisms"]:
         lines += _characteristic(one)
     lines += _air_springs(sheet["mechanisms"])
-    lines.append("What remains")
-    for sentence in sheet["sentences"]:
-        lines += paragraph(sentence, bullet="  * ")
-    if sheet["notes"]:
-        lines += ["", "Notes"]
-    for note in sheet["notes"]:
-        lines += paragraph(note, bullet="  * ")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *closing("What remains", sheet)]) + "\n"
 
 
 def _side_forces(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from crankorder.errors import printable
 from crankorder.report.notation import number_text
@@ -87,3 +88,15 @@ def _blocks(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
         blocks[-1].append(column)
         used += width
     return blocks
+
+
+def closing(head: str, sheet: Mapping[str, Any]) -> list[str]:
+    """Lines with the sentences of a balance ``sheet`` under ``head``, then its notes where it has any."""
+    lines = [head]
+    for sentence in sheet["sentences"]:
+        lines += paragraph(sentence, bullet="  * ")
+    if sheet["notes"]:
+        lines += ["", "Notes"]
+    for note in sheet["notes"]:
+        lines += paragraph(note, bullet="  * ")
+    return lines
