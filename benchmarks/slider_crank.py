@@ -7,21 +7,19 @@ Writes `reports/speed-error/slider-crank.{json,md,png}`. One core; machines are 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numba import njit
+from published import publish, table
 
 from crankorder.engine.fast_acceleration import fast_sine_cosine, fill_acceleration
 from crankorder.engine.harmonics import acceleration_harmonics, orders_for, peak_acceleration
 from crankorder.engine.slider_crank import SliderCrank, piston_acceleration, plain_piston_acceleration
 
-REPORT = Path(__file__).parents[1] / "reports" / "speed-error" / "slider-crank"
 RATIOS = (0.1, 0.25, 44.9 / 152, 0.5, 0.9, 0.99)
 ORDERS = (1, 2, 4, 6, 8, 10, 12, 14, 16, 20, 24, 32, 48, 64, 96, 128, 192, 256)
 TOLERANCES = (1e-2, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15)
@@ -174,9 +172,9 @@ def page(found: dict) -> str:
         "A sum of orders is still what order forces need: there the question is how many orders matter, not how fast a "
         "sum is.",
         "## Highest order that a tolerance needs (`orders_for`)",
-        _table(["λ", *(f"{tolerance:g}" for tolerance in TOLERANCES)], found["orders_for"]),
+        table(["λ", *(f"{tolerance:g}" for tolerance in TOLERANCES)], found["orders_for"]),
         "## Largest error over peak, by highest order",
-        _table(
+        table(
             ["λ", *(str(order) for order in found["orders"])],
             {
                 name: {str(k): f"{value:.0e}" for k, value in zip(found["orders"], values, strict=True)}
@@ -184,25 +182,16 @@ def page(found: dict) -> str:
             },
         ),
         "## Time of the sum [ns per angle], by highest order",
-        _table([str(order) for order in series], {str(series[1]): dict(list(series.items())[1:])}),
+        table([str(order) for order in series], {str(series[1]): dict(list(series.items())[1:])}),
     ]
     return "\n\n".join(lines) + "\n"
-
-
-def _table(header: list[str], rows: dict) -> str:
-    body = [f"| {name} | {' | '.join(str(value) for value in row.values())} |" for name, row in rows.items()]
-    return "\n".join([f"| {' | '.join(header)} |", f"|{' --- |' * len(header)}", *body])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=100)
     found = measured(parser.parse_args().repeats)
-    REPORT.parent.mkdir(parents=True, exist_ok=True)
-    REPORT.with_suffix(".json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    REPORT.with_suffix(".md").write_text(page(found), encoding="utf-8")
-    drawn(found).savefig(REPORT.with_suffix(".png"), dpi=110, metadata={"Software": None})
-    print(REPORT.with_suffix(".md").read_text(encoding="utf-8"))
+    publish("slider-crank", found, page(found), drawn(found))
 
 
 if __name__ == "__main__":

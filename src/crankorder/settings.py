@@ -19,6 +19,9 @@ Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 
+STANDARD_GRAVITY_M_S2 = 9.80665
+"""What the unit g stands for (3rd CGPM, 1901), exact and no setting: here, because units are read before NumPy is."""
+
 
 class StageSettings(BaseModel):
     """Base of every stage's settings."""
@@ -48,7 +51,6 @@ class ShaftSettings(StageSettings):
     hysteresis_fraction: Fraction
     pickup_level_fraction: Fraction
     envelope_teeth: Positive
-    gap_ratio_tolerance: Fraction
     double_pulse_ratio: Fraction
     lost_pulse_ratio: Annotated[float, Field(gt=1)]
     max_repaired_fraction: Annotated[float, Field(ge=0, lt=1)]

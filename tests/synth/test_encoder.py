@@ -1,18 +1,83 @@
-"""The sampled encoder against the counts that its speed implies."""
+"""The encoder in each form of delivery: against the counts and angles that its motion implies, and as it is decoded."""
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from crankorder.synth.encoder import sampled_encoder
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_at, knots_of
+from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.pulses import find_pulses
+from crankorder.synth.effects import Encoder
+from crankorder.synth.encoder import EncoderSignals, encoder_signals, sampled_encoder
+from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.wheel import encoder_turn, wheel_of
 
 RATE_HZ = 50_000.0
+N_SAMPLES = 250_000
+TIME_S = np.arange(N_SAMPLES) / RATE_HZ
+SHAFT = load_settings().shaft
+RUN_UP = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 2500.0)))
+WOBBLING = Motion(start_rev=0.777, corners=((0.0, 1200.0),), wobbles=((1.7, 30.0, 20.0), (0.6, 50.0, 0.0)))
+THERE_AND_BACK = Motion(start_rev=0.321, corners=((0.5, 900.0), (2.5, -600.0), (3.0, -600.0), (4.0, 700.0)))
+UNEVEN = Motion(
+    start_rev=0.3,
+    corners=((0.5, 700.0), (4.0, 2200.0)),
+    lag=Lag(order=np.array([0.5, 2.0]), inertia=np.array([0, 0.002j]), gas=np.array([0.003, 0.002]), reference_rpm=1e3),
+)
 
 
 def sampled(start_rev: float, speed_rpm: float, pulses: int = 360) -> tuple[np.ndarray, np.ndarray]:
-    n_samples = 250_000
     return sampled_encoder(
-        start_rev, speed_rpm, pulses_per_rev=pulses, high_v=5.0, rate_hz=RATE_HZ, n_samples=n_samples
+        start_rev, speed_rpm, pulses_per_rev=pulses, high_v=5.0, rate_hz=RATE_HZ, n_samples=N_SAMPLES
     )
+
+
+def signals(motion: Motion, encoder: Encoder, *, seed: int = 1, recording: str = "made") -> EncoderSignals:
+    return encoder_signals(
+        motion, encoder, (), seed=seed, recording=recording, stream=recording, rate_hz=RATE_HZ, n_samples=N_SAMPLES
+    )
+
+
+def steady(start_rev: float, speed_rpm: float) -> Motion:
+    return Motion(start_rev=start_rev, corners=((0.0, speed_rpm),))
+
+
+def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
+    """ShaftAngle as the pipeline makes it of these signals."""
+    attrs = {
+        "recording": "made",
+        "domain": "time",
+        "rate_hz": RATE_HZ,
+        "encoder_kind": encoder.delivered_as,
+        "revs_per_cycle": 1,
+        "pulses_per_rev": encoder.pulses_per_rev,
+        "missing_teeth": encoder.missing_teeth,
+        "ratio": encoder.ratio,
+        "index_to_tdc_deg": encoder.index_to_tdc_deg,
+    }
+    recording = xr.Dataset({"signal": (("channel", "time"), np.zeros((1, N_SAMPLES)))}, attrs=attrs)
+    pulse_s, index_s = made.pulse_s, made.index_s
+    if made.trace is not None:
+        kind = "square" if encoder.delivered_as == "square" else "analogue"
+        how = {"rate_hz": RATE_HZ, "kind": kind, "edge": "rising", "settings": SHAFT}
+        pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
+        pulse_s, recording.attrs["pulse_noise_s"] = pulses.time_s, pulses.noise_s
+        if made.index is not None:
+            index_s = find_pulses(made.index, pulses_per_rev=1, **how).time_s
+    recording["pulse_time"] = ("pulse", pulse_s)
+    if index_s is not None:
+        recording["index_time"] = ("revolution", index_s)
+    return shaft_angle(recording, settings=SHAFT)
+
+
+def angle_error_deg(motion: Motion, encoder: Encoder) -> np.ndarray:
+    """Decoded less true crank angle, but for whole revolutions, without 0.05 s at either end."""
+    shaft = decoded(signals(motion, encoder), encoder)
+    assert shaft.attrs["phase_reference"] == "tdc"
+    time_s = np.linspace(0.05, 4.95, 20_001)
+    error = angle_at(time_s, **knots_of(shaft)) - motion.at(time_s)[0]
+    return (error - np.round(np.median(error))) * 360
 
 
 @pytest.mark.parametrize("speed_rpm", [300.0, 1234.5, 2000.0])
@@ -41,3 +106,190 @@ def test_the_wave_is_high_half_of_the_time_and_has_two_levels() -> None:
     assert index.mean() == pytest.approx(1 / 60, abs=1e-3)
     assert encoder[0] == 5
     assert index[0] == 1
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("pulses", [1, 2, 60, 360])
+def test_the_general_path_gives_the_samples_of_the_fast_one(ratio: float, pulses: int) -> None:
+    """A jitter of nothing asks for the general path; edges within round-off of a sample may fall to either side."""
+    encoder = Encoder(pulses_per_rev=pulses, ratio=ratio)
+    plain = signals(steady(0.10037, 1234.567), encoder)
+    general = signals(steady(0.10037, 1234.567), encoder.model_copy(update={"jitter_s": 1e-30}))
+    place = encoder_turn(steady(0.10037, 1234.567).at(TIME_S)[0], encoder) * 2 * pulses
+    clear = np.abs(place - np.rint(place)) > 1e-8
+    assert clear.mean() > 0.999
+    assert plain.trace is not None and general.trace is not None
+    np.testing.assert_array_equal(plain.trace[clear], general.trace[clear])
+    assert plain.index is not None and general.index is not None
+    np.testing.assert_array_equal(plain.index[clear], general.index[clear])
+    assert (plain.trace.dtype, plain.index.dtype) == (general.trace.dtype, general.index.dtype)
+
+
+def test_a_perfect_encoder_at_constant_speed_is_the_fast_path() -> None:
+    made = signals(steady(1.73181, 2000.0), Encoder(pulses_per_rev=360))
+    trace, index = sampled(1.73181, 2000.0)
+    np.testing.assert_array_equal(made.trace, trace)
+    np.testing.assert_array_equal(made.index, index)
+    before = signals(steady(0.25, 2000.0), Encoder(pulses_per_rev=360, index_to_tdc_deg=-180.0, index=False))
+    np.testing.assert_array_equal(before.trace, sampled(0.75, 2000.0)[0])
+    assert before.index is None
+
+
+@pytest.mark.parametrize("motion", [THERE_AND_BACK, UNEVEN], ids=["reversal", "in-cycle"])
+def test_the_level_is_a_function_of_angle_also_backwards(motion: Motion) -> None:
+    encoder = Encoder(pulses_per_rev=60, missing_teeth=2, index_to_tdc_deg=10.0, ratio=2.0)
+    made = signals(motion, encoder)
+    place = encoder_turn(motion.at(TIME_S)[0], encoder) * 60
+    np.testing.assert_array_equal(made.trace, 5 * ((np.floor(place) % 60 < 58) & (place % 1 < 0.5)))
+    np.testing.assert_array_equal(made.index, place % 60 < 1)
+
+
+@pytest.mark.parametrize("motion", [RUN_UP, WOBBLING, UNEVEN], ids=["run-up", "wobble", "in-cycle"])
+@pytest.mark.parametrize(
+    "wheel",
+    [
+        {"pulses_per_rev": 60},
+        {"pulses_per_rev": 60, "ratio": 0.5, "index_to_tdc_deg": -37.0},
+        {"pulses_per_rev": 60, "ratio": 0.5},
+        {"pulses_per_rev": 60, "index_to_tdc_deg": 137.0},
+        {"pulses_per_rev": 60, "missing_teeth": 2, "index": False},
+        {"pulses_per_rev": 36, "missing_teeth": 1, "index": False, "index_to_tdc_deg": 84.0},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize(
+    ("form", "worst_deg"), [("pulse_times", 2e-3), ("analogue", 0.2), ("square", 0.4)], ids=lambda value: str(value)
+)
+def test_the_decoder_finds_the_angle_from_top_dead_centre(
+    motion: Motion, wheel: dict[str, float], form: str, worst_deg: float
+) -> None:
+    """At 2500 rpm one sample is 0.3°: marks that lie between samples are uncertain by half of that."""
+    error = angle_error_deg(motion, Encoder.model_validate({**wheel, "delivered_as": form}))
+    assert np.abs(error).max() < worst_deg
+    assert np.abs(error.mean()) < (1e-4 if form == "pulse_times" else 0.15)
+
+
+@pytest.mark.parametrize("form", ["square", "analogue", "pulse_times"])
+def test_an_encoder_at_twice_the_speed_knows_top_dead_centre_but_for_half_a_turn(form: str) -> None:
+    encoder = Encoder.model_validate({"pulses_per_rev": 60, "ratio": 2.0, "delivered_as": form})
+    error = angle_error_deg(RUN_UP, encoder)
+    assert np.abs(error - 180 * np.round(np.median(error) / 180)).max() < 0.4
+
+
+def test_a_gap_is_decoded_without_an_index_as_with_one() -> None:
+    with_index, without = (
+        np.abs(angle_error_deg(RUN_UP, Encoder(pulses_per_rev=60, missing_teeth=2, index=index))).max()
+        for index in (True, False)
+    )
+    assert max(with_index, without) < 0.4
+
+
+@pytest.mark.parametrize("form", ["square", "analogue"])
+def test_the_decoded_angle_of_an_eccentric_wheel_errs_by_its_sine(form: str) -> None:
+    encoder = Encoder.model_validate(
+        {
+            "pulses_per_rev": 60,
+            "eccentricity_deg": 2.0,
+            "eccentricity_phase_deg": 30.0,
+            "ratio": 0.5,
+            "delivered_as": form,
+        }
+    )
+    motion = steady(0.3, 800.0)
+    error = angle_error_deg(motion, encoder)
+    turn = encoder_turn(motion.at(np.linspace(0.05, 4.95, 20_001))[0], encoder)
+    # the decoder holds the first line to be right
+    np.testing.assert_allclose(error, 4.0 * np.sin(2 * np.pi * turn + np.pi / 6), atol=0.2)
+
+
+def test_the_index_comes_once_per_turn_of_the_encoder_with_its_first_line() -> None:
+    encoder = Encoder(pulses_per_rev=60, ratio=2.0, line_error_deg=0.1, delivered_as="pulse_times")
+    made = signals(RUN_UP, encoder)
+    assert made.pulse_s is not None and made.index_s is not None
+    assert np.isin(made.index_s, made.pulse_s).all()
+    assert set(np.diff(np.searchsorted(made.pulse_s, made.index_s))) == {60}
+    turn = encoder_turn(RUN_UP.at(made.index_s)[0], encoder)
+    np.testing.assert_allclose(turn - np.rint(turn), wheel_of(encoder, seed=1).rise[0], atol=1e-11)
+    np.testing.assert_array_equal(np.rint(turn), np.arange(1, 259))
+
+
+def test_a_counter_rounds_times_to_its_clock() -> None:
+    exact = signals(RUN_UP, Encoder(pulses_per_rev=60, delivered_as="pulse_times"))
+    counted = signals(RUN_UP, Encoder(pulses_per_rev=60, delivered_as="pulse_times", counter_hz=1e5))
+    assert exact.trace is None and exact.index is None
+    for true_s, found_s in ((exact.pulse_s, counted.pulse_s), (exact.index_s, counted.index_s)):
+        assert true_s is not None and found_s is not None
+        np.testing.assert_allclose(found_s * 1e5, np.rint(found_s * 1e5), atol=1e-6)
+        assert np.abs(found_s - true_s).max() <= 0.5e-5 * (1 + 1e-9)
+        assert np.abs(found_s - true_s).mean() == pytest.approx(0.25e-5, rel=0.15)
+
+
+def test_a_pickup_grows_with_speed_to_its_peak() -> None:
+    made = signals(RUN_UP, Encoder(pulses_per_rev=60, delivered_as="analogue", high_v=3.0, pickup_rpm=2500.0))
+    assert made.trace is not None and made.trace.dtype == np.float32
+    assert made.trace[-10_000:].max() == pytest.approx(3.0, rel=0.01)
+    assert made.trace[-10_000:].min() == pytest.approx(-3.0, rel=0.01)
+    assert made.trace[:20_000].max() == pytest.approx(3.0 * 600 / 2500, rel=0.01)
+
+
+@pytest.mark.parametrize("motion", [RUN_UP, THERE_AND_BACK], ids=["run-up", "reversal"])
+def test_a_pickup_rises_through_zero_at_each_line_and_nowhere_else(motion: Motion) -> None:
+    encoder = Encoder(pulses_per_rev=36, missing_teeth=1, line_error_deg=0.05, delivered_as="analogue")
+    made = signals(motion, encoder)
+    assert made.trace is not None
+    at = np.flatnonzero((made.trace[1:] > 0) & (made.trace[:-1] <= 0))
+    before, after = made.trace[at].astype(float), made.trace[at + 1].astype(float)
+    crank_rev, speed_rpm, _ = motion.at((at + before / (before - after)) / RATE_HZ)
+    turn = encoder_turn(crank_rev, encoder)
+    off = (turn[:, None] - wheel_of(encoder, seed=1).rise + 0.5) % 1 - 0.5
+    quarter_sample = 0.25 * np.abs(speed_rpm) / 60 / RATE_HZ
+    turning = np.abs(speed_rpm) > 5  # the voltage is also zero where the shaft turns round
+    assert (np.abs(off).min(axis=1) < quarter_sample)[turning].all()
+    assert np.sum(~turning) <= 4
+    passed = signals(motion, encoder.model_copy(update={"delivered_as": "pulse_times"})).pulse_s
+    assert passed is not None
+    assert abs(at.size - passed.size) <= 2
+
+
+@pytest.mark.parametrize("noise_v", [0.05, 0.5])
+def test_the_noise_of_a_pickup_is_white_and_its_pulses_stay_readable(noise_v: float) -> None:
+    encoder = Encoder(pulses_per_rev=60, missing_teeth=2, index=False, delivered_as="analogue")
+    noisy = encoder.model_copy(update={"noise_v": noise_v})
+    noise = signals(RUN_UP, noisy).trace - signals(RUN_UP, encoder).trace
+    assert noise.std() == pytest.approx(noise_v, rel=0.01)
+    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.01 * noise_v**2
+    assert np.abs(angle_error_deg(RUN_UP, noisy)).max() < 0.3
+
+
+def test_jitter_is_that_of_its_recording_and_the_same_in_every_form() -> None:
+    encoder = Encoder(pulses_per_rev=60, jitter_s=2e-5, delivered_as="pulse_times")
+    exact = signals(RUN_UP, encoder.model_copy(update={"jitter_s": 0.0})).pulse_s
+    one, again, other = (signals(RUN_UP, encoder, recording=name).pulse_s for name in ("a", "a", "b"))
+    assert exact is not None and one is not None and other is not None
+    assert np.std(one - exact) == pytest.approx(2e-5, rel=0.05)
+    np.testing.assert_array_equal(one, again)
+    assert abs(np.corrcoef(one - exact, other - exact)[0, 1]) < 0.05
+    square = encoder.model_copy(update={"delivered_as": "square"})
+    trace = signals(RUN_UP, square, recording="a").trace
+    rise = np.flatnonzero((trace[1:] > 2.5) & (trace[:-1] < 2.5)) + 1
+    np.testing.assert_array_equal(rise, np.ceil(one * RATE_HZ))
+    wave = signals(RUN_UP, encoder.model_copy(update={"delivered_as": "analogue"}), recording="a").trace
+    found = find_pulses(wave, rate_hz=RATE_HZ, kind="analogue", edge="rising", pulses_per_rev=60, settings=SHAFT)
+    near = one[np.abs(one[:, None] - found.time_s[None, :200]).argmin(axis=0)]
+    assert np.abs(near - found.time_s[:200]).max() < 2e-6
+
+
+def test_without_an_index_the_lines_are_the_same() -> None:
+    encoder = Encoder(pulses_per_rev=60, jitter_s=1e-5, line_error_deg=0.1)
+    made, plain = signals(RUN_UP, encoder), signals(RUN_UP, encoder.model_copy(update={"index": False}))
+    np.testing.assert_array_equal(made.trace, plain.trace)
+    assert plain.index is None
+
+
+def test_a_shaft_that_stands_still_keeps_its_level() -> None:
+    stop = Motion(start_rev=0.3, corners=((1.0, 600.0), (2.0, 0.0)))
+    square = signals(stop, Encoder(pulses_per_rev=60))
+    wave = signals(stop, Encoder(pulses_per_rev=60, delivered_as="analogue"))
+    assert np.ptp(square.trace[100_001:]) == 0
+    assert np.ptp(wave.trace[100_001:]) == 0
+    assert np.ptp(square.trace[:90_000]) == 5

@@ -9,8 +9,16 @@ STRUCTURE = Structure(
     frequency_hz=np.array([60.0, 115.0]),
     damping_ratio=np.array([0.05, 0.03]),
     sensor_per_kg=np.array([[0.006, 0.010], [0.0, -0.008]]),
-    drive=np.array([[0.2, 1.0, -0.3], [0.5, -0.7, 0.3]]),
-    rigid_body_per_kg=np.array([[0.0, 0.0, 0.002], [0.0, 0.0, 0.003]]),
+    drive=np.array([[0.2, 1.0, -0.3, 4.0, 0.0, -2.0], [0.5, -0.7, 0.3, 0.0, 0.0, 3.0]]),
+    rigid_body_per_kg=np.array([[0.0, 0.0, 0.002, 0.0, 0.1, 0.0], [0.0, 0.0, 0.003, 0.0, 0.0, 0.2]]),
+)
+PHASE = np.radians([[30.0, -100.0], [0.0, 170.0]])
+COMPLEX = Structure(
+    frequency_hz=STRUCTURE.frequency_hz,
+    damping_ratio=STRUCTURE.damping_ratio,
+    sensor_per_kg=STRUCTURE.sensor_per_kg * np.exp(1j * PHASE),
+    drive=STRUCTURE.drive,
+    rigid_body_per_kg=STRUCTURE.rigid_body_per_kg,
 )
 
 
@@ -19,7 +27,7 @@ def test_the_steady_state_is_what_an_integration_settles_to(frequency_hz: float)
     from scipy.integrate import solve_ivp
 
     omega = 2 * np.pi * STRUCTURE.frequency_hz
-    force = np.array([3.0, -2.0 + 1j, 5j])
+    force = np.array([3.0, -2.0 + 1j, 5j, 0.2, 0.1j, -0.3])
     period, settled = 1 / frequency_hz, 1.5
 
     def motion(time: float, state: np.ndarray) -> np.ndarray:
@@ -42,8 +50,40 @@ def test_the_steady_state_is_what_an_integration_settles_to(frequency_hz: float)
 def test_at_rest_only_the_rigid_body_answers_and_far_above_all_residues_add() -> None:
     static, high = np.moveaxis(accelerance(STRUCTURE, [0.0, 1e7]), -1, 0)
     assert np.array_equal(static, STRUCTURE.rigid_body_per_kg)
-    residues = np.einsum("jc,jd->cd", STRUCTURE.sensor_per_kg, STRUCTURE.drive)
+    residues = np.einsum("jc,ja->ca", STRUCTURE.sensor_per_kg, STRUCTURE.drive)
     assert np.abs(high - STRUCTURE.rigid_body_per_kg - residues).max() < 1e-6 * np.abs(residues).max()
+
+
+def test_a_complex_mode_is_the_pair_of_its_poles_and_residues() -> None:
+    omega = 2 * np.pi * np.array([0.0, 3.0, 59.0, 115.0, 400.0, -70.0])
+    expected = np.zeros((2, 6, omega.size), dtype=complex) + COMPLEX.rigid_body_per_kg[:, :, None]
+    for j, natural in enumerate(2 * np.pi * COMPLEX.frequency_hz):
+        damping, damped = COMPLEX.damping_ratio[j] * natural, natural * np.sqrt(1 - COMPLEX.damping_ratio[j] ** 2)
+        pole = -damping + 1j * damped
+        for channel in range(2):
+            turn, size = np.exp(1j * PHASE[j, channel]), STRUCTURE.sensor_per_kg[j, channel]
+            pair = turn * pole**2 / (1j * omega - pole) - (turn * pole**2).conj() / (1j * omega - pole.conj())
+            shape = size * (pair / (2j * damped) + turn.real - damping / damped * turn.imag)
+            expected[channel] += np.outer(COMPLEX.drive[j], shape)
+    found = accelerance(COMPLEX, omega / (2 * np.pi))
+    assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
+
+
+def test_the_phase_of_a_complex_mode_is_that_of_its_response_at_resonance() -> None:
+    light = {"frequency_hz": np.array([80.0]), "damping_ratio": np.array([1e-4])}
+    bare = {"drive": np.eye(1, 6), "rigid_body_per_kg": np.zeros((1, 6))}
+    turned = [
+        accelerance(Structure(sensor_per_kg=np.array([[0.01 * turn]]), **light, **bare), [80.0])[0, 0, 0]
+        for turn in (1.0, np.exp(0.7j))
+    ]
+    assert np.angle(turned[1] / turned[0]) == pytest.approx(0.7, abs=2e-4)
+    assert abs(turned[1] / turned[0]) == pytest.approx(1.0, abs=2e-4)
+
+
+def test_a_moment_moves_what_its_drive_says() -> None:
+    at_resonance = accelerance(STRUCTURE, [60.0])[:, :, 0] - STRUCTURE.rigid_body_per_kg
+    one_mode = STRUCTURE.sensor_per_kg[0, 0] * STRUCTURE.drive[0]
+    assert np.abs(at_resonance[0] - one_mode * 1j / (2 * 0.05)).max() < 1e-14
 
 
 def test_tones_are_the_sum_of_cosines_to_the_last_sample() -> None:

@@ -42,11 +42,11 @@ def test_all_faults_of_a_scene_are_told_at_once(small_scene: Path) -> None:
     text = text.replace("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = [600.0, 5000.0, 60000.0]")
     text = text.replace("damping_ratio = 0.02", "damping_ratio = 1.5").replace("Z = 0.012", "Q = 0.012")
     text = text.replace('"BPFO"', '"N*fs"').replace("order = 6.5", "order = 650.0").replace("230.0", "4100.0")
-    text = text.replace('"jack shaft"', '"moon shaft"') + "\n[wobble]\nsize = 1.0\n"
+    text = text.replace('"jack shaft"', '"moon shaft"', 1) + "\n[wobble]\nsize = 1.0\n"
     faults = faults_of(small_scene, text)
     told = {
         "damping": "modes.0.damping_ratio: Input should be less than 1; found 1.5",
-        "effect": "wobble: unknown effect; allowed: quick, modes",
+        "effect": "wobble: unknown effect; allowed: speeds, speed_profile, repeats",
         "channel": "modes.1.sensor_per_kg: no such channel; found Q; allowed: Y, Z",
         "bearing": "no such bearing; found moon shaft; allowed: jack shaft, distributor shaft",
         "speeds": "speeds that the rate cannot carry; found 5000, 60000 rpm; allowed: at most 4000 rpm",
@@ -83,6 +83,7 @@ def test_faults_of_the_engine_are_told_with_those_of_the_scene(small_scene: Path
         ("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = []", "1 to 10 000 speeds"),
         ('domain = "time"', 'domain = "order"', "sampling"),
         ('line = "BPFO"', 'line = "cage"', "bearing_lines.0.line"),
+        ("resonance_hz = 1500.0", "resonance_hz = 9000.0", "resonance above Nyquist; found 9000"),
         ("drive = { Y = 0.9, Z = 0.2 }", "drive = { W = 0.9 }", "modes.1.drive"),
         ('title = "small"', 'title = "small"\nengine_file = "x"', "engine_file: unknown key"),
     ],
@@ -104,5 +105,95 @@ def test_forces_on_nothing_are_refused(small_scene: Path) -> None:
 
 
 def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RequestError, match="no such scene; found moon; allowed: thesis-first-motoring"):
+    with pytest.raises(RequestError, match="no such scene; found moon; allowed: bearing-growth"):
         load_scene("moon", tmp_path)
+
+
+def test_a_scene_based_on_another_has_all_but_what_it_states_and_leaves_out(small_scene: Path) -> None:
+    derived = small_scene.with_name("derived.toml")
+    text = 'schema_version = 1\nbased_on = "small.toml"\nwithout = ["encoder"]\ntitle = "derived"\n'
+    text += "[speeds]\nlist_rpm = [900.0]\n"
+    derived.write_text(text)
+    base, scene = (load_scene(path.name, path.parent) for path in (small_scene, derived))
+    assert (scene.title, scene.speeds.rpm, scene.encoder) == ("derived", (900.0,), None)
+    assert scene.modes == base.modes
+    assert scene.seed == base.seed
+    for wrong, words in {
+        text.replace('"encoder"', '"encodr"'): "nothing to leave out; found encodr",
+        text.replace('"small.toml"', '"derived.toml"'): "no scene to be based on",
+        text.replace('"small.toml"', "3"): "no scene to be based on",
+        text.replace('based_on = "small.toml"\n', ""): "without goes with based_on",
+    }.items():
+        derived.write_text(wrong)
+        with pytest.raises((ManyErrors, RequestError), match=words):
+            load_scene(derived.name, derived.parent)
+
+
+ASKS = """
+[[bearing_impacts]]
+bearing = "jack shaft"
+line = "BPFO"
+peak_m_s2 = { Q = 1.0 }
+resonance_hz = 9000.0
+damping_ratio = 0.03
+
+[[tones]]
+cause = "mains"
+frequency_hz = 3000.0
+amplitude_m_s2 = { Z = 0.2 }
+harmonics = [1.0, 1.0]
+
+[[encoder_faults]]
+kind = "damaged_line"
+lines = [60]
+
+[[signal_faults]]
+kind = "dropout"
+at_s = 5.0
+duration_s = 1.0
+channels = ["W"]
+recordings = ["rpm_9999"]
+
+[acquisition]
+low_pass_hz = 10.0
+ac_coupling_hz = 20.0
+stored_as = "int16"
+full_scale = 10.0
+
+[[other_shafts]]
+name = "pump"
+ratio = 2.0
+
+[[other_shafts]]
+name = "pump"
+rpm = [500.0]
+
+[gas_torque]
+highest_order = 8.0
+
+[in_cycle_speed]
+flywheel_inertia_kg_m2 = 1e-6
+
+[wrong_labels]
+swapped = ["Y", "V"]
+"""
+
+
+def test_what_no_part_alone_shows_is_told_of_every_effect(small_scene: Path) -> None:
+    text = small_scene.read_text().replace("force_n = 30.0", 'force_n = 30.0\nshaft = "fan"')
+    faults = faults_of(small_scene, text + ASKS)
+    for words in (
+        "bearing_impacts.1.peak_m_s2: no such channel; found Q",
+        "tones.1: tone above Nyquist; found 6000 Hz",
+        "encoder_faults.0.lines: the wheel has no such line; found 60; allowed: 0 to 59",
+        "signal_faults.0.channels: no such channel; found W",
+        "signal_faults.0.recordings: no such recording; found rpm_9999",
+        "signal_faults.0.at_s: begins after the end",
+        "acquisition.ac_coupling_hz",
+        "injected_orders.0.shaft: no such shaft; found fan; allowed: pump",
+        "other_shafts: two shafts have the same name; found pump",
+        "gas_torque: the engine has no gas",
+        "in_cycle_speed: the shaft would stop within the cycle",
+        "wrong_labels.swapped: no such channel; found V",
+    ):
+        assert any(words in fault for fault in faults), (words, faults)

@@ -20,7 +20,7 @@ from crankorder.engine.balancing import (
     force_by_order,
     rod_counterweight_couple,
 )
-from crankorder.engine.definition import Engine
+from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.polar import OrderForce
@@ -75,9 +75,7 @@ def balance_sheet(
     masses = reduced_masses(subject)
     made = force_by_order(masses, max_order=max_order)
     if not single:
-        made = _engine_force(
-            engine.model_copy(update={"shafts": engine.shafts.model_copy(update={"orders": ()})}), max_order
-        )
+        made = _engine_force(engine.model_copy(update={"shafts": BalanceShafts()}), max_order)
     one = masses if single else None
     sheet: dict[str, Any] = {
         "engine": engine.title or subject.name,
@@ -203,9 +201,9 @@ def _shafts(
 ) -> dict[str, Any]:
     engine, data = subject.engine, subject.balance
     own = None
-    if engine.shafts.orders:
+    if engine.shafts.every_order:
         left = _engine_force(engine, max_order)
-        own = {"orders": list(engine.shafts.orders), "residual_g_mm": _axes(left)}
+        own = {"orders": list(engine.shafts.every_order), "residual_g_mm": _axes(left)}
     layouts: dict[str, Any] = {
         name: None if masses is None else _layout(masses, name, data.places, max_order) for name in POSSIBILITIES
     }

@@ -37,18 +37,45 @@ class EngineData(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
+class StatedPair(EngineData):
+    """A counter-rotating pair at ``order`` times crank speed; ``unbalance_g_mm``: of its two shafts together.
+
+    Turning that fast it makes order² · ``unbalance_g_mm`` of force over ω² of the crank.
+    """
+
+    order: Annotated[int, Field(ge=1)]
+    unbalance_g_mm: Positive
+
+
 class BalanceShafts(EngineData):
     """Pairs of counter-rotating shafts: which orders of the force along Z they cancel and the mass that they leave.
 
-    ``unbalanced_mass_kg`` is the reciprocating mass of each cylinder that they leave. ``timed_to = "force"``: each pair
-    stands against the whole force of its order, the quadrature part that an offset makes included. ``"crank"``: the
-    pair is timed to the crank and leaves that part. ``position_m``: their middle, along the crankshaft.
+    ``orders`` are cancelled but for ``unbalanced_mass_kg``, the reciprocating mass of each cylinder that is left. A
+    pair of ``pairs`` stands against the force of its order with what unbalance it has: too little leaves force, too
+    much reverses it. ``timed_to = "force"``: each pair stands against the whole force of its order, the quadrature part
+    that an offset makes included. ``"crank"``: the pair is timed to the crank and leaves that part. ``position_m``:
+    their middle, along the crankshaft.
     """
 
-    orders: tuple[Annotated[int, Field(ge=1)], ...] = Field(strict=False)
+    orders: tuple[Annotated[int, Field(ge=1)], ...] = Field(default=(), strict=False)
+    pairs: tuple[StatedPair, ...] = Field(default=(), strict=False)
     unbalanced_mass_kg: float = 0.0
     timed_to: Literal["force", "crank"] = "force"
     position_m: float = 0.0
+
+    @field_validator("pairs")
+    @classmethod
+    def _one_pair_an_order(cls, value: tuple[StatedPair, ...], info: ValidationInfo) -> tuple[StatedPair, ...]:
+        taken = [*info.data.get("orders", ()), *(pair.order for pair in value)]
+        twice = sorted({pair.order for pair in value if taken.count(pair.order) > 1})
+        if twice:
+            raise ValueError(f"more than one pair for order {', '.join(map(str, twice))}")
+        return value
+
+    @property
+    def every_order(self) -> tuple[int, ...]:
+        """Orders of all pairs, ascending."""
+        return tuple(sorted({*self.orders, *(pair.order for pair in self.pairs)}))
 
 
 class Rod(EngineData):
@@ -139,7 +166,7 @@ class Engine(EngineData):
     main_bearings_m: tuple[float, ...] = Field(default=(), strict=False)
     bore_m: Positive | None = None
     gas: GasCurve | None = None
-    shafts: BalanceShafts = BalanceShafts(orders=())
+    shafts: BalanceShafts = BalanceShafts()
     bearings: tuple[Bearing, ...] = Field(default=(), strict=False)
 
     # One check a field, on what comes before it: a fault elsewhere then hides none of them.

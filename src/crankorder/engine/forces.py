@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
+from crankorder.engine.definition import BalanceShafts, Cylinder, Engine, StatedPair
 from crankorder.engine.harmonics import (
     acceleration_harmonics,
     last_order_above_round_off,
@@ -15,6 +15,7 @@ from crankorder.engine.harmonics import (
 )
 from crankorder.engine.rod import two_masses
 from crankorder.engine.slider_crank import sine_cosine
+from crankorder.errors import RequestError
 
 Complex = NDArray[np.complex128]
 
@@ -33,7 +34,8 @@ def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) ->
     pin and axis stand along Z. The cylinders add up, each with its phase and bank angle.
 
     ``engine``: lengths, masses, cylinders and shafts. ``speed_rpm``: scalar or any shape (…), ≥ 0. ``max_order``: ≥ 1;
-    see :func:`crankorder.engine.harmonics.orders_for` for how many are worth having.
+    see :func:`crankorder.engine.harmonics.orders_for` for how many are worth having. Raises RequestError for a stated
+    pair of shafts at an order of which the pistons together make no force.
     Source: truth sheet sections 0, 2.5 and 2.6; a mass that slides along the cylinder has no net force across it.
     """
     per_omega_squared = engine.crank_radius_m * _pistons(engine, max_order).sum(axis=0)
@@ -90,7 +92,7 @@ def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float,
     one. What cancels to round-off counts for nothing. The share does not depend on speed, for every inertia force grows
     with its square.
     """
-    alone = engine.model_copy(update={"cylinders": (Cylinder(),), "shafts": BalanceShafts(orders=())})
+    alone = engine.model_copy(update={"cylinders": (Cylinder(),), "shafts": BalanceShafts()})
     size = np.abs(crankcase_forces(alone, 1000.0, max_order=max_order)).max()
     span = max(abs(cylinder.position_m) for cylinder in engine.cylinders)
     forces = np.abs(crankcase_forces(engine, 1000.0, max_order=max_order)).max(axis=0)
@@ -130,15 +132,39 @@ def _pistons(engine: Engine, max_order: int) -> Complex:
 def _shafts(engine: Engine, max_order: int) -> Complex:
     """Complex mass along Z that the balance shafts set against the pistons, shape (max_order + 1,)."""
     against = np.zeros(max_order + 1, dtype=np.complex128)
-    orders = [order for order in engine.shafts.orders if order <= max_order]
-    if not orders:
+    shafts = engine.shafts
+    orders = [order for order in shafts.orders if order <= max_order]
+    pairs = [pair for pair in shafts.pairs if pair.order <= max_order]
+    if not orders and not pairs:
         return against
+    opposed = _opposed_by_shafts(engine, max_order)
+    against[orders] = (shafts.unbalanced_mass_kg - engine.reciprocating_mass_kg) * opposed[orders]
+    for pair in pairs:
+        against[pair.order] = -_pair_mass_kg(engine, pair, opposed) * opposed[pair.order]
+    return against
+
+
+def _opposed_by_shafts(engine: Engine, max_order: int) -> Complex:
+    """What pairs of shafts are timed against: force along Z of all pistons over m r ω², shape (max_order + 1,)."""
     harmonics = acceleration_harmonics(engine.mechanism, max_order)
     cancelled = harmonics if engine.shafts.timed_to == "force" else harmonics.real
     _, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
-    mass = engine.reciprocating_mass_kg - engine.shafts.unbalanced_mass_kg
-    against[orders] = -mass * (cancelled * (along @ _phases(engine, max_order)))[orders]
-    return against
+    opposed: Complex = cancelled * (along @ _phases(engine, max_order))
+    return opposed
+
+
+def _pair_mass_kg(engine: Engine, pair: StatedPair, opposed: Complex) -> float:
+    """Reciprocating mass of each cylinder whose force of its order a stated pair makes, the other way."""
+    alone = len(engine.cylinders) * abs(acceleration_harmonics(engine.mechanism, pair.order)[pair.order])
+    size = float(abs(opposed[pair.order]))
+    if size <= CANCELLED * alone:
+        raise RequestError(
+            "the pistons make no force along Z that this pair of shafts could stand against",
+            place="shafts.pairs",
+            found=f"order {pair.order}",
+            remedy="Leave the pair out",
+        )
+    return 1e-6 * pair.order**2 * pair.unbalance_g_mm / (engine.crank_radius_m * size)
 
 
 def _rotating(engine: Engine) -> Complex:

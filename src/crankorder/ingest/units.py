@@ -9,8 +9,7 @@ import unicodedata
 from dataclasses import dataclass
 
 from crankorder.errors import RequestError
-
-STANDARD_GRAVITY_M_S2 = 9.80665
+from crankorder.settings import STANDARD_GRAVITY_M_S2
 
 _MAX_CHARACTERS = 60
 

@@ -98,7 +98,7 @@ def find_pulses(
     if kind == "square":
         half = 0.5 * settings.hysteresis_fraction * (high - low)
         fired, n_missing = _fired(samples, sign, 0.5 * (low + high) - half, 0.5 * (low + high) + half)
-        level = np.full(fired.size, 0.5 * (low + high))
+        level = np.array([0.5 * (low + high)])
     else:
         low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction)
         fired, level, n_missing = _fired_pickup(
@@ -137,43 +137,91 @@ def _spread(some: npt.NDArray[Any], low: float, high: float) -> float:
     return float(np.std(np.abs(finite - 0.5 * (low + high)))) / (high - low)
 
 
-@njit(cache=True, nogil=True)
-def _levels(trace):  # type: ignore[no-untyped-def]
+def _levels(trace: npt.NDArray[Any]) -> tuple[float, float]:
     """Lower and upper level: means below and above the middle of the range, taken twice to shed spikes."""
-    low, high = np.inf, -np.inf
-    for value in trace:
-        if np.isfinite(value):
-            low = min(low, value)
-            high = max(high, value)
+    low, high = float(trace.min()), float(trace.max())
+    if not np.isfinite(high - low):
+        trace = trace[np.isfinite(trace)]
+        if trace.size == 0:
+            return np.inf, -np.inf
+        low, high = float(trace.min()), float(trace.max())
     for _ in range(2):
-        middle, below, above, n_below, n_above = 0.5 * (low + high), 0.0, 0.0, 0, 0
-        for value in trace:
-            if np.isfinite(value):
-                if value > middle:
-                    above += value
-                    n_above += 1
-                else:
-                    below += value
-                    n_below += 1
-        if n_below == 0 or n_above == 0:
+        middle = 0.5 * (low + high)
+        below, above, n_above = _sums(trace, middle)
+        if not 0 < n_above < trace.size:
             break
-        low, high = below / n_below, above / n_above
+        low, high = below / (trace.size - n_above), above / n_above
+        if 0.5 * (low + high) == middle:
+            break
     return low, high
 
 
 @njit(cache=True, nogil=True)
+def _sums(trace, middle):  # type: ignore[no-untyped-def]
+    """Sum of the samples up to ``middle``, sum of those above, and how many these are."""
+    n_above, b0, b1, b2, b3, a0, a1, a2, a3 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    whole = trace.size // 4 * 4
+    for i in range(0, whole, 4):
+        v0, v1, v2, v3 = trace[i], trace[i + 1], trace[i + 2], trace[i + 3]
+        h0, h1, h2, h3 = v0 > middle, v1 > middle, v2 > middle, v3 > middle
+        n_above += h0 + h1 + h2 + h3
+        a0, a1, a2, a3 = (
+            a0 + (v0 if h0 else 0.0),
+            a1 + (v1 if h1 else 0.0),
+            a2 + (v2 if h2 else 0.0),
+            a3 + (v3 if h3 else 0.0),
+        )
+        b0, b1, b2, b3 = (
+            b0 + (0.0 if h0 else v0),
+            b1 + (0.0 if h1 else v1),
+            b2 + (0.0 if h2 else v2),
+            b3 + (0.0 if h3 else v3),
+        )
+    for i in range(whole, trace.size):
+        if trace[i] > middle:
+            a0, n_above = a0 + trace[i], n_above + 1
+        else:
+            b0 += trace[i]
+    return (b0 + b1) + (b2 + b3), (a0 + a1) + (a2 + a3), n_above
+
+
+@njit(cache=True, nogil=True)
 def _fired(trace, sign, arm, fire):  # type: ignore[no-untyped-def]
-    """First samples of ``sign * trace`` above ``fire`` since it was below ``arm``, and the count of NaN."""
+    """First samples of ``sign * trace`` above ``fire`` since it was below ``arm``, and the count of NaN.
+
+    64 samples at a time, one bit each. A sample above ``fire`` sets the state, one below ``arm`` clears it, any other
+    hands it on: so does the carry in the sum of the bits that do not clear and those that set.
+    """
     at = np.empty(trace.size // 2 + 2, dtype=np.int64)
-    n, missing, armed = 0, 0, False
-    for i in range(trace.size):
-        value = sign * trace[i]
-        fires = armed & (value > fire)
-        at[n] = i
-        n += fires
-        armed = (armed & (not fires)) | (value < arm)
-        missing += value != value
-    return at[:n].copy(), missing
+    one, carry = np.uint64(1), np.uint64(1)
+    n, missing = 0, 0
+    for first in range(0, trace.size, 64):
+        part = trace[first : first + 64]
+        sets, clears = np.uint64(0), np.uint64(0)
+        for j in range(part.size):
+            value = sign * part[j]
+            sets |= np.uint64(value > fire) << np.uint64(j)
+            clears |= np.uint64(value < arm) << np.uint64(j)
+            missing += value != value
+        partial = ~clears + sets
+        total = partial + carry
+        fires = sets & ~(total ^ ~clears ^ sets)
+        carry = np.uint64((partial < sets) | (total < partial))
+        while fires:
+            lowest = fires & (~fires + one)
+            at[n] = first + _bits(lowest - one)
+            n += 1
+            fires ^= lowest
+    return at[:n], missing
+
+
+@njit(cache=True, nogil=True)
+def _bits(word):  # type: ignore[no-untyped-def]
+    """How many bits of ``word`` are set (Warren 2013, figure 5-2)."""
+    word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -250,19 +298,22 @@ def _followed(level, seen, envelope_teeth):  # type: ignore[no-untyped-def]
     return level + (seen - level) / envelope_teeth
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _crossings(trace, sign, fired, level, low, high):  # type: ignore[no-untyped-def]
-    """Positions [samples] of the crossings before ``fired``, how many lie between settled samples, their variance."""
+    """Positions [samples] of the crossings before ``fired``, how many lie between settled samples, their variance.
+
+    ``level`` holds the cut of each, or one for all.
+    """
     position, n, settled = np.empty(fired.size), 0, 0
     bottom, top = low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low)
     for k in range(fired.size):
-        i = fired[k]
-        while i > 0 and sign * trace[i - 1] > level[k]:
+        i, cut = fired[k], level[min(k, level.size - 1)]
+        while i > 0 and sign * trace[i - 1] > cut:
             i -= 1
         before, after = sign * trace[max(i - 1, 0)], sign * trace[i]
-        if i > 0 and before <= level[k]:
-            position[n] = i - 1 + (level[k] - before) / (after - before)
-            settled += before < bottom and after > top
-            n += 1
+        position[n] = i - 1 + (cut - before) / (after - before)
+        crossed = i > 0 and before <= cut
+        n += crossed
+        settled += crossed & (before < bottom) & (after > top)
     variance = settled * QUANTISED_EDGE_SAMPLES**2 + (n - settled) * INTERPOLATED_EDGE_SAMPLES**2
-    return position[:n].copy(), settled, variance / max(n, 1)
+    return position[:n], settled, variance / max(n, 1)

@@ -10,6 +10,7 @@ lack of correlation from tooth to tooth.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -24,6 +25,9 @@ BLOCK_TEETH, MAX_BLOCKS = 2048, 12
 LOWEST_CUT_OFF, HIGHEST_CUT_OFF = 0.003, 0.35
 # Lags at which a residual is tested for being white.
 WHITE_LAGS = 8
+# Factors have settled when their rows change by no more than this, in weights of one pulse, and by this share of
+# themselves; variances, when they change by no more than this share.
+SETTLED, SETTLED_SHARE, SETTLED_VARIANCE = 1e-4, 1e-11, 1e-11
 # Steps of the search: a cut-off is found within the fourth root of 2.
 SEARCH_FACTOR = 2.0**0.25
 
@@ -32,6 +36,9 @@ def noise_from_differences(time_s: FloatArray) -> float:
     """Standard deviation of pulse times ``time_s`` (pulses,) [s] from their fourth differences, by the median."""
     if time_s.size < 8:
         return 0.0
+    if time_s.size > MAX_BLOCKS * BLOCK_TEETH:
+        starts = np.linspace(0, time_s.size - BLOCK_TEETH, MAX_BLOCKS).astype(int)
+        time_s = time_s[starts[:, None] + np.arange(BLOCK_TEETH)]
     return float(np.median(np.abs(np.diff(time_s, n=4)))) / (0.6745 * math.sqrt(70.0))
 
 
@@ -40,6 +47,7 @@ def penalty_of(cut_off: float) -> float:
     return 1e-9 if cut_off > HIGHEST_CUT_OFF else float((2.0 * math.sin(math.pi * cut_off)) ** -6)
 
 
+@functools.lru_cache(maxsize=64)
 def _residual_moments(penalty: float) -> FloatArray:
     """Autocovariance at lags 0 to WHITE_LAGS of the residual that white noise of variance 1 leaves, ends apart."""
     frequency = (np.arange(1024) + 0.5) / 2048.0
@@ -69,13 +77,16 @@ def cut_off_of(
     length = min(grid.size, BLOCK_TEETH)
     starts = np.linspace(0, grid.size - length, n_blocks).astype(int)
     cut_off, noise = floor, noise_s
+    smoother: Smoother | None = None
     for start in starts:
         times, weights = grid[start : start + length] - grid[start], weight[start : start + length]
         count = weights.sum()
         while cut_off <= HIGHEST_CUT_OFF:
             penalty = penalty_of(cut_off)
             white = _residual_moments(penalty)
-            residual = weights * (times - smoothed(times, weights, penalty))
+            if smoother is None or not smoother.is_of(weights, penalty):
+                smoother = Smoother(weights, penalty)
+            residual = weights * (times - smoother.smoothed(times))
             variance = float(residual @ residual) / (count * max(white[0], 1.0 / count))
             if variance <= noise_s**2 * (1.0 + 3.0 / np.sqrt(count)):
                 break
@@ -105,8 +116,7 @@ def smoothed(value: FloatArray, weight: FloatArray, penalty: float) -> FloatArra
     weight : (teeth,), 1 where a tooth has a pulse, else 0; at least three are 1
     penalty : above 0
     """
-    result: FloatArray = _solved(value, penalty, *_factors(weight, penalty))
-    return result
+    return Smoother(weight, penalty).smoothed(value)
 
 
 def leverage(weight: FloatArray, penalty: float) -> FloatArray:
@@ -114,78 +124,113 @@ def leverage(weight: FloatArray, penalty: float) -> FloatArray:
 
     ``weight`` (teeth,) is 1 where a tooth has a pulse, else 0; ``penalty`` is above 0.
     """
-    result: FloatArray = _inverse_diagonal(*_factors(weight, penalty))
-    return result
+    return Smoother(weight, penalty).leverage()
+
+
+class Smoother:
+    """W + penalty D'D for given teeth, factored once as L diag(d) L'.
+
+    Away from ends and holes the rows of the factors settle; only those that differ are kept, in ``table`` (rows, 4) of
+    d and the three bands of L below its unit diagonal; ``row`` (teeth,) says which of them a tooth has.
+    """
+
+    def __init__(self, weight: FloatArray, penalty: float) -> None:
+        self.weight, self.penalty = weight, penalty
+        table, self.row, used = _factors(weight, penalty)
+        self.table = table[:used]
+
+    def is_of(self, weight: FloatArray, penalty: float) -> bool:
+        """Whether this is the smoother of ``weight`` (teeth,) and ``penalty``."""
+        return penalty == self.penalty and np.array_equal(weight, self.weight)
+
+    def smoothed(self, value: FloatArray) -> FloatArray:
+        """Smoothed ``value`` (teeth,), see :func:`smoothed`."""
+        result: FloatArray = _solved(value, self.penalty, self.table, self.row)
+        return result
+
+    def leverage(self) -> FloatArray:
+        """Variance of each smoothed time over that of one pulse time, see :func:`leverage`."""
+        result: FloatArray = _inverse_diagonal(self.table, self.row)
+        return result
 
 
 @njit(cache=True, nogil=True)
 def _factors(weight, penalty):  # type: ignore[no-untyped-def]
-    """Factors of W + penalty D'D = L diag(d) L': d and the three bands of L below its unit diagonal.
-
-    Away from ends and holes they settle, and are then copied.
-    """
+    """Rows d, a, b, c of the factors of W + penalty D'D, settled ones kept once; the row of each tooth; their count."""
     n = weight.size
-    d, a, b, c = np.empty(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    steady = 0
+    table, row = np.empty((n, 4)), np.empty(n, dtype=np.int32)
+    d1 = d2 = d3 = a1 = b1 = b2 = c1 = c2 = c3 = 0.0
+    steady, used, settled = 0, 0, max(2e-16, min(SETTLED_SHARE, SETTLED / penalty))
     for i in range(n):
         inside = 3 < i < n - 3
         if inside and steady > 3 and weight[i] == weight[i - 1]:
-            d[i], a[i], b[i], c[i] = d[i - 1], a[i - 1], b[i - 1], c[i - 1]
+            row[i] = used - 1
             continue
         p0, p1, p2, p3 = (20.0, -15.0, 6.0, -1.0) if inside else _penalty_row(i, n)
-        pivot, low1, low2, low3 = weight[i] + penalty * p0, penalty * p1, penalty * p2, penalty * p3
-        if i >= 1:
-            pivot -= a[i - 1] ** 2 * d[i - 1]
-            low1 -= a[i - 1] * b[i - 1] * d[i - 1]
-            low2 -= a[i - 1] * c[i - 1] * d[i - 1]
-        if i >= 2:
-            pivot -= b[i - 2] ** 2 * d[i - 2]
-            low1 -= b[i - 2] * c[i - 2] * d[i - 2]
-        if i >= 3:
-            pivot -= c[i - 3] ** 2 * d[i - 3]
-        d[i], a[i], b[i], c[i] = pivot, low1 / pivot, low2 / pivot, low3 / pivot
-        same = i > 0 and weight[i] == weight[i - 1] and abs(d[i] - d[i - 1]) <= 2e-16 * d[i]
+        pivot = weight[i] + penalty * p0 - a1 * a1 * d1 - b2 * b2 * d2 - c3 * c3 * d3
+        low1 = penalty * p1 - a1 * b1 * d1 - b2 * c2 * d2
+        low2 = penalty * p2 - a1 * c1 * d1
+        low3 = penalty * p3
+        same = i > 0 and weight[i] == weight[i - 1] and abs(pivot - d1) <= settled * pivot
         steady = steady + 1 if same else 0
-    return d, a, b, c
+        d3, c3 = d2, c2
+        d2, b2, c2 = d1, b1, c1
+        d1, a1, b1, c1 = pivot, low1 / pivot, low2 / pivot, low3 / pivot
+        table[used, 0], table[used, 1], table[used, 2], table[used, 3] = d1, a1, b1, c1
+        row[i] = used
+        used += 1
+        if steady > 3:
+            # the rows that follow find these above them
+            d2 = d3 = d1
+            b2, c2, c3 = b1, c1, c1
+    return table, row, used
 
 
-@njit(cache=True, nogil=True)
-def _solved(value, penalty, d, a, b, c):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _solved(value, penalty, table, row):  # type: ignore[no-untyped-def]
     """``value`` less the solution u of (W + penalty D'D) u = penalty D'D value, which is small: so is its round-off."""
     n = value.size
-    z = np.zeros(n)
-    for i in range(n - 3):
-        third = penalty * ((value[i + 3] - value[i]) - 3.0 * (value[i + 2] - value[i + 1]))
-        z[i] -= third
-        z[i + 1] += 3.0 * third
-        z[i + 2] -= 3.0 * third
-        z[i + 3] += third
-    z1 = z2 = z3 = a1 = b1 = b2 = c1 = c2 = c3 = 0.0
+    z = np.empty(n)
+    z1 = z2 = z3 = a1 = b1 = b2 = c1 = c2 = c3 = t1 = t2 = t3 = 0.0
     for i in range(n):
-        now = z[i] - a1 * z1 - b2 * z2 - c3 * z3
+        t0 = 0.0
+        if i + 3 < n:
+            t0 = penalty * ((value[i + 3] - value[i]) - 3.0 * (value[i + 2] - value[i + 1]))
+        now = (((3.0 * (t1 - t2) + (t3 - t0)) - c3 * z3) - b2 * z2) - a1 * z1
         z[i] = now
+        k = row[i]
+        t1, t2, t3 = t0, t1, t2
         z1, z2, z3 = now, z1, z2
-        a1, b1, b2, c1, c2, c3 = a[i], b[i], b1, c[i], c1, c2
+        a1, b1, b2, c1, c2, c3 = table[k, 1], table[k, 2], b1, table[k, 3], c1, c2
     z1 = z2 = z3 = 0.0
     for i in range(n - 1, -1, -1):
-        now = z[i] / d[i] - a[i] * z1 - b[i] * z2 - c[i] * z3
+        k = row[i]
+        now = ((z[i] / table[k, 0] - table[k, 3] * z3) - table[k, 2] * z2) - table[k, 1] * z1
         z1, z2, z3 = now, z1, z2
         z[i] = value[i] - now
     return z
 
 
 @njit(cache=True, nogil=True)
-def _inverse_diagonal(d, a, b, c):  # type: ignore[no-untyped-def]
-    """Diagonal of (L diag(d) L')^-1 from the last row up (Takahashi, Fagan and Chin 1973)."""
-    n = d.size
+def _inverse_diagonal(table, row):  # type: ignore[no-untyped-def]
+    """Diagonal of (L diag(d) L')^-1 from the last row up (Takahashi, Fagan and Chin 1973); settled rows are copied."""
+    n = row.size
     out = np.empty(n)
     # the inverse at (i+1, i+1) ... (i+3, i+3)
     s11 = s12 = s13 = s22 = s23 = s33 = 0.0
+    steady = 0
     for i in range(n - 1, -1, -1):
-        s01 = -(a[i] * s11 + b[i] * s12 + c[i] * s13)
-        s02 = -(a[i] * s12 + b[i] * s22 + c[i] * s23)
-        s03 = -(a[i] * s13 + b[i] * s23 + c[i] * s33)
-        s00 = 1.0 / d[i] - (a[i] * s01 + b[i] * s02 + c[i] * s03)
+        k = row[i]
+        same = i + 1 < n and k == row[i + 1]
+        if same and steady > 3:
+            out[i] = s11
+            continue
+        a, b, c = table[k, 1], table[k, 2], table[k, 3]
+        s01 = -(a * s11 + b * s12 + c * s13)
+        s02 = -(a * s12 + b * s22 + c * s23)
+        s03 = -(a * s13 + b * s23 + c * s33)
+        s00 = 1.0 / table[k, 0] - (a * s01 + b * s02 + c * s03)
+        steady = steady + 1 if same and abs(s00 - s11) <= SETTLED_VARIANCE * s00 else 0
         out[i] = s00
         s33, s23, s22, s13, s12, s11 = s22, s12, s11, s02, s01, s00
     return out

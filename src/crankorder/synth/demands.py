@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from crankorder.engine.bearings import bearing_orders
-from crankorder.errors import RequestError
-from crankorder.synth.effects import TimeSampling
+from crankorder.engine.gas import gas_torque_by_order
+from crankorder.errors import CrankorderError, RequestError
+from crankorder.synth.analogue import analogue_filter
+from crankorder.synth.crank import crank_motion
+from crankorder.synth.manifest import INDEX, INDEX_TIME, PULSE_TIME, TRACE
+from crankorder.synth.parts import CrankAngleSampling, TimeSampling
 from crankorder.synth.scene import Scene
+from crankorder.synth.signal_faults import impossible_faults
 
 MAX_SAMPLES = 50_000_000
 """Of one channel of one recording: more would not fit into the memory of a small machine."""
-
 Fault = tuple[str, str, str, str]
 """Problem, place, found, allowed."""
 
@@ -23,14 +28,15 @@ def unmet_demands(scene: Scene, source: str, kept: dict[str, list[int]]) -> list
     ``source``: the file's name for the messages. ``kept``: for a list of effects that lost faulty items, the places in
     the file of those that stayed.
     """
+    faults = [*_names(scene), *_forces_without_structure(scene), *_converter(scene)]
+    if (scene.speeds is None) == (scene.speed_profile is None):
+        found = "neither" if scene.speeds is None else "both"
+        faults.append(("how fast does it turn?", "speeds", found, "either speeds or speed_profile"))
+    else:
+        faults += [*_sampling(scene), *_by_crank_angle(scene), *_encoder(scene), *_orders(scene), *_turning(scene)]
     return [
         RequestError(problem, file=source, place=_place_in_file(place, kept), found=found, allowed=allowed)
-        for problem, place, found, allowed in (
-            *_names(scene),
-            *_forces_without_structure(scene),
-            *_sampling(scene),
-            *_orders(scene),
-        )
+        for problem, place, found, allowed in faults
     ]
 
 
@@ -47,62 +53,165 @@ def _names(scene: Scene) -> Iterator[Fault]:
             if times > 1:
                 yield f"two channels have the same {what}", "channels", value, "each once"
     for channel in scene.channels:
-        if channel.source in ("encoder", "index"):
+        if channel.source in (TRACE, INDEX, PULSE_TIME, INDEX_TIME):
             yield "the encoder's dataset cannot be a channel's", "channels", channel.source, "any other name"
-    uses: list[tuple[str, Iterable[str]]] = [("rigid_body_per_kg", scene.rigid_body_per_kg)]
-    uses += [(f"modes.{k}.sensor_per_kg", mode.sensor_per_kg) for k, mode in enumerate(scene.modes)]
-    uses += [(f"bearing_lines.{k}.amplitude_m_s2", line.amplitude_m_s2) for k, line in enumerate(scene.bearing_lines)]
-    uses += [("sensor_noise.m_s2_per_root_hz", scene.sensor_noise.m_s2_per_root_hz)] if scene.sensor_noise else []
-    for place, names in uses:
+    for place, names in _channel_uses(scene):
         for name in names:
             if name not in channels:
                 yield "no such channel", place, name, ", ".join(channels)
+    shafts = [shaft.name for shaft in scene.other_shafts]
+    for value, times in Counter(shafts).items():
+        if times > 1:
+            yield "two shafts have the same name", "other_shafts", value, "each once"
+    for k, injected in enumerate(scene.injected_orders):
+        if injected.shaft is not None and injected.shaft not in shafts:
+            yield "no such shaft", f"injected_orders.{k}.shaft", injected.shaft, ", ".join(shafts) or "none"
+    recordings = [run.name for run in scene.runs] if scene.speeds or scene.speed_profile else []
+    for head in ("encoder_faults", "signal_faults"):
+        for k, fault in enumerate(getattr(scene, head)):
+            for name in fault.recordings:
+                if name not in recordings:
+                    yield "no such recording", f"{head}.{k}.recordings", name, ", ".join(recordings[:20])
+    yield from _bearing_names(scene)
+
+
+def _channel_uses(scene: Scene) -> Iterator[tuple[str, Iterable[str]]]:
+    yield "rigid_body_per_kg", scene.rigid_body_per_kg
+    yield "acquisition.delay_s", scene.acquisition.delay_s
+    if scene.sensor_noise:
+        yield "sensor_noise.m_s2_per_root_hz", scene.sensor_noise.m_s2_per_root_hz
+    if scene.wrong_labels:
+        yield "wrong_labels.units", scene.wrong_labels.units
+        yield "wrong_labels.swapped", scene.wrong_labels.swapped or ()
+    by_key = {
+        "modes": ("sensor_per_kg", "sensor_phase_deg"),
+        "bearing_lines": ("amplitude_m_s2",),
+        "bearing_impacts": ("peak_m_s2",),
+        "tones": ("amplitude_m_s2",),
+        "coloured_noise": ("channels",),
+        "signal_faults": ("channels",),
+    }
+    for head, keys in by_key.items():
+        for k, part in enumerate(getattr(scene, head)):
+            for key in keys:
+                yield f"{head}.{k}.{key}", getattr(part, key)
+
+
+def _bearing_names(scene: Scene) -> Iterator[Fault]:
     bearings = {bearing.name: bearing for bearing in scene.engine.bearings}
-    for k, line in enumerate(scene.bearing_lines):
-        if line.bearing not in bearings:
-            yield (
-                "the engine has no such bearing",
-                f"bearing_lines.{k}.bearing",
-                line.bearing,
-                ", ".join(bearings) or "none",
-            )
-        elif line.line not in bearing_orders(bearings[line.bearing]):
-            known = ", ".join(bearing_orders(bearings[line.bearing]))
-            yield "the bearing's data do not tell this line", f"bearing_lines.{k}.line", line.line, known
+    for head in ("bearing_lines", "bearing_impacts"):
+        for k, part in enumerate(getattr(scene, head)):
+            if part.bearing not in bearings:
+                known = ", ".join(bearings) or "none"
+                yield "the engine has no such bearing", f"{head}.{k}.bearing", part.bearing, known
+            elif part.line not in bearing_orders(bearings[part.bearing]):
+                known = ", ".join(bearing_orders(bearings[part.bearing]))
+                yield "the bearing's data do not tell this line", f"{head}.{k}.line", part.line, known
 
 
 def _forces_without_structure(scene: Scene) -> Iterator[Fault]:
-    if scene.modes or scene.rigid_body_per_kg:
-        return
-    for place in ("engine_forces", "injected_orders", "broadband"):
-        if getattr(scene, place):
-            yield "forces have nothing to act on", place, "no modes, no rigid_body_per_kg", "at least one of them"
+    if not (scene.modes or scene.rigid_body_per_kg):
+        for place in ("engine_forces", "gas_torque", "injected_orders", "broadband"):
+            if getattr(scene, place):
+                yield "forces have nothing to act on", place, "no modes, no rigid_body_per_kg", "at least one of them"
+    if scene.gas_torque is not None:
+        if scene.engine.gas is None:
+            yield "the engine has no gas", "gas_torque", scene.engine_file, "an engine with a table [gas]"
+        else:
+            yield from _told(partial(gas_torque_by_order, scene.engine, 1), "gas_torque")
+
+
+def _told(attempt: Callable[[], object], place: str) -> Iterator[Fault]:
+    """The fault that ``attempt()`` raises, if it does."""
+    try:
+        attempt()
+    except CrankorderError as error:
+        yield error.problem, place, error.found, error.allowed or error.remedy
+
+
+def _converter(scene: Scene) -> Iterator[Fault]:
+    yield from _told(partial(analogue_filter, scene.acquisition), "acquisition.ac_coupling_hz")
+    if scene.acquisition.stored_as == "int16":
+        for k, fault in enumerate(scene.signal_faults):
+            if fault.kind == "not_a_number" and fault.instead is None:
+                yield "int16 has no NaN", f"signal_faults.{k}", "not_a_number", "instead = a number, or stored_as float"
 
 
 def _sampling(scene: Scene) -> Iterator[Fault]:
     if scene.n_samples > MAX_SAMPLES:
         yield "a recording is too long", "sampling", f"{scene.n_samples} samples", f"at most {MAX_SAMPLES}"
-    if scene.encoder is not None and not isinstance(scene.sampling, TimeSampling):
-        yield "samples by crank angle need no encoder", "encoder", "[encoder]", 'only with domain = "time"'
-    if scene.encoder is not None and isinstance(scene.sampling, TimeSampling):
-        fastest = 30 * scene.sampling.rate_hz / scene.encoder.pulses_per_rev
-        too_fast = [f"{speed:g}" for speed in scene.speeds.rpm if speed > fastest]
-        if too_fast:
-            allowed = f"at most {fastest:g} rpm with {scene.encoder.pulses_per_rev} pulses per revolution at this rate"
-            yield "speeds that the rate cannot carry", "speeds", f"{', '.join(too_fast)} rpm", allowed
-    lowest_rate = min(scene.rate_hz(speed) for speed in scene.speeds.rpm)
+    slowest, fastest = scene.speed_range_rpm
+    shortest_s = scene.n_samples / scene.rate_hz(fastest)
+    yield from impossible_faults(scene.signal_faults, n_samples=scene.n_samples, duration_s=shortest_s)
+    lowest_rate = scene.rate_hz(slowest if scene.speeds else fastest)
     for k, mode in enumerate(scene.modes):
         if mode.frequency_hz >= lowest_rate / 2:
             allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
             yield "natural frequency above Nyquist", f"modes.{k}.frequency_hz", f"{mode.frequency_hz:g}", allowed
+    for k, part in enumerate(scene.bearing_impacts):
+        if part.resonance_hz >= lowest_rate / 2 and scene.acquisition.low_pass_hz is None:
+            allowed = f"below half the rate, {lowest_rate / 2:g} Hz, or a low_pass_hz"
+            yield "resonance above Nyquist", f"bearing_impacts.{k}.resonance_hz", f"{part.resonance_hz:g}", allowed
+    for k, tone in enumerate(scene.tones):
+        highest = tone.frequency_hz * len(tone.harmonics)
+        if highest >= lowest_rate / 2 and not getattr(scene.sampling, "folds", False):
+            allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
+            yield "tone above Nyquist", f"tones.{k}", f"{highest:g} Hz", allowed
+
+
+def _by_crank_angle(scene: Scene) -> Iterator[Fault]:
+    """What samples by crank angle are not made of: they need a speed that is steady but for in-cycle motion."""
+    if not isinstance(scene.sampling, CrankAngleSampling):
+        return
+    allowed = 'only with domain = "time"'
+    if scene.encoder is not None:
+        yield "samples by crank angle need no encoder", "encoder", "[encoder]", allowed
+    for place in ("speed_profile", "speed_wobbles", "speed_wander"):
+        if getattr(scene, place):
+            yield "samples by crank angle need a steady mean speed", place, f"[{place}]", allowed
+    if any(shaft.time_s for shaft in scene.other_shafts):
+        yield "samples by crank angle need shafts of steady speed", "other_shafts", "time_s", allowed
+    if scene.gas_torque is not None and scene.gas_torque.scatter_percent:
+        yield "samples by crank angle carry no cycle-to-cycle scatter", "gas_torque.scatter_percent", "> 0", allowed
+    if scene.bearing_impacts and scene.in_cycle_speed:
+        yield "strikes by crank angle need an even speed", "in_cycle_speed", "with bearing_impacts", allowed
+
+
+def _encoder(scene: Scene) -> Iterator[Fault]:
+    encoder = scene.encoder
+    if encoder is None or not isinstance(scene.sampling, TimeSampling):
+        if scene.encoder_faults:
+            yield "there is no encoder to be at fault", "encoder_faults", "no [encoder]", "an [encoder]"
+        return
+    if encoder.delivered_as != "pulse_times":
+        fastest = 30 * scene.sampling.rate_hz / (encoder.pulses_per_rev * encoder.ratio)
+        reached = scene.speeds.rpm if scene.speeds else tuple(abs(rpm) for rpm in scene.speed_range_rpm)
+        too_fast = [f"{speed:g}" for speed in reached if speed > fastest]
+        if too_fast:
+            allowed = f"at most {fastest:g} rpm with {encoder.pulses_per_rev} pulses per revolution at this rate"
+            yield "speeds that the rate cannot carry", "speeds", f"{', '.join(too_fast)} rpm", allowed
+    n_lines = len(encoder.tooth_angles_deg or ()) or encoder.pulses_per_rev - encoder.missing_teeth
+    for k, fault in enumerate(scene.encoder_faults):
+        for line in fault.lines if fault.kind == "damaged_line" else ():
+            if line >= n_lines:
+                yield "the wheel has no such line", f"encoder_faults.{k}.lines", str(line), f"0 to {n_lines - 1}"
 
 
 def _orders(scene: Scene) -> Iterator[Fault]:
-    fastest = max(scene.speeds.rpm)
+    if getattr(scene.sampling, "folds", False):
+        return
+    fastest = max(abs(speed) for speed in scene.speed_range_rpm)
+    if fastest == 0:
+        return
     nyquist_order = scene.rate_hz(fastest) / 2 * 60 / fastest
     bearings = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
+    ratio = {shaft.name: shaft.ratio or max(shaft.rpm or (0.0,)) / fastest for shaft in scene.other_shafts}
     asked = [("engine_forces", float(scene.highest_engine_order))]
-    asked += [(f"injected_orders.{k}.order", injected.order) for k, injected in enumerate(scene.injected_orders)]
+    asked += [("gas_torque", scene.gas_torque.highest_order)] if scene.gas_torque else []
+    asked += [
+        (f"injected_orders.{k}.order", injected.order * ratio.get(injected.shaft or "", 1.0))
+        for k, injected in enumerate(scene.injected_orders)
+    ]
     asked += [
         (f"bearing_lines.{k}", bearings.get(line.bearing, {}).get(line.line, 0.0))
         for k, line in enumerate(scene.bearing_lines)
@@ -110,3 +219,11 @@ def _orders(scene: Scene) -> Iterator[Fault]:
     for place, order in asked:
         if order >= nyquist_order:
             yield "order above Nyquist", place, f"{order:g}", f"below {nyquist_order:g} at {fastest:g} rpm"
+
+
+def _turning(scene: Scene) -> Iterator[Fault]:
+    """What the shaft cannot do: stop within a cycle."""
+    if scene.in_cycle_speed is None:
+        return
+    for run in (scene.runs[0], scene.runs[-1]):
+        yield from _told(partial(crank_motion, scene, run), "in_cycle_speed")

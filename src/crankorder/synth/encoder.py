@@ -1,9 +1,30 @@
-"""The shaft encoder as a data-acquisition system samples it."""
+"""The shaft encoder as a data-acquisition system records it: square wave, analogue pickup or counted pulse times."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+
+from crankorder.synth.effects import Encoder
+from crankorder.synth.encoder_faults import Record, Tracks, with_encoder_faults
+from crankorder.synth.faults import AnyEncoderFault
+from crankorder.synth.motion import Motion
+from crankorder.synth.noise import seed_stream
+from crankorder.synth.wheel import FALSE_PULSE, Pulses, encoder_turn, index_wheel, jittered, passed_pulses, wheel_of
+
+SQUARE_SAMPLES, PICKUP_SAMPLES = 1.01, 3.0
+"""Samples that a level, or half a wave of a pickup, must last so that it is surely seen."""
+WIDEST_WAVE = 4.0
+"""Pitches that the wave of a pickup spans at most; the gap of a 36-2 or 60-2 wheel has 3."""
+PICKUP_INDEX_TURN = 0.1
+"""Shortest mark beside a pickup: read like one, a mark that is high more rarely would not show its height."""
+BLOCK_SAMPLES = 1 << 18
+"""Samples whose angles are held at one time."""
 
 
 def sampled_encoder(
@@ -12,11 +33,11 @@ def sampled_encoder(
     """Square wave of the encoder (V) and index mark (0 or 1) at constant speed, each of shape (n_samples,).
 
     A pulse rises at every whole 1/pulses_per_rev of a revolution and is high for the first half of it; the index is
-    high for the first pulse period after top dead centre of the crank, once per revolution.
+    high for the first pulse period of each revolution, or for half of the revolution where that is less.
 
-    ``start_rev``: crank angle of the first sample, ≥ 0. ``speed_rpm``: > 0. ``pulses_per_rev``: ≥ 1. ``high_v``:
-    volts of the high level. ``rate_hz``: samples per second; each half pulse needs at least one sample.
-    ``n_samples``: ≥ 1.
+    ``start_rev``: angle of the encoder at the first sample, ≥ 0. ``speed_rpm``: of the encoder, > 0.
+    ``pulses_per_rev``: ≥ 1. ``high_v``: volts of the high level. ``rate_hz``: samples per second; each half pulse needs
+    at least one sample. ``n_samples``: ≥ 1.
     """
     half_pulses_per_rev = 2 * pulses_per_rev
     per_sample = half_pulses_per_rev * speed_rpm / (60 * rate_hz)
@@ -25,5 +46,213 @@ def sampled_encoder(
     position += half_pulses_per_rev * start_rev
     half_pulse = position.astype(np.int32)
     encoder = np.float32(high_v) * (half_pulse & 1 == 0)
-    index = (half_pulse % half_pulses_per_rev < 2).view(np.uint8)
+    index = (half_pulse % half_pulses_per_rev < min(2, pulses_per_rev)).view(np.uint8)
     return encoder.astype(np.float32, copy=False), index
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncoderSignals:
+    """What an encoder gives to one recording; None where its form of delivery or the encoder has no such thing.
+
+    ``trace``: V, shape (sample,), square or analogue. ``index``: 0 or 1, shape (sample,). ``pulse_s``, ``index_s``:
+    times of rising edges from the first sample, shape (pulse,). ``records``: the faults that were put in.
+    """
+
+    trace: NDArray[np.float32] | None
+    index: NDArray[np.uint8] | None
+    pulse_s: NDArray[np.float64] | None
+    index_s: NDArray[np.float64] | None
+    records: list[Record]
+
+
+def encoder_signals(
+    motion: Motion,
+    encoder: Encoder,
+    faults: Sequence[AnyEncoderFault],
+    *,
+    seed: int,
+    recording: str,
+    stream: str,
+    rate_hz: float,
+    n_samples: int,
+) -> EncoderSignals:
+    """Signals of the encoder under any motion, as it delivers them, with a record of every fault.
+
+    Edges are exact in time; a sample has the level that the last edge before it left. The angle that an encoder shows
+    is ratio·(crank angle + index_to_tdc_deg): its first line and its index come at whole turns of it. Times that a
+    counter takes are rounded to its clock.
+
+    ``motion``: of the crank; the first sample is at its time 0. ``encoder``: what the scene says of it. ``faults``: of
+    the scene, for any recordings. ``seed``: of the scene. ``recording``: name without suffix; ``stream``: name for the
+    seed streams. ``rate_hz``: samples per second. ``n_samples``: ≥ 1.
+    """
+    faulty = any(not fault.recordings or recording in fault.recordings for fault in faults)
+    if not faulty and _is_plain(motion, encoder):
+        return _plain_signals(motion, encoder, rate_hz=rate_hz, n_samples=n_samples)
+    tracks = _perfect_tracks(motion, encoder, seed=seed, stream=stream, rate_hz=rate_hz, n_samples=n_samples)
+    came = tracks.lines
+    tracks, records = with_encoder_faults(tracks, faults, seed=seed, recording=recording, stream=stream)
+    if encoder.delivered_as == "pulse_times":
+        pulse_s = _counted(tracks.lines, encoder, tracks.duration_s)
+        index_s = None if tracks.index is None else _counted(tracks.index, encoder, tracks.duration_s)
+        return EncoderSignals(trace=None, index=None, pulse_s=pulse_s, index_s=index_s, records=records)
+    if encoder.delivered_as == "square":
+        trace = sampled_level(tracks.lines, encoder.high_v, rate_hz=rate_hz, n_samples=n_samples)
+    else:
+        trace = _pickup(tracks, came, motion, encoder, rate_hz=rate_hz, n_samples=n_samples)
+        if encoder.noise_v:
+            noise = seed_stream(seed, "encoder", "noise", stream)
+            trace += np.float32(encoder.noise_v) * noise.standard_normal(n_samples, dtype=np.float32)
+    index = None
+    if tracks.index is not None:
+        index = sampled_level(tracks.index, 1.0, rate_hz=rate_hz, n_samples=n_samples).astype(np.uint8)
+    return EncoderSignals(trace=trace, index=index, pulse_s=None, index_s=None, records=records)
+
+
+def _perfect_tracks(
+    motion: Motion, encoder: Encoder, *, seed: int, stream: str, rate_hz: float, n_samples: int
+) -> Tracks:
+    """Pulses of lines and index before any fault; jitter is no fault."""
+    duration_s = n_samples / rate_hz
+    wheel = wheel_of(encoder, seed=seed)
+    lasts_turn = max(PICKUP_INDEX_TURN, wheel.pitch) if encoder.delivered_as == "analogue" else wheel.pitch
+
+    def index_later(lines: int) -> Pulses:
+        mark = index_wheel(wheel, lasts_turn=lasts_turn, lines_later=lines)
+        pulses = passed_pulses(mark, motion, encoder, duration_s=duration_s)
+        return jittered(pulses, seed_stream(seed, "encoder", "index_jitter", stream), encoder.jitter_s)
+
+    exact = passed_pulses(wheel, motion, encoder, duration_s=duration_s)
+    return Tracks(
+        lines=jittered(exact, seed_stream(seed, "encoder", "jitter", stream), encoder.jitter_s),
+        index=index_later(0) if encoder.index else None,
+        wheel=wheel,
+        ratio=encoder.ratio,
+        duration_s=duration_s,
+        pickup=encoder.delivered_as == "analogue",
+        shortest_s=_shortest_s(encoder, rate_hz),
+        index_later=index_later,
+        false_s=np.empty(0),
+        false_width_s=np.empty(0),
+        silent_s=(),
+    )
+
+
+def _is_plain(motion: Motion, encoder: Encoder) -> bool:
+    """Whether the encoder is a perfect one, sampled as a square wave, on a shaft of constant speed forwards."""
+    flaws = encoder.missing_teeth or encoder.eccentricity_deg or encoder.line_error_deg or encoder.jitter_s
+    perfect = not flaws and encoder.tooth_angles_deg is None and encoder.delivered_as == "square"
+    return perfect and motion.is_steady and motion.corners[0][1] > 0
+
+
+def _plain_signals(motion: Motion, encoder: Encoder, *, rate_hz: float, n_samples: int) -> EncoderSignals:
+    start_turn = float(encoder_turn(np.array([motion.start_rev]), encoder)[0])
+    if start_turn < 0:
+        start_turn -= math.floor(start_turn)
+    trace, index = sampled_encoder(
+        start_turn,
+        encoder.ratio * motion.corners[0][1],
+        pulses_per_rev=encoder.pulses_per_rev,
+        high_v=encoder.high_v,
+        rate_hz=rate_hz,
+        n_samples=n_samples,
+    )
+    return EncoderSignals(trace=trace, index=index if encoder.index else None, pulse_s=None, index_s=None, records=[])
+
+
+def _shortest_s(encoder: Encoder, rate_hz: float) -> float:
+    if encoder.delivered_as == "pulse_times":
+        return 1 / encoder.counter_hz if encoder.counter_hz else 0.0
+    return (SQUARE_SAMPLES if encoder.delivered_as == "square" else PICKUP_SAMPLES) / rate_hz
+
+
+def _counted(pulses: Pulses, encoder: Encoder, duration_s: float) -> NDArray[np.float64]:
+    """Times (s) of the rises within the recording, rounded to the clock of the counter."""
+    rise_s = pulses.rise_s[(pulses.rise_s >= 0) & (pulses.rise_s < duration_s)]
+    return np.rint(rise_s * encoder.counter_hz) / encoder.counter_hz if encoder.counter_hz else rise_s
+
+
+def sampled_level(pulses: Pulses, high: float, *, rate_hz: float, n_samples: int) -> NDArray[np.float32]:
+    """``high`` at the samples within a pulse, else 0, shape (n_samples,).
+
+    ``pulses``: in the sequence of time. ``high``: level. ``rate_hz``: samples per second, the first at time 0.
+    ``n_samples``: ≥ 1.
+    """
+    edge = np.stack((pulses.rise_s, pulses.fall_s), axis=1).ravel()
+    first = np.ceil(np.clip(edge * rate_hz, 0, n_samples)).astype(np.int64)
+    lasts = np.diff(first, prepend=0, append=n_samples)
+    level = np.zeros(lasts.size, dtype=np.float32)
+    level[1::2] = high
+    return np.repeat(level, lasts)
+
+
+def _pickup(
+    tracks: Tracks, came: Pulses, motion: Motion, encoder: Encoder, *, rate_hz: float, n_samples: int
+) -> NDArray[np.float32]:
+    """Voltage of a magnetic pickup: speed times a full wave from line to line, rising through zero at each.
+
+    Across a gap one wave reaches from the last line to the next, the higher the wider it is (the flux swings further,
+    as measured wheels show), up to WIDEST_WAVE pitches. ``came``: pulses before any faults. A false pulse is a wave of
+    its own in place of what was there; a dropout lasts until the wave is below zero.
+    """
+    place = _line_places(tracks, came, motion, encoder)
+    widest, gain = WIDEST_WAVE * tracks.wheel.pitch, encoder.high_v / encoder.pickup_rpm
+    trace = np.empty(n_samples, dtype=np.float32)
+    for start in range(0, n_samples, BLOCK_SAMPLES):
+        block = slice(start, min(start + BLOCK_SAMPLES, n_samples))
+        crank_rev, speed_rpm, _ = motion.at(np.arange(block.start, block.stop) / rate_hz)
+        _waves(encoder_turn(crank_rev, encoder), speed_rpm, place, widest, gain / tracks.wheel.pitch, trace[block])
+    for at_s, width_s in zip(tracks.false_s, tracks.false_width_s, strict=True):
+        first, end = math.ceil((at_s - width_s) * rate_hz), math.floor((at_s + width_s) * rate_hz) + 1
+        samples = np.arange(max(first, 0), min(end, n_samples))
+        height = gain * abs(float(motion.at(np.array([at_s]))[1][0]))
+        trace[samples] = height * np.sin(np.pi * (samples / rate_hz - at_s) / width_s)
+    for silent in tracks.silent_s:
+        first, end = (min(math.ceil(at_s * rate_hz), n_samples) for at_s in silent)
+        below = np.flatnonzero(trace[end:] <= 0)
+        trace[first : end + int(below[0]) if below.size else n_samples] = 0
+    return trace
+
+
+def _line_places(tracks: Tracks, came: Pulses, motion: Motion, encoder: Encoder) -> NDArray[np.float64]:
+    """Turns of the encoder at which lines gave pulses, ascending, one turn beyond the recording at either end."""
+    rise = tracks.wheel.rise
+    ends = np.array([0.0, tracks.duration_s, *(at for pair in motion.stretches(tracks.duration_s) for at in pair)])
+    turn = encoder_turn(motion.at(ends)[0], encoder)
+    number = np.arange((math.floor(turn.min()) - 2) * rise.size, (math.floor(turn.max()) + 3) * rise.size)
+    place: NDArray[np.float64] = rise[number % rise.size] + number // rise.size
+    if encoder.jitter_s:
+        lines = tracks.lines.where(tracks.lines.number != FALSE_PULSE)
+        probe = np.where(np.isfinite(lines.rise_s), lines.rise_s, 0.0)
+        at_s = np.where(motion.at(probe)[1] >= 0, lines.rise_s, lines.fall_s)
+        known = np.isfinite(at_s)
+        place[lines.number[known] - number[0]] = encoder_turn(motion.at(at_s[known])[0], encoder)
+        place = np.maximum.accumulate(place)
+    if tracks.lines is came:
+        return place
+    absent = np.setdiff1d(came.number, tracks.lines.number)
+    for start_s, end_s in tracks.silent_s:
+        absent = np.setdiff1d(absent, came.number[(came.rise_s >= start_s) & (came.rise_s < end_s)])
+    return place[~np.isin(number, absent)]
+
+
+@njit(cache=True, nogil=True)
+def _waves(turn, speed_rpm, place, widest, gain, out):  # type: ignore[no-untyped-def]
+    """Write into ``out`` the wave of each sample between the neighbouring lines of ``place``."""
+    k = 0
+    while k + 2 < place.size and place[k + 1] <= turn[0]:
+        k += 1
+    for i in range(turn.size):
+        while k + 2 < place.size and place[k + 1] <= turn[i]:
+            k += 1
+        while k > 0 and place[k] > turn[i]:
+            k -= 1
+        apart = place[k + 1] - place[k]
+        wave = min(apart, widest)
+        behind, ahead = turn[i] - place[k], place[k + 1] - turn[i]
+        if behind < 0.5 * wave:
+            out[i] = gain * speed_rpm[i] * wave * np.sin(2.0 * np.pi * behind / wave)
+        elif ahead < 0.5 * wave:
+            out[i] = -gain * speed_rpm[i] * wave * np.sin(2.0 * np.pi * ahead / wave)
+        else:
+            out[i] = 0.0

@@ -1,4 +1,4 @@
-"""The order lines of a scene: what each deterministic effect adds to each channel at one speed."""
+"""The order lines of a scene: the forces at multiples of a shaft's angle, and what they become in each channel."""
 
 from __future__ import annotations
 
@@ -8,10 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces
+from crankorder.engine.forces import crankcase_forces, crankcase_moments
+from crankorder.engine.gas import gas_torque_by_order
+from crankorder.synth.crank import crank_motion
+from crankorder.synth.cycle import lines_in_angle, lines_in_time
+from crankorder.synth.impacts import slipping_line
+from crankorder.synth.motion import Lag
 from crankorder.synth.noise import seed_stream
+from crankorder.synth.order_forces import ForceLines
+from crankorder.synth.parts import AXES, OtherShaft
 from crankorder.synth.response import accelerance
 from crankorder.synth.scene import Run, Scene
+
+Complex = NDArray[np.complex128]
+SIDEBAND = "in-cycle speed"
+"""Cause of a line that no force has: the shaft's uneven turning makes it of those that have one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,45 +33,149 @@ class OrderLines:
     """
 
     order: NDArray[np.float64]
-    amplitude: NDArray[np.complex128]
+    amplitude: Complex
     cause: tuple[str, ...]
 
 
-def order_lines(scene: Scene, run: Run) -> OrderLines:
-    """All order lines of one recording: exact steady states of the structure under the forces, and bearing lines.
+@dataclass(frozen=True)
+class _Force:
+    """One line of a force: complex peak by axis (6,) at a speed, how it grows with speed, and what it is."""
 
-    ``scene``: engine, structure and effects. ``run``: the recording, for its speed and its seed streams. A line that
-    two effects make is there twice; the lines add up.
+    order: float
+    amplitude: Complex
+    cause: str
+    at_speed_rpm: float = 1000.0
+    exponent: float = 2.0
+    inertia: bool = False
+    gas: bool = False
+
+
+def crank_forces(scene: Scene) -> ForceLines:
+    """Every force and moment of ``scene`` that follows the crank, those of shafts at a ratio to it included."""
+    forces = [*_masses(scene), *_gas(scene)]
+    ratios: dict[str | None, float] = {None: 1.0}
+    ratios |= {shaft.name: shaft.ratio for shaft in scene.other_shafts if shaft.ratio is not None}
+    for name, ratio in ratios.items():
+        forces += _injected(scene, name, ratio)
+    return _stacked(forces)
+
+
+def shaft_forces(scene: Scene, shaft: OtherShaft) -> ForceLines:
+    """Every force of ``scene`` that follows a ``shaft`` with a speed of its own, by orders of that shaft."""
+    return _stacked(_injected(scene, shaft.name, 1.0))
+
+
+def driven_lines(scene: Scene, forces: ForceLines, speed_rpm: float, lag: Lag | None = None) -> OrderLines:
+    """Steady response of the structure to ``forces``, by multiples of the mean rotation at ``speed_rpm``.
+
+    ``scene``: structure and filter. ``lag``: in-cycle motion of the shaft, which gives every line sidebands.
     """
-    forces: list[tuple[float, NDArray[np.complex128], str]] = []
-    if scene.engine_forces is not None:
-        by_order = crankcase_forces(scene.engine, run.speed_rpm, max_order=scene.highest_engine_order)
-        cause = "rotating" if scene.engine.reciprocating_mass_kg == 0 else "reciprocating"
-        forces += [(float(k), by_order[:, k], cause) for k in range(1, by_order.shape[1]) if by_order[:, k].any()]
-    for injected in scene.injected_orders:
-        size = injected.force_n * (run.speed_rpm / injected.at_speed_rpm) ** injected.speed_exponent
-        force = np.zeros(3, dtype=np.complex128)
-        force[DIRECTIONS.index(injected.direction)] = size * np.exp(1j * np.radians(injected.phase_deg))
-        forces.append((injected.order, force, injected.cause))
-
-    order = np.array([line[0] for line in forces])
+    order, force, cause = forces.order, forces.at_speed(speed_rpm), forces.cause
+    if lag is not None and order.size:
+        known = dict(zip(order.tolist(), cause, strict=True))
+        order, force = lines_in_time(forces, lag, speed_rpm=speed_rpm)
+        cause = tuple(known.get(value, SIDEBAND) for value in order.tolist())
     amplitude = np.zeros((len(scene.channels), 0), dtype=np.complex128)
-    if forces:
-        response = accelerance(scene.structure, order * run.speed_rpm / 60)
-        amplitude = np.einsum("cdl,ld->cl", response, np.array([line[1] for line in forces]))
-    bearing_order, bearing_amplitude, bearing_cause = _bearing_lines(scene, run)
+    if order.size:
+        response = accelerance(scene.structure, order * speed_rpm / 60)
+        if scene.filter is not None:
+            response = response * scene.filter.response(order * speed_rpm / 60)
+        amplitude = np.einsum("cal,al->cl", response, force)
+    return OrderLines(order=order, amplitude=amplitude, cause=cause)
+
+
+def fixed_lines(scene: Scene, run: Run) -> OrderLines:
+    """Bearing lines of ``scene`` in one ``run``, by multiples of the crank angle."""
+    orders = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
+    lines = scene.bearing_lines
+    order = [slipping_line(orders[line.bearing][line.line], slip_percent=line.slip_percent) for line in lines]
+    amplitude = np.zeros((len(scene.channels), len(order)), dtype=np.complex128)
+    for k, line in enumerate(lines):
+        phase_rev = seed_stream(scene.seed, "bearing_lines", str(k), run.stream).random()
+        size = scene.by_channel(line.amplitude_m_s2) * line.growth**run.repeat
+        amplitude[:, k] = size * np.exp(2j * np.pi * phase_rev)
+    causes = tuple(f"bearing {line.line}" for line in lines)
+    return OrderLines(order=np.array(order), amplitude=amplitude, cause=causes)
+
+
+def strikes_per_rev(orders: dict[str, float], line: str) -> float:
+    """Strikes per crank revolution of a damage of ``line``; ``orders``: of the bearing. A roller strikes both races."""
+    return 2 * orders[line] if line == "BSF" else orders[line]
+
+
+def order_lines(scene: Scene, run: Run, speed_rpm: float | None = None) -> OrderLines:
+    """What a perfect order analysis of ``run`` finds at a steady ``speed_rpm`` (the run's own unless stated).
+
+    ``scene``: engine, structure and effects. A line that two effects make is there twice; the lines add up.
+    """
+    speed = run.speed_rpm if speed_rpm is None else speed_rpm
+    lag = crank_motion(scene, run).lag if scene.in_cycle_speed is not None else None
+    driven, fixed = driven_lines(scene, crank_forces(scene), speed, lag), fixed_lines(scene, run)
+    if lag is not None and driven.order.size:
+        known = dict(zip(driven.order.tolist(), driven.cause, strict=True))
+        order, amplitude = lines_in_angle(driven.order, driven.amplitude, lag, speed_rpm=speed)
+        driven = OrderLines(
+            order=order, amplitude=amplitude, cause=tuple(known.get(value, SIDEBAND) for value in order.tolist())
+        )
     return OrderLines(
-        order=np.concatenate([order, bearing_order]),
-        amplitude=np.concatenate([amplitude, bearing_amplitude], axis=1),
-        cause=(*(line[2] for line in forces), *bearing_cause),
+        order=np.concatenate([driven.order, fixed.order]),
+        amplitude=np.concatenate([driven.amplitude, fixed.amplitude], axis=1),
+        cause=(*driven.cause, *fixed.cause),
     )
 
 
-def _bearing_lines(scene: Scene, run: Run) -> tuple[NDArray[np.float64], NDArray[np.complex128], tuple[str, ...]]:
-    orders = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
-    order = np.array([orders[line.bearing][line.line] for line in scene.bearing_lines])
-    amplitude = np.zeros((len(scene.channels), order.size), dtype=np.complex128)
-    for k, line in enumerate(scene.bearing_lines):
-        phase_rev = seed_stream(scene.seed, "bearing_lines", str(k), run.name).random()
-        amplitude[:, k] = scene.by_channel(line.amplitude_m_s2) * np.exp(2j * np.pi * phase_rev)
-    return order, amplitude, tuple(f"bearing {line.line}" for line in scene.bearing_lines)
+def _masses(scene: Scene) -> list[_Force]:
+    """Inertia forces of the engine's masses, with their moments where the scene asks for these."""
+    if scene.engine_forces is None:
+        return []
+    top, at_rpm = scene.highest_engine_order, 1000.0
+    acts = np.zeros((len(AXES), top + 1), dtype=np.complex128)
+    acts[:3] = crankcase_forces(scene.engine, at_rpm, max_order=top)
+    if scene.engine_forces.moments:
+        acts[3:] = crankcase_moments(scene.engine, at_rpm, max_order=top)
+    cause = "rotating" if scene.engine.reciprocating_mass_kg == 0 else "reciprocating"
+    return [
+        _Force(float(k), acts[:, k], cause, at_speed_rpm=at_rpm, inertia=True)
+        for k in range(1, top + 1)
+        if acts[:, k].any()
+    ]
+
+
+def _gas(scene: Scene) -> list[_Force]:
+    """The crankcase's reaction to the gas torque, by half orders in a four-stroke engine."""
+    if scene.gas_torque is None:
+        return []
+    highest = scene.gas_torque.highest_order
+    order, torque = gas_torque_by_order(scene.engine, int(np.ceil(highest)))
+    forces = []
+    for value, size in zip(order, torque, strict=True):
+        if 0 < value <= highest:
+            acts = np.zeros(len(AXES), dtype=np.complex128)
+            acts[AXES.index("RY")] = -size
+            forces.append(_Force(float(value), acts, "combustion", exponent=0.0, gas=True))
+    return forces
+
+
+def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
+    """Injected orders of one shaft, as orders of the shaft that turns ``ratio`` times slower."""
+    forces = []
+    for injected in scene.injected_orders:
+        if injected.shaft == shaft:
+            acts = np.zeros(len(AXES), dtype=np.complex128)
+            acts[AXES.index(injected.direction)] = injected.force_n * np.exp(1j * np.radians(injected.phase_deg))
+            at_rpm = injected.at_speed_rpm / ratio
+            cause, exponent = injected.cause, injected.speed_exponent
+            forces.append(_Force(injected.order * ratio, acts, cause, at_speed_rpm=at_rpm, exponent=exponent))
+    return forces
+
+
+def _stacked(forces: list[_Force]) -> ForceLines:
+    return ForceLines(
+        order=np.array([force.order for force in forces]),
+        amplitude=np.array([force.amplitude for force in forces], dtype=np.complex128).reshape(-1, len(AXES)).T,
+        at_speed_rpm=np.array([force.at_speed_rpm for force in forces]),
+        exponent=np.array([force.exponent for force in forces]),
+        inertia=np.array([force.inertia for force in forces], dtype=bool),
+        gas=np.array([force.gas for force in forces], dtype=bool),
+        cause=tuple(force.cause for force in forces),
+    )

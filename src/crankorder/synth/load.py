@@ -13,16 +13,22 @@ from crankorder.settings import toml_table, validation_fault
 from crankorder.synth.demands import unmet_demands
 from crankorder.synth.scene import Scene
 
+MAX_DEPTH = 4
+"""Scenes that may be based on one another in a row."""
+
 
 def load_scene(name: str, beside: Path | None = None) -> Scene:
     """Scene from a shipped file of ``pipeline/scenes`` or a user's TOML file, its engine loaded and everything checked.
+
+    A scene may name another with ``based_on``: it then has all of that scene's keys but those that it states itself and
+    those that it lists as ``without``.
 
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which paths are tried first.
     Raises RequestError where there is no such file, ManyErrors with every fault: unknown effects and keys, values out
     of range, names that do not exist, speeds and orders that the sampling cannot carry.
     """
-    table, source = toml_table(name, "scenes", beside=beside)
     faults: list[CrankorderError] = []
+    table, source = _whole_table(name, beside, faults)
     if "engine_file" in table:
         faults.append(RequestError("unknown key", file=source, place="engine_file", remedy="Name the engine as engine"))
     folder = beside if beside is not None else Path(name).parent if name.endswith(".toml") else None
@@ -43,6 +49,28 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     if faults or scene is None:
         raise ManyErrors(faults)
     return scene
+
+
+def _whole_table(
+    name: str, beside: Path | None, faults: list[CrankorderError], derived: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], str]:
+    """Table of a scene with what it takes from the scene that it is based on, and the file's name."""
+    table, source = toml_table(name, "scenes", beside=beside)
+    based_on, without = table.pop("based_on", None), table.pop("without", [])
+    if based_on is None:
+        if without:
+            faults.append(RequestError("without goes with based_on", file=source, place="without", found=without))
+        return table, source
+    if not isinstance(based_on, str) or based_on in (*derived, name) or len(derived) >= MAX_DEPTH:
+        allowed = f"the name of another scene, no circle, at most {MAX_DEPTH} deep"
+        raise RequestError("no scene to be based on", file=source, place="based_on", found=based_on, allowed=allowed)
+    base, _ = _whole_table(based_on, beside, faults, (*derived, name))
+    left_out = without if isinstance(without, list) else [without]
+    for key in left_out:
+        if key not in base:
+            known = ", ".join(key for key in base if key in Scene.model_fields)
+            faults.append(RequestError("nothing to leave out", file=source, place="without", found=key, allowed=known))
+    return {key: value for key, value in base.items() if key not in left_out} | table, source
 
 
 def _validated(
@@ -71,7 +99,7 @@ def _without(table: dict[str, Any], places: list[tuple[int | str, ...]], kept: d
     for place in places:
         head = str(place[0]) if place else ""
         field = Scene.model_fields.get(head)
-        if not place or (field is not None and field.is_required()):
+        if not place or head in ("speeds", "speed_profile") or (field is not None and field.is_required()):
             return False
         if len(place) > 1 and isinstance(place[1], int):
             items.setdefault(head, set()).add(place[1])

@@ -7,49 +7,80 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from crankorder.synth.effects import TimeSampling
+from crankorder.synth.effects import Encoder
+from crankorder.synth.faults import WrongLabels
+from crankorder.synth.parts import Channel, TimeSampling
 from crankorder.synth.scene import Scene
+from crankorder.synth.truth import name_of_test
+
+TRACE, INDEX, PULSE_TIME, INDEX_TIME = "encoder", "index", "pulse_time", "index_time"
+"""Datasets of the encoder in a file."""
 
 
-def manifest_text(scene: Scene, engine_name: str) -> str:
-    """Text of ``run.toml`` for the folder of ``scene``; ``engine_name`` is a shipped engine or a file in the folder."""
-    timed = isinstance(scene.sampling, TimeSampling)
+def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
+    """Text of ``run.toml`` for the folder of one ``repeat`` of ``scene``, wrong labels included.
+
+    ``engine_name``: a shipped engine or a file in the folder.
+    """
+    files = ["rpm_*.h5"] if scene.speeds is not None else [f"{run.name}.h5" for run in scene.runs]
+    labels = scene.wrong_labels or WrongLabels()
     table: dict[str, Any] = {
         "schema_version": 1,
-        "test": {"name": scene.title, "engine": engine_name, "cycle": scene.engine.cycle},
-        "recordings": {"files": ["rpm_*.h5"]},
+        "test": {"name": name_of_test(scene, repeat), "engine": engine_name, "cycle": scene.engine.cycle},
+        "recordings": {"files": files},
     }
     if isinstance(scene.sampling, TimeSampling):
-        table["sampling"] = {"domain": "time", "rate_hz": scene.sampling.rate_hz}
+        table["sampling"] = {"domain": "time", "rate_hz": scene.sampling.rate_hz * labels.rate_factor}
     else:
         sampling = {"samples_per_rev": scene.sampling.samples_per_rev, "start_deg": 0.0}
         table["sampling"] = {"domain": "crank_angle", **sampling}
-        table["recordings"]["speed_rpm"] = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
-    table["channels"] = [
-        {
-            "name": channel.name,
-            "source": channel.source,
-            "quantity": "acceleration",
-            "unit": "m/s2",
-            "direction": channel.direction,
-        }
-        for channel in scene.channels
-    ]
-    if timed and scene.encoder is not None:
-        table["encoder"] = {
-            "source": "encoder",
-            "kind": "square",
-            "pulses_per_rev": scene.encoder.pulses_per_rev,
-            "missing_teeth": 0,
-            "index": "index",
-            "edge": "rising",
-            "ratio": 1.0,
-            "index_to_tdc_deg": 0.0,
-        }
+        stated = {f"{run.name}.h5": run.speed_rpm * labels.speed_factor for run in scene.runs}
+        table["recordings"]["speed_rpm"] = stated
+    table["channels"] = [_channel(scene, channel) for channel in scene.channels]
+    if scene.encoder is not None:
+        table["encoder"] = _encoder(scene.encoder, labels)
     table["bearings"] = [
         bearing.model_dump(exclude_none=True, exclude_defaults=True) for bearing in scene.engine.bearings
     ]
     return toml_text(table)
+
+
+def labelled_unit(scene: Scene, channel: str) -> str:
+    """Unit of what the file holds for ``channel``, as ``scene`` labels it."""
+    if scene.wrong_labels is not None and channel in scene.wrong_labels.units:
+        return scene.wrong_labels.units[channel]
+    return "V" if scene.acquisition.sensitivity_mv_per_g is not None else "m/s2"
+
+
+def _channel(scene: Scene, channel: Channel) -> dict[str, Any]:
+    swapped = scene.wrong_labels.swapped if scene.wrong_labels else None
+    source = channel.source
+    if swapped is not None and channel.name in swapped:
+        other = swapped[1 - swapped.index(channel.name)]
+        source = next(entry.source for entry in scene.channels if entry.name == other)
+    entry = {"name": channel.name, "source": source, "quantity": "acceleration", "unit": "m/s2"}
+    if scene.acquisition.sensitivity_mv_per_g is not None:
+        entry["sensitivity"] = f"{scene.acquisition.sensitivity_mv_per_g:.12g} mV/g"
+    return entry | {"direction": channel.direction}
+
+
+def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, Any]:
+    counted = encoder.delivered_as == "pulse_times"
+    table: dict[str, Any] = {
+        "source": PULSE_TIME if counted else TRACE,
+        "kind": encoder.delivered_as,
+        "pulses_per_rev": labels.pulses_per_rev or encoder.pulses_per_rev,
+        "missing_teeth": encoder.missing_teeth,
+        "ratio": encoder.ratio,
+    }
+    if encoder.tooth_angles_deg is not None:
+        del table["missing_teeth"]
+        table["tooth_angles_deg"] = list(encoder.tooth_angles_deg)
+    if encoder.index:
+        table["index"] = INDEX_TIME if counted else INDEX
+    if encoder.index or encoder.missing_teeth or encoder.tooth_angles_deg:
+        table["index_to_tdc_deg"] = encoder.index_to_tdc_deg
+    return table if counted else table | {"edge": "rising"}
 
 
 def toml_text(table: Mapping[str, Any], prefix: str = "") -> str:

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from crankorder.synth.analogue import AnalogueFilter
+from crankorder.synth.effects import ColouredNoise
+
+MOST_FOLDS = 64
+"""Images of the band that are added one by one where a density is not level; those above add in closed form."""
+
+ROUND_OFF = 1e-12
+"""Sum of images, relative to the power that a filter lets through at best, that is no more than round-off."""
 
 
 def seed_stream(seed: int, *names: str) -> np.random.Generator:
@@ -58,21 +68,90 @@ def padded_length(n_samples: int, tail_samples: int) -> int:
 
 
 def coloured_noise(
-    spectra: list[NDArray[np.complex64] | None], response: NDArray[np.complex64], *, n_padded: int, n_samples: int
+    spectra: Sequence[NDArray[np.complex64]], response: NDArray[np.complex64], *, n_padded: int, n_samples: int
 ) -> NDArray[np.float32]:
     """What white forces become behind a response, shape (channel, n_samples).
 
-    ``spectra``: per direction the half spectrum of a force, or None where there is none. ``response``: shape
-    (channel, direction, bin). ``n_padded``: length that the spectra stand for. ``n_samples``: how many are kept.
+    ``spectra``: the half spectrum of each force. ``response``: shape (channel, force, bin). ``n_padded``: length that
+    the spectra stand for. ``n_samples``: how many are kept.
     """
     from scipy.fft import irfft
 
     noise = np.zeros((response.shape[0], n_samples), dtype=np.float32)
     for channel, row in enumerate(response):
-        total: NDArray[np.complex64] | None = None
+        total = np.zeros(response.shape[2], dtype=np.complex64)
         for gain, spectrum in zip(row, spectra, strict=True):
-            if spectrum is not None:
-                total = gain * spectrum if total is None else total + gain * spectrum
-        if total is not None:
+            total += gain * spectrum
+        if total.any():
             noise[channel] = irfft(total, n=n_padded, overwrite_x=True)[:n_samples]
     return noise
+
+
+def shaped_noise(
+    stream: np.random.Generator, density: NDArray[np.float64], *, rate_hz: float, n_samples: int
+) -> NDArray[np.float32]:
+    """Gaussian noise of a one-sided density (unit/√Hz) that changes with frequency, shape (n_samples,), without mean.
+
+    ``stream``: where the randomness comes from. ``density``: ≥ 0 at the bins of a real transform of an even length of
+    at least ``n_samples`` samples, shape (length // 2 + 1,); take the length from :func:`padded_length`.
+    ``rate_hz``: samples per second. ``n_samples``: how many are kept, ≥ 1. Raises ValueError for too few bins.
+    """
+    from scipy.fft import irfft
+
+    n_padded = 2 * (density.size - 1)
+    if n_padded < n_samples:
+        raise ValueError(f"{density.size} bins make {n_padded} samples of noise, not {n_samples}")
+    spectrum = white_spectrum(stream, 1.0, rate_hz=rate_hz, n_samples=n_padded)
+    spectrum *= density.astype(np.float32)
+    noise: NDArray[np.float32] = irfft(spectrum, n=n_padded, overwrite_x=True)[:n_samples]
+    return noise
+
+
+def density_through_points(part: ColouredNoise, frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One-sided density (m/s²/√Hz) straight on log scales from point to point, level outside; ``frequency_hz``'s shape.
+
+    ``part``: the points. ``frequency_hz``: ≥ 0.
+    """
+    points_hz, levels = np.log(part.frequency_hz), np.log(part.m_s2_per_root_hz)
+    log_hz = np.log(np.maximum(frequency_hz, part.frequency_hz[0]))
+    density: NDArray[np.float64] = np.exp(np.interp(log_hz, points_hz, levels))
+    return density
+
+
+def folded_density(
+    density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    filter: AnalogueFilter | None,
+    rate_hz: float,
+    frequency_hz: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """One-sided density of noise behind an analogue filter after sampling, shape of ``frequency_hz``.
+
+    Before a low-pass filter the noise goes on for ever above half the rate; what the filter leaves of it folds back,
+    and powers add: Σ over all whole k of (density · |H|)² at |f + k · rate|. Without a low-pass filter that sum would
+    be infinite; then ``density`` is by definition what a recording has up to half its rate, and nothing folds (an AC
+    coupling still works on it).
+
+    ``density``: unit/√Hz at frequencies ≥ 0, level above some frequency (from 64 rates on it is taken as level).
+    ``filter``: None where there is none. ``rate_hz``: true samples per second. ``frequency_hz``: 0 … rate_hz / 2.
+    """
+    frequency = np.asarray(frequency_hz, dtype=np.float64)
+    passed = np.ones_like(frequency) if filter is None else np.abs(filter.response(frequency)) ** 2
+    power = density(frequency) ** 2 * passed
+    if filter is not None and filter.direct == 0.0:
+        folds = 0
+        while folds == 0 or (folds < MOST_FOLDS and not _is_level(density, (folds + 0.5) * rate_hz)):
+            folds += 1
+            for image_hz in (folds * rate_hz - frequency, folds * rate_hz + frequency):
+                gain = np.abs(filter.response(image_hz)) ** 2
+                power += density(image_hz) ** 2 * gain
+                passed += gain
+        beyond = filter.folded_power(rate_hz, frequency) - passed
+        level = density(np.array([(folds + 0.5) * rate_hz]))
+        power += np.where(beyond > ROUND_OFF, level**2 * beyond, 0.0)
+    folded: NDArray[np.float64] = np.sqrt(power)
+    return folded
+
+
+def _is_level(density: Callable[[NDArray[np.float64]], NDArray[np.float64]], from_hz: float) -> bool:
+    values = density(np.geomspace(from_hz, 1e4 * from_hz, 257))
+    return bool(np.ptp(values) <= 1e-9 * np.max(values))

@@ -1,120 +1,84 @@
-"""One recording of a scene, sample by sample."""
+"""One recording of a scene, sample by sample: the sum of its effects, then what stands between sensor and file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.engine.forces import DIRECTIONS
-from crankorder.synth.effects import TimeSampling
-from crankorder.synth.encoder import sampled_encoder
-from crankorder.synth.lines import order_lines
-from crankorder.synth.noise import coloured_noise, padded_length, seed_stream, white_noise, white_spectrum
-from crankorder.synth.response import accelerance, tones
+from crankorder.synth.acquisition import Recorded, recorded
+from crankorder.synth.crank import crank_motion
+from crankorder.synth.encoder import EncoderSignals, encoder_signals
+from crankorder.synth.floor import Floor, noise_signal
 from crankorder.synth.scene import Run, Scene
+from crankorder.synth.sensed import bearing_signal, impact_signal, order_signal, tone_signal
+from crankorder.synth.signal_faults import converter_records, stand_ins, with_signal_faults
 
-RINGING_TIMES = 6.0
-"""Decay times of the slowest mode after which a noise record no longer remembers its other end (e⁻⁶ = 0.25 %)."""
+Signal = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SyntheticRecording:
-    """What one file holds: ``signal`` (channel, sample) in m/s², and ``encoder`` (V) and ``index`` (0, 1) or None."""
+    """What one file holds: the recorded channels, the encoder or None, and what was made faulty where."""
 
-    signal: NDArray[np.float32]
-    encoder: NDArray[np.float32] | None
-    index: NDArray[np.uint8] | None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BroadbandResponse:
-    """Response of the channels to the white forces on the bins of a transform of ``n_padded`` samples."""
-
-    n_padded: int
-    response: NDArray[np.complex64]
+    recorded: Recorded
+    encoder: EncoderSignals | None
+    faults: list[dict[str, Any]]
 
 
-def broadband_response(scene: Scene, rate_hz: float) -> BroadbandResponse | None:
-    """Response that turns white forces into the broadband floor, or None where the scene has none.
+def sensed(scene: Scene, run: Run, floor: Floor) -> Signal:
+    """What the sensors of ``scene`` give in ``run``, filtered, neither faulty nor converted: (channel, sample), m/s².
 
-    ``scene``: structure and broadband forces. ``rate_hz``: samples per second. Recordings of one rate and length
-    share it.
+    ``floor``: of :func:`crankorder.synth.floor.floor_of` at the rate of the run. An effect that is not named is not
+    looked at; the effects add up.
     """
-    if scene.broadband is None:
-        return None
-    structure = scene.structure
-    decay_s = np.max(1 / (2 * np.pi * structure.frequency_hz * structure.damping_ratio), initial=0.0)
-    tail = min(int(RINGING_TIMES * decay_s * rate_hz), scene.n_samples)
-    n_padded = padded_length(scene.n_samples, tail)
-    frequency: NDArray[np.float64] = np.arange(n_padded // 2 + 1, dtype=np.float64) * (rate_hz / n_padded)
-    response = np.empty((len(scene.channels), 3, frequency.size), dtype=np.complex64)
-    for part in np.array_split(np.arange(frequency.size), max(1, frequency.size // 65536)):
-        gain = broadband_roll_off(scene, frequency[part])
-        response[:, :, part[0] : part[-1] + 1] = accelerance(structure, frequency[part]) * gain
-    return BroadbandResponse(n_padded=n_padded, response=response)
+    motion = crank_motion(scene, run)
+    signal = order_signal(scene, run, motion)
+    if scene.bearing_lines:
+        signal += bearing_signal(scene, run, motion)
+    if scene.tones:
+        signal += tone_signal(scene, run, motion)
+    if scene.bearing_impacts:
+        signal += impact_signal(scene, run, motion)
+    if scene.broadband or scene.sensor_noise or scene.coloured_noise:
+        signal += noise_signal(scene, run, floor)
+    return signal
 
 
-def broadband_roll_off(scene: Scene, frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Amplitude of the broadband forces relative to their white part, shape of ``frequency_hz``; 1/√2 at the corner.
+def synthesise(scene: Scene, run: Run, floor: Floor) -> SyntheticRecording:
+    """One recording as a file holds it.
 
-    ``scene``: its broadband forces give the corner; without any the result is 0.
+    ``scene``: what to make. ``run``: which recording. ``floor``: of :func:`crankorder.synth.floor.floor_of` at the rate
+    of the run.
     """
-    if scene.broadband is None:
-        return np.zeros_like(frequency_hz)
-    return 1 / np.sqrt(1 + (frequency_hz / scene.broadband.corner_hz) ** 4)
-
-
-def start_angle_rev(scene: Scene, run: Run) -> float:
-    """Crank angle of the first sample from firing top dead centre, 0 … 2 revolutions: by chance when sampled in time.
-
-    ``scene``: its seed and sampling. ``run``: the recording. Sampled by crank angle a recording starts at 0.
-    """
-    if isinstance(scene.sampling, TimeSampling):
-        return 2 * float(seed_stream(scene.seed, "start_angle", run.name).random())
-    return 0.0
-
-
-def synthesise(scene: Scene, run: Run, broadband: BroadbandResponse | None) -> SyntheticRecording:
-    """Signals of one recording as the sum of its effects.
-
-    ``scene``: what to make. ``run``: which recording. ``broadband``: of :func:`broadband_response` at the rate of the
-    run.
-    """
-    rate_hz, n_samples = scene.rate_hz(run.speed_rpm), scene.n_samples
-    start_rev = start_angle_rev(scene, run)
-    signal = np.zeros((len(scene.channels), n_samples))
-    lines = order_lines(scene, run)
-    if lines.order.size:
-        at_start = lines.amplitude * np.exp(2j * np.pi * lines.order * start_rev)
-        signal = tones(at_start, lines.order * run.speed_rpm / 60, rate_hz=rate_hz, n_samples=n_samples)
-    if scene.broadband is not None and broadband is not None:
-        signal += _broadband(scene, run, broadband, rate_hz)
-    if scene.sensor_noise is not None:
-        for row, name in zip(signal, scene.channel_names, strict=True):
-            density = scene.sensor_noise.m_s2_per_root_hz.get(name, 0.0)
-            if density:
-                stream = seed_stream(scene.seed, "sensor_noise", run.name, name)
-                row += white_noise(stream, density, rate_hz=rate_hz, n_samples=n_samples)
-    encoder = index = None
-    if scene.encoder is not None:
-        encoder, index = sampled_encoder(
-            start_rev,
-            run.speed_rpm,
-            pulses_per_rev=scene.encoder.pulses_per_rev,
-            high_v=scene.encoder.high_v,
+    signal, rate_hz = sensed(scene, run, floor), scene.rate_hz(run.speed_rpm)
+    faults: list[dict[str, Any]] = []
+    if scene.signal_faults:
+        signal, faults = with_signal_faults(
+            signal,
+            scene.signal_faults,
+            names=scene.channel_names,
+            recording=run.name,
+            stream=run.stream,
             rate_hz=rate_hz,
-            n_samples=n_samples,
+            seed=scene.seed,
         )
-    return SyntheticRecording(signal=signal.astype(np.float32), encoder=encoder, index=index)
-
-
-def _broadband(scene: Scene, run: Run, broadband: BroadbandResponse, rate_hz: float) -> NDArray[np.float32]:
-    spectra: list[NDArray[np.complex64] | None] = []
-    for axis in DIRECTIONS:
-        density = scene.broadband.force_n_per_root_hz.get(axis, 0.0) if scene.broadband else 0.0
-        stream = seed_stream(scene.seed, "broadband", run.name, axis)
-        white = white_spectrum(stream, density, rate_hz=rate_hz, n_samples=broadband.n_padded) if density else None
-        spectra.append(white)
-    return coloured_noise(spectra, broadband.response, n_padded=broadband.n_padded, n_samples=scene.n_samples)
+    encoder = None
+    if scene.encoder is not None:
+        encoder = encoder_signals(
+            crank_motion(scene, run),
+            scene.encoder,
+            scene.encoder_faults,
+            seed=scene.seed,
+            recording=run.name,
+            stream=run.stream,
+            rate_hz=rate_hz,
+            n_samples=scene.n_samples,
+        )
+        faults += encoder.records
+    made = recorded(signal, scene.acquisition, stand_ins=stand_ins(faults, names=scene.channel_names))
+    faults += converter_records(made.clipped_share, names=scene.channel_names, recording=run.name)
+    named = [{**fault, "recording": f"{run.name}.h5"} for fault in faults]
+    return SyntheticRecording(recorded=made, encoder=encoder, faults=named)

@@ -13,37 +13,56 @@ BLOCK_SAMPLES = 1024
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Structure:
-    """Modes and rigid-body part between forces in X, Y, Z at the crankcase and the accelerometers.
+    """Modes and rigid-body part between what acts on the crankcase (``parts.AXES``) and the accelerometers.
 
     ``frequency_hz`` and ``damping_ratio`` (mode); ``sensor_per_kg`` (mode, channel): motion of a sensor per unit of
-    modal force; ``drive`` (mode, direction): share of a force that works on a mode; ``rigid_body_per_kg`` (channel,
-    direction). The residue of a mode from a direction to a channel is ``sensor_per_kg · drive`` (1/kg).
+    modal force, complex where the mode is; ``drive`` (mode, axis): share of a force (1) or moment (1/m) that works on a
+    mode; ``rigid_body_per_kg`` (channel, axis). The residue of a mode from an axis to a channel is
+    ``sensor_per_kg · drive`` (1/kg).
     """
 
     frequency_hz: NDArray[np.float64]
     damping_ratio: NDArray[np.float64]
-    sensor_per_kg: NDArray[np.float64]
+    sensor_per_kg: NDArray[np.complex128]
     drive: NDArray[np.float64]
     rigid_body_per_kg: NDArray[np.float64]
 
 
 def accelerance(structure: Structure, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-    """Complex acceleration per force (1/kg), shape (channel, direction, frequency).
+    """Complex acceleration per force (1/kg), shape (channel, axis, frequency): the exact steady state.
 
-    Σ residue · (−ω²) / (ωn² − ω² + 2iζωnω) + rigid-body part: the exact steady state at each frequency.
-
-    ``structure``: modes and rigid-body part. ``frequency_hz``: ≥ 0, shape (frequency,).
-    Source: any text on modal analysis, for instance Ewins (2000), equation 2.67 with ω² for acceleration.
+    ``structure``: modes and rigid-body part. ``frequency_hz``: any sign, shape (frequency,).
+    The formula is that of :func:`transfer_function` at s = iω.
     """
-    frequency = np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
-    response = np.zeros((*structure.rigid_body_per_kg.shape, frequency.size), dtype=np.complex128)
+    omega = 2 * np.pi * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
+    return transfer_function(structure, 1j * omega)
+
+
+def transfer_function(structure: Structure, s_per_s: ArrayLike) -> NDArray[np.complex128]:
+    """Acceleration per force (1/kg) at points of the complex plane, shape (channel, axis, point).
+
+    ``structure``: modes and rigid-body part. ``s_per_s``: points (rad/s), shape (point,), none of them a pole.
+
+    A real residue r gives r·s²/(s² + 2ζω_n·s + ω_n²). A residue r·e^{iψ} gives s² times the displacement
+    r·[e^{iψ}/(s − λ) − e^{−iψ}/(s − λ*)]/(2iω_d), λ = −ζω_n + iω_d, less its part r·sin ψ·s/ω_d, which grows with
+    frequency for ever: the modes of any body with mass cancel it among themselves (Σ r·sin ψ/ω_d = 0).
+    Source: any text on modal analysis, for instance Ewins (2000), equations 2.67 and 2.86, with s² for acceleration.
+    """
+    s = np.asarray(s_per_s, dtype=np.complex128)
+    response = np.zeros((*structure.rigid_body_per_kg.shape, s.size), dtype=np.complex128)
     response += structure.rigid_body_per_kg[:, :, None]
-    for j, natural_hz in enumerate(structure.frequency_hz):
-        ratio = frequency / natural_hz
-        shape = -(ratio**2) / (1 - ratio**2 + 2j * structure.damping_ratio[j] * ratio)
-        for channel, direction in np.argwhere(np.outer(structure.sensor_per_kg[j], structure.drive[j])):
-            residue = structure.sensor_per_kg[j, channel] * structure.drive[j, direction]
-            response[channel, direction] += residue * shape
+    for natural_hz, damping, sensor, drive in zip(
+        structure.frequency_hz, structure.damping_ratio, structure.sensor_per_kg, structure.drive, strict=True
+    ):
+        x = s / (2 * np.pi * natural_hz)
+        over = x / (1 + x * (x + 2 * damping))
+        in_phase = x * over
+        quadrature = -over * (1 + damping * x) / np.sqrt(1 - damping**2) if np.any(np.imag(sensor)) else over
+        for channel, axis in np.argwhere(np.outer(sensor, drive)):
+            residue = sensor[channel] * drive[axis]
+            response[channel, axis] += residue.real * in_phase
+            if residue.imag:
+                response[channel, axis] += residue.imag * quadrature
     return response
 
 

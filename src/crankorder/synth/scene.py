@@ -11,34 +11,58 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import DIRECTIONS
 from crankorder.engine.harmonics import orders_for
+from crankorder.synth.acquisition import true_rate_hz
+from crankorder.synth.analogue import AnalogueFilter, analogue_filter
 from crankorder.synth.effects import (
+    Acquisition,
+    BearingImpacts,
     BearingLine,
     Broadband,
-    ByChannel,
-    ByDirection,
-    Channel,
-    CrankAngleSampling,
+    ColouredNoise,
     Encoder,
     EngineForces,
+    GasTorque,
+    InCycleSpeed,
     InjectedOrder,
+    SensorNoise,
+    Tone,
+    Wander,
+    Wobble,
+)
+from crankorder.synth.faults import AnyEncoderFault, AnySignalFault, WrongLabels
+from crankorder.synth.parts import (
+    AXES,
+    ByAxis,
+    ByChannel,
+    Channel,
+    CrankAngleSampling,
     Mode,
+    OtherShaft,
     Part,
     Quick,
-    SensorNoise,
+    SpeedProfile,
     Speeds,
     TimeSampling,
 )
 from crankorder.synth.response import Structure
 
+SWEEP = "sweep"
+"""Name of the recording of a speed profile."""
+
 
 @dataclass(frozen=True)
 class Run:
-    """One recording to be made: its name (file stem) and speed."""
+    """One recording to be made: its name (file stem), its speed (of a profile: the highest), and which repeat."""
 
     name: str
     speed_rpm: float
+    repeat: int = 0
+
+    @property
+    def stream(self) -> str:
+        """Name of the recording for seed streams: every repeat draws anew."""
+        return self.name if self.repeat == 0 else f"{self.name}#{self.repeat}"
 
 
 class Scene(Part):
@@ -50,17 +74,31 @@ class Scene(Part):
     engine: Engine
     seed: Annotated[int, Field(ge=0)]
     sampling: TimeSampling | CrankAngleSampling = Field(discriminator="domain")
-    speeds: Speeds
-    quick: Quick = Quick()
     channels: tuple[Channel, ...] = Field(min_length=1, strict=False)
+    speeds: Speeds | None = None
+    speed_profile: SpeedProfile | None = None
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    quick: Quick = Quick()
     modes: tuple[Mode, ...] = Field(default=(), strict=False)
-    rigid_body_per_kg: dict[str, ByDirection] = Field(default_factory=dict)
+    rigid_body_per_kg: dict[str, ByAxis] = Field(default_factory=dict)
+    other_shafts: tuple[OtherShaft, ...] = Field(default=(), strict=False)
+    speed_wobbles: tuple[Wobble, ...] = Field(default=(), strict=False)
+    speed_wander: Wander | None = None
+    in_cycle_speed: InCycleSpeed | None = None
     engine_forces: EngineForces | None = None
+    gas_torque: GasTorque | None = None
     injected_orders: tuple[InjectedOrder, ...] = Field(default=(), strict=False)
     bearing_lines: tuple[BearingLine, ...] = Field(default=(), strict=False)
+    bearing_impacts: tuple[BearingImpacts, ...] = Field(default=(), strict=False)
+    tones: tuple[Tone, ...] = Field(default=(), strict=False)
     broadband: Broadband | None = None
     sensor_noise: SensorNoise | None = None
+    coloured_noise: tuple[ColouredNoise, ...] = Field(default=(), strict=False)
+    acquisition: Acquisition = Acquisition()
     encoder: Encoder | None = None
+    encoder_faults: tuple[AnyEncoderFault, ...] = Field(default=(), strict=False)
+    signal_faults: tuple[AnySignalFault, ...] = Field(default=(), strict=False)
+    wrong_labels: WrongLabels | None = None
 
     @cached_property
     def channel_names(self) -> tuple[str, ...]:
@@ -70,18 +108,25 @@ class Scene(Part):
     @cached_property
     def structure(self) -> Structure:
         """Modes and rigid-body part as arrays."""
+        turned = [
+            self.by_channel(mode.sensor_per_kg) * np.exp(1j * np.radians(self.by_channel(mode.sensor_phase_deg)))
+            for mode in self.modes
+        ]
+        rigid = [[self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in AXES] for name in self.channel_names]
         return Structure(
             frequency_hz=np.array([mode.frequency_hz for mode in self.modes]),
             damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
-            sensor_per_kg=np.array([self.by_channel(mode.sensor_per_kg) for mode in self.modes]),
-            drive=np.array([[mode.drive.get(axis, 0.0) for axis in DIRECTIONS] for mode in self.modes]),
-            rigid_body_per_kg=np.array(
-                [
-                    [self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in DIRECTIONS]
-                    for name in self.channel_names
-                ]
+            sensor_per_kg=np.array(turned, dtype=np.complex128).reshape(len(self.modes), len(self.channels)),
+            drive=np.array([[mode.drive.get(axis, 0.0) for axis in AXES] for mode in self.modes]).reshape(
+                -1, len(AXES)
             ),
+            rigid_body_per_kg=np.array(rigid),
         )
+
+    @cached_property
+    def filter(self) -> AnalogueFilter | None:
+        """What stands between a sensor and the converter; None where nothing does."""
+        return analogue_filter(self.acquisition)
 
     @cached_property
     def highest_engine_order(self) -> int:
@@ -89,25 +134,39 @@ class Scene(Part):
         return orders_for(self.engine_forces.tolerance, self.engine.mechanism) if self.engine_forces else 0
 
     @cached_property
-    def runs(self) -> tuple[Run, ...]:
-        """The recordings, named by speed; a speed that comes again gets a number."""
+    def speed_range_rpm(self) -> tuple[float, float]:
+        """Lowest and highest speed of all recordings, without wobble and in-cycle motion."""
+        if self.speeds is not None:
+            return min(self.speeds.rpm), max(self.speeds.rpm)
+        reached = self.speed_profile.rpm if self.speed_profile is not None else (0.0,)
+        return min(reached), max(reached)
+
+    def runs_of(self, repeat: int) -> tuple[Run, ...]:
+        """The recordings of one ``repeat`` (from 0), named by speed; a speed that comes again gets a number."""
+        if self.speeds is None:
+            return (Run(SWEEP, self.speed_range_rpm[1], repeat),)
         seen: dict[str, int] = {}
         runs = []
         for speed in self.speeds.rpm:
             whole, _, rest = f"{speed:.6f}".partition(".")
             stem = f"rpm_{whole:0>4}" + (f".{rest.rstrip('0')}" if rest.strip("0") else "")
             seen[stem] = seen.get(stem, 0) + 1
-            runs.append(Run(stem if seen[stem] == 1 else f"{stem}_{seen[stem]}", speed))
+            runs.append(Run(stem if seen[stem] == 1 else f"{stem}_{seen[stem]}", speed, repeat))
         return tuple(runs)
+
+    @cached_property
+    def runs(self) -> tuple[Run, ...]:
+        """The recordings of the first repeat."""
+        return self.runs_of(0)
 
     def by_channel(self, values: ByChannel) -> NDArray[np.float64]:
         """``values`` in the sequence of the channels, zero where a channel is not named, shape (channel,)."""
         return np.array([values.get(name, 0.0) for name in self.channel_names])
 
     def rate_hz(self, speed_rpm: float) -> float:
-        """Samples per second at ``speed_rpm``."""
+        """Samples per true second at ``speed_rpm``: the clock's error is in it, the label's is not."""
         if isinstance(self.sampling, TimeSampling):
-            return self.sampling.rate_hz
+            return true_rate_hz(self.acquisition, self.sampling.rate_hz)
         return self.sampling.samples_per_rev * speed_rpm / 60
 
     @property
@@ -121,5 +180,10 @@ class Scene(Part):
         """The same scene with the differences of its ``quick`` table."""
         length = {"duration_s": self.quick.duration_s, "revs": self.quick.revs}
         update = {key: value for key, value in length.items() if value is not None and hasattr(self.sampling, key)}
-        differences = {"sampling": self.sampling.model_copy(update=update), "speeds": self.quick.speeds or self.speeds}
+        differences = {
+            "sampling": self.sampling.model_copy(update=update),
+            "speeds": self.quick.speeds or self.speeds,
+            "speed_profile": self.quick.speed_profile or self.speed_profile,
+            "repeats": self.quick.repeats or self.repeats,
+        }
         return Scene.model_construct(**{**{key: getattr(self, key) for key in Scene.model_fields}, **differences})

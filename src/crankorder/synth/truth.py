@@ -6,75 +6,103 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
-from crankorder.engine.forces import DIRECTIONS
+from crankorder.engine.forces import crankcase_forces
+from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.quantities import Truth
-from crankorder.synth.lines import OrderLines, order_lines
-from crankorder.synth.recording import broadband_roll_off
-from crankorder.synth.response import Structure, accelerance
-from crankorder.synth.scene import Scene
+from crankorder.synth.effects import BearingImpacts, BearingLine
+from crankorder.synth.floor import floor_density
+from crankorder.synth.impacts import slipping_line
+from crankorder.synth.lines import SIDEBAND, OrderLines, order_lines, strikes_per_rev
+from crankorder.synth.response import Structure
+from crankorder.synth.scene import Run, Scene
 
 UNIT = "m/s2"
 VISIBLE_DB = 14.0
 """A line is said to show where it stands this far above the floor of a spectrum over the whole recording: noise alone
 reaches 11.4 dB with a chance of 1e-6, and a line at 14 dB is above that 95 times in a hundred."""
+LEAST_SHARE = 1e-9
+"""Of the largest line: what is below is in the recordings but not worth a record."""
+N_SPEEDS = 41
+"""Steady speeds at which the lines of a speed profile are told."""
 PROMINENT_DB = 6.0
 """A mode is said to show in a channel where it lifts the floor at its natural frequency by this much."""
 
 
-def truth_of(scene: Scene) -> Truth:
+def truth_of(scene: Scene, repeat: int = 0) -> Truth:
     """Everything that ``scene`` puts into its recordings: order lines, modes, crossings, bearings, balance.
 
     Amplitudes are peaks, phases count from top dead centre (``phase_ambiguity_deg`` tells by how much a half order's
     phase shifts when the other of the two dead centres is taken). ``floor_density`` is the one-sided amplitude density
-    of the noise at the line, unit/√Hz; ``speed_range_rpm`` the speeds at which the line shows (``VISIBLE_DB``).
+    of the noise at the line, unit/√Hz; ``speed_range_rpm`` the speeds at which the line shows (``VISIBLE_DB``). For a
+    speed profile the lines are those of steady speeds between its lowest and highest. ``repeat``: which one, from 0.
+    What was made faulty is not here yet: ``quality`` is known when the recordings are made.
     """
-    lines = [order_lines(scene, run) for run in scene.runs]
+    runs = scene.runs_of(repeat)
     return Truth(
         {
             "schema_version": 1,
-            "test": scene.title,
+            "test": name_of_test(scene, repeat),
             "scene": {"engine": scene.engine_file, "seed": scene.seed},
-            "recordings": [{"name": f"{run.name}.h5", "speed_rpm": run.speed_rpm} for run in scene.runs],
+            "recordings": [_recording(scene, run) for run in runs],
             "channels": [{"name": name, "unit": UNIT} for name in scene.channel_names],
-            "orders": _orders(scene, lines),
+            "orders": _orders(scene, runs),
             "modes": _modes(scene),
-            "crossings": _crossings(scene, lines),
-            "bearings": _bearings(scene),
+            "crossings": _crossings(scene, runs[0]),
+            "bearings": _bearings(scene, repeat),
+            "lines": _lines(scene),
             "balance": _balance(scene),
+            "acquisition": scene.acquisition.model_dump(exclude_defaults=True),
+            "encoder": scene.encoder.model_dump(exclude_defaults=True) if scene.encoder is not None else None,
+            "wrong_labels": scene.wrong_labels.model_dump(exclude_defaults=True) if scene.wrong_labels else None,
             "quality": [],
         }
     )
 
 
-def floor_density(scene: Scene, frequency_hz: NDArray[np.float64], structure: Structure) -> NDArray[np.float64]:
-    """One-sided amplitude density (m/s²/√Hz) of all noise of ``scene``, shape (channel, frequency).
-
-    ``frequency_hz``: shape (frequency,). ``structure``: the scene's own, or one that lacks a mode.
-    """
-    sensor = scene.sensor_noise.m_s2_per_root_hz if scene.sensor_noise else {}
-    force = scene.broadband.force_n_per_root_hz if scene.broadband else {}
-    driven = np.array([force.get(axis, 0.0) for axis in DIRECTIONS])
-    power = np.einsum("cdf,d->cf", np.abs(accelerance(structure, frequency_hz)) ** 2, driven**2)
-    power = power * broadband_roll_off(scene, frequency_hz) ** 2 + scene.by_channel(sensor)[:, None] ** 2
-    density: NDArray[np.float64] = np.sqrt(power)
-    return density
+def name_of_test(scene: Scene, repeat: int) -> str:
+    """Name of the test of one ``repeat`` of ``scene``."""
+    return scene.title if scene.repeats == 1 else f"{scene.title}, run {repeat + 1}"
 
 
-def _orders(scene: Scene, lines: list[OrderLines]) -> list[dict[str, Any]]:
-    speed = np.array([run.speed_rpm for run in scene.runs])
-    duration_s = scene.n_samples / np.array([scene.rate_hz(rpm) for rpm in speed])
+def _recording(scene: Scene, run: Run) -> dict[str, Any]:
+    """Name and speed of a recording; of a profile its corners too."""
+    record: dict[str, Any] = {"name": f"{run.name}.h5"}
+    if scene.speed_profile is None:
+        return record | {"speed_rpm": run.speed_rpm}
+    corners = scene.speed_profile.corners
+    return record | {"time_s": [time_s for time_s, _ in corners], "speed_rpm": [rpm for _, rpm in corners]}
+
+
+def _steady_speeds(scene: Scene, runs: tuple[Run, ...]) -> list[tuple[Run, float]]:
+    """Every recording with its speed; for a speed profile ``N_SPEEDS`` from its lowest to its highest."""
+    if scene.speed_profile is None:
+        return [(run, run.speed_rpm) for run in runs]
+    low, high = sorted(abs(rpm) for rpm in scene.speed_range_rpm)
+    speeds = np.linspace(low if scene.speed_range_rpm[0] >= 0 else 0.0, high, N_SPEEDS)
+    return [(runs[0], float(speed)) for speed in speeds if speed > 0]
+
+
+def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
+    steady = _steady_speeds(scene, runs)
+    if not steady:
+        return []
+    lines = [order_lines(scene, run, speed_rpm) for run, speed_rpm in steady]
+    speed = np.array([speed_rpm for _, speed_rpm in steady])
+    rate_hz = np.array([scene.rate_hz(rpm) for rpm in speed])
+    duration_s = scene.n_samples / rate_hz / (1 if scene.speed_profile is None else N_SPEEDS)
     records = []
+    least = LEAST_SHARE * max(np.abs(part.amplitude).max(initial=0.0) for part in lines)
     for order in np.unique(np.concatenate([part.order for part in lines])):
         amplitude = np.array([part.amplitude[:, part.order == order].sum(axis=1) for part in lines]).T
-        floor = floor_density(scene, order * speed / 60, scene.structure)
-        with np.errstate(divide="ignore"):
+        at = zip(order * speed / 60, rate_hz, strict=True)
+        floor = np.concatenate([floor_density(scene, np.array([f]), scene.structure, rate) for f, rate in at], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
             above_floor_db = 10 * np.log10(np.abs(amplitude) ** 2 * duration_s / (2 * floor**2))
         for channel, name in enumerate(scene.channel_names):
             size = np.abs(amplitude[channel])
-            if not size.any():
+            if order == 0 or size.max() <= least:
                 continue
             peak, shows = int(size.argmax()), above_floor_db[channel] >= VISIBLE_DB
             records.append(
@@ -116,8 +144,10 @@ def _modes(scene: Scene) -> list[dict[str, Any]]:
             rigid_body_per_kg=structure.rigid_body_per_kg,
         )
         at = np.array([mode.frequency_hz])
+        rate_hz = scene.rate_hz(scene.speed_range_rpm[1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            lift_db = 20 * np.log10(floor_density(scene, at, structure) / floor_density(scene, at, without))[:, 0]
+            alone = floor_density(scene, at, without, rate_hz)
+            lift_db = 20 * np.log10(floor_density(scene, at, structure, rate_hz) / alone)[:, 0]
         shows = [name for name, lift in zip(scene.channel_names, lift_db, strict=True) if lift >= PROMINENT_DB]
         records.append(
             {
@@ -130,42 +160,72 @@ def _modes(scene: Scene) -> list[dict[str, Any]]:
     return records
 
 
-def _crossings(scene: Scene, lines: list[OrderLines]) -> list[dict[str, Any]]:
+def _crossings(scene: Scene, run: Run) -> list[dict[str, Any]]:
     """Every meeting of an order with a mode; excited where a force of that order drives the mode."""
-    slowest, fastest = min(scene.speeds.rpm), max(scene.speeds.rpm)
-    forced = {
-        float(order)
-        for part in lines[:1]
-        for order, cause in zip(part.order, part.cause, strict=True)
-        if not cause.startswith("bearing")
-    }
-    orders = sorted({float(order) for part in lines[:1] for order in part.order})
+    slowest, fastest = scene.speed_range_rpm
+    lines = order_lines(scene, run, max(abs(fastest), 1.0))
+    causes = {float(order): cause for order, cause in zip(lines.order, lines.cause, strict=True) if cause != SIDEBAND}
     return [
         {
             "order": order,
             "mode_hz": mode.frequency_hz,
             "rpm": 60 * mode.frequency_hz / order,
             "in_range": slowest <= 60 * mode.frequency_hz / order <= fastest,
-            "excited": order in forced,
+            "excited": not causes[order].startswith("bearing"),
         }
-        for order, mode in product(orders, scene.modes)
+        for order, mode in product(sorted(causes), scene.modes)
     ]
 
 
-def _bearings(scene: Scene) -> list[dict[str, Any]]:
+def _bearings(scene: Scene, repeat: int) -> list[dict[str, Any]]:
     orders = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
-    return [
+    records = []
+    parts: tuple[BearingLine | BearingImpacts, ...] = (*scene.bearing_lines, *scene.bearing_impacts)
+    for line in parts:
+        strikes = isinstance(line, BearingImpacts)
+        known = orders[line.bearing]
+        expected = strikes_per_rev(known, line.line) if strikes else known[line.line]
+        by_channel = line.peak_m_s2 if isinstance(line, BearingImpacts) else line.amplitude_m_s2
+        grown = {name: value * line.growth**repeat for name, value in by_channel.items()}
+        records.append(
+            {
+                "name": line.bearing,
+                "line": line.line,
+                "order": slipping_line(expected, slip_percent=line.slip_percent),
+                "order_expected": expected,
+                "amplitude": max(grown.values(), default=0.0),
+                "amplitude_by_channel": grown,
+                "unit": UNIT,
+                "verdict": "strikes" if strikes else "slips" if line.slip_percent else "locked",
+                "resonance_hz": line.resonance_hz if isinstance(line, BearingImpacts) else None,
+            }
+        )
+    return records
+
+
+def _lines(scene: Scene) -> list[dict[str, Any]]:
+    """Lines that follow no crank: tones, and orders of shafts with a speed of their own."""
+    records: list[dict[str, Any]] = [
         {
-            "name": line.bearing,
-            "line": line.line,
-            "order": orders[line.bearing][line.line],
-            "amplitude": max(line.amplitude_m_s2.values(), default=0.0),
-            "amplitude_by_channel": line.amplitude_m_s2,
-            "unit": UNIT,
-            "verdict": "locked",
+            "channel": name,
+            "frequency_hz": number * tone.frequency_hz,
+            "explained_by": tone.cause,
+            "amplitude": share * amplitude,
         }
-        for line in scene.bearing_lines
+        for tone in scene.tones
+        for number, share in enumerate(tone.harmonics, start=1)
+        for name, amplitude in tone.amplitude_m_s2.items()
+        if share * amplitude
     ]
+    for shaft in scene.other_shafts:
+        orders = [injected.order for injected in scene.injected_orders if injected.shaft == shaft.name]
+        if shaft.rpm is not None:
+            hertz = [[order * rpm / 60 for rpm in shaft.rpm] for order in orders]
+            records += [
+                {"shaft": shaft.name, "order_of_shaft": o, "frequency_hz": f}
+                for o, f in zip(orders, hertz, strict=True)
+            ]
+    return records
 
 
 def _balance(scene: Scene) -> dict[str, Any] | None:
@@ -173,9 +233,12 @@ def _balance(scene: Scene) -> dict[str, Any] | None:
     if scene.engine_forces is None:
         return None
     engine = scene.engine
-    mass_kg = engine.shafts.unbalanced_mass_kg if 1 in engine.shafts.orders else engine.reciprocating_mass_kg
+    omega_squared = (1000 * np.pi / 30) ** 2
+    first = crankcase_forces(engine, 1000.0, max_order=1)[:, 1] / omega_squared
+    per_kg = engine.crank_radius_m * np.abs(acceleration_harmonics(engine.mechanism, 1)[1])
+    reciprocating = first[2] - 1j * first[0]
     return {
-        "residual_reciprocating_g": 1e3 * mass_kg,
+        "residual_reciprocating_g": 1e3 * float(np.abs(reciprocating) / per_kg),
         "residual_rotating_gmm": 1e6 * engine.rotating_unbalance_kg_m,
         "angle_deg": engine.rotating_unbalance_deg,
         "crank_radius_m": engine.crank_radius_m,

@@ -14,15 +14,17 @@ import h5py
 
 from crankorder.errors import EnvironmentFailure, RequestError
 from crankorder.settings import shipped
-from crankorder.synth.effects import TimeSampling
+from crankorder.synth.floor import floor_of
 from crankorder.synth.load import load_scene
-from crankorder.synth.manifest import manifest_text, toml_text
-from crankorder.synth.recording import SyntheticRecording, broadband_response, synthesise
-from crankorder.synth.scene import Run, Scene
+from crankorder.synth.manifest import INDEX, INDEX_TIME, PULSE_TIME, TRACE, labelled_unit, manifest_text, toml_text
+from crankorder.synth.parts import TimeSampling
+from crankorder.synth.recording import SyntheticRecording, synthesise
+from crankorder.synth.scene import SWEEP, Run, Scene
 from crankorder.synth.truth import truth_of
 
 MANIFEST, TRUTH, ENGINE = "run.toml", "truth.json", "engine.toml"
-RECORDING_NAME = re.compile(r"rpm_[0-9.]+(_[0-9]+)?\.h5")
+RECORDING_NAME = re.compile(rf"(rpm_[0-9.]+(_[0-9]+)?|{SWEEP})\.h5")
+REPEAT_NAME = "run_{}"
 MAX_WORKERS = 4
 """More threads gain nothing: the time of a recording is memory traffic."""
 
@@ -35,10 +37,11 @@ def write_scene(
     beside: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write the scene ``name`` as a test-run folder: ``run.toml``, ``rpm_*.h5`` and ``truth.json``.
+    """Write the scene ``name`` as a test-run folder: ``run.toml``, the recordings and ``truth.json``.
 
-    The truth comes first and claims the folder, the manifest last: a folder without it is unfinished and no test run.
-    The same scene gives the same bytes on any number of workers.
+    A scene of several repeats becomes a folder of such folders, ``run_1`` and on. The truth comes first and claims the
+    folder, the manifest last: a folder without it is unfinished and no test run. The same scene gives the same bytes on
+    any number of workers.
 
     ``name``: a shipped scene or the path of a TOML file. ``folder``: new, empty, or of a former scene (replaced).
     ``quick``: with the differences of the scene's ``quick`` table. ``beside``: folder in which paths are tried first.
@@ -50,15 +53,17 @@ def write_scene(
     if quick:
         scene = scene.first_look()
     try:
-        _claim(folder)
-        truth = json.dumps(truth_of(scene), ensure_ascii=False, indent=1, allow_nan=False)
-        _publish(folder / TRUTH, f"{truth}\n".encode())
-        ours = scene.engine_file in shipped("engines")
-        if not ours:
-            engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
-            _publish(folder / ENGINE, toml_text(engine).encode())
-        _write_recordings(scene, folder, progress)
-        _publish(folder / MANIFEST, manifest_text(scene, scene.engine_file if ours else ENGINE).encode())
+        folders = _claimed(scene, folder)
+        for repeat, place in enumerate(folders):
+            _write_truth(scene, repeat, place, [])
+        _write_recordings(scene, folders, progress)
+        for repeat, place in enumerate(folders):
+            ours = scene.engine_file in shipped("engines")
+            if not ours:
+                engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
+                _publish(place / ENGINE, toml_text(engine).encode())
+            engine_name = scene.engine_file if ours else ENGINE
+            _publish(place / MANIFEST, manifest_text(scene, engine_name, repeat).encode())
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
             raise
@@ -73,35 +78,53 @@ def write_scene(
 def recording_image(scene: Scene, run: Run, recording: SyntheticRecording) -> bytes:
     """Bytes of the HDF5 file of one recording: a contiguous dataset per channel, encoder and index where there are any.
 
-    ``scene``: names, units and sampling. ``run``: name and speed. ``recording``: the samples.
+    ``scene``: names, units and sampling, as its labels say. ``run``: name and speed. ``recording``: the samples.
     """
+    labels = scene.wrong_labels
+    axis: dict[str, Any]
     if isinstance(scene.sampling, TimeSampling):
-        axis: dict[str, Any] = {"rate_hz": scene.sampling.rate_hz}
-        start: dict[str, Any] = {}
+        axis = {"rate_hz": scene.sampling.rate_hz * (labels.rate_factor if labels else 1.0)}
+        stated: dict[str, Any] = {} if scene.speeds is None else {"speed_rpm": run.speed_rpm}
     else:
-        axis, start = {"samples_per_rev": scene.sampling.samples_per_rev}, {"start_deg": 0.0}
+        axis = {"samples_per_rev": scene.sampling.samples_per_rev}
+        stated = {"start_deg": 0.0, "speed_rpm": run.speed_rpm * (labels.speed_factor if labels else 1.0)}
+    columns: dict[str, tuple[Any, dict[str, Any]]] = {}
+    packing = {} if recording.recorded.scale is None else {"scale_factor": recording.recorded.scale}
+    for channel, samples in zip(scene.channels, recording.recorded.samples, strict=True):
+        columns[channel.source] = samples, {"unit": labelled_unit(scene, channel.name), **packing, **axis}
+    if recording.encoder is not None:
+        columns[TRACE] = recording.encoder.trace, {"unit": "V", **axis}
+        columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
+        columns[PULSE_TIME] = recording.encoder.pulse_s, {"unit": "s"}
+        columns[INDEX_TIME] = recording.encoder.index_s, {"unit": "s"}
     with h5py.File(f"{run.name}.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
-        for channel, signal in zip(scene.channels, recording.signal, strict=True):
-            file.create_dataset(channel.source, data=signal).attrs.update({"unit": "m/s2", **axis})
-        if recording.encoder is not None:
-            file.create_dataset("encoder", data=recording.encoder).attrs.update({"unit": "V", **axis})
-        if recording.index is not None:
-            file.create_dataset("index", data=recording.index).attrs.update({"unit": "1", **axis})
-        file.attrs.update({**axis, **start, "speed_rpm": run.speed_rpm})
+        for source, (values, attrs) in columns.items():
+            if values is not None:
+                file.create_dataset(source, data=values).attrs.update(attrs)
+        file.attrs.update({**axis, **stated})
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
 
 
-def _write_recordings(scene: Scene, folder: Path, progress: Callable[[int, int], None] | None) -> None:
-    responses = {rate: broadband_response(scene, rate) for rate in {scene.rate_hz(run.speed_rpm) for run in scene.runs}}
+def _write_truth(scene: Scene, repeat: int, folder: Path, quality: list[dict[str, Any]]) -> None:
+    truth = truth_of(scene, repeat) | {"quality": quality}
+    text = json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)
+    _publish(folder / TRUTH, f"{text}\n".encode())
 
-    def write(run: Run) -> None:
-        recording = synthesise(scene, run, responses[scene.rate_hz(run.speed_rpm)])
-        _publish(folder / f"{run.name}.h5", recording_image(scene, run, recording))
+
+def _write_recordings(scene: Scene, folders: list[Path], progress: Callable[[int, int], None] | None) -> None:
+    """Write every recording of every repeat; where any was made faulty, the truth again with what and where."""
+    runs = [run for repeat in range(len(folders)) for run in scene.runs_of(repeat)]
+    floors = {rate: floor_of(scene, rate) for rate in {scene.rate_hz(run.speed_rpm) for run in runs}}
+
+    def write(run: Run) -> list[dict[str, Any]]:
+        recording = synthesise(scene, run, floors[scene.rate_hz(run.speed_rpm)])
+        _publish(folders[run.repeat] / f"{run.name}.h5", recording_image(scene, run, recording))
+        return recording.faults
 
     with ThreadPoolExecutor(max_workers=min(MAX_WORKERS, os.cpu_count() or 1)) as pool:
-        tasks = [pool.submit(write, run) for run in scene.runs]
+        tasks = {pool.submit(write, run): run for run in runs}
         try:
             for done, task in enumerate(as_completed(tasks), start=1):
                 task.result()
@@ -110,6 +133,25 @@ def _write_recordings(scene: Scene, folder: Path, progress: Callable[[int, int],
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+    for repeat, folder in enumerate(folders):
+        faults = [fault for task, run in tasks.items() if run.repeat == repeat for fault in task.result()]
+        if faults:
+            _write_truth(scene, repeat, folder, faults)
+
+
+def _claimed(scene: Scene, folder: Path) -> list[Path]:
+    """The folders of all repeats of ``scene``, made ready: ``folder`` itself where there is only one."""
+    if scene.repeats == 1:
+        _claim(folder)
+        return [folder]
+    folders = [folder / REPEAT_NAME.format(repeat + 1) for repeat in range(scene.repeats)]
+    if folder.is_dir():
+        ours = re.compile(REPEAT_NAME.format("[0-9]+"))
+        _refuse(folder, [path.name for path in folder.iterdir() if not ours.fullmatch(path.name)])
+    folder.mkdir(parents=True, exist_ok=True)
+    for place in folders:
+        _claim(place)
+    return folders
 
 
 def _claim(folder: Path) -> None:
@@ -122,14 +164,20 @@ def _claim(folder: Path) -> None:
         return
     former = _former_recordings(folder / TRUTH)
     if former is None:
+        _refuse(folder, list(present))
+        return
+    for name in (MANIFEST, *sorted(former & present)):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _refuse(folder: Path, strange: list[str]) -> None:
+    if strange:
         raise RequestError(
             "the folder is not empty and was not written by a scene",
             file=folder,
-            found=", ".join(sorted(present)[:5]),
+            found=", ".join(sorted(strange)[:5]),
             allowed="a new or empty folder, or one of a former scene",
         )
-    for name in (MANIFEST, *sorted(former & present)):
-        (folder / name).unlink(missing_ok=True)
 
 
 def _former_recordings(truth: Path) -> set[str] | None:

@@ -1,0 +1,106 @@
+"""How the crank and the other shafts of a scene turn in one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.synth.in_cycle import lag_by_order, lag_from_torque
+from crankorder.synth.motion import Lag, Motion, wander_wobbles
+from crankorder.synth.noise import seed_stream
+from crankorder.synth.parts import OtherShaft, TimeSampling
+from crankorder.synth.scene import Run, Scene
+
+TORQUE_ORDERS = 20
+"""Highest order of the torque that moves the flywheel: what is above turns it by less than a millionth of these."""
+
+
+def start_angle_rev(scene: Scene, run: Run) -> float:
+    """Crank angle of the first sample from firing top dead centre, 0 … 2 revolutions: by chance when sampled in time.
+
+    ``scene``: its seed and sampling. ``run``: the recording. Sampled by crank angle a recording starts at 0.
+    """
+    if isinstance(scene.sampling, TimeSampling):
+        return 2 * float(seed_stream(scene.seed, "start_angle", run.stream).random())
+    return 0.0
+
+
+def crank_motion(scene: Scene, run: Run) -> Motion:
+    """Motion of the crank in one recording, with what the scene asks for: profile, wobble, wander, in-cycle motion.
+
+    ``scene``: its speeds and effects. ``run``: the recording.
+    """
+    wobbles = tuple((part.frequency_hz, part.amplitude_rpm, part.phase_deg) for part in scene.speed_wobbles)
+    if scene.speed_wander is not None:
+        stream = seed_stream(scene.seed, "speed_wander", run.stream)
+        duration_s = scene.n_samples / scene.rate_hz(run.speed_rpm)
+        wander = scene.speed_wander
+        wobbles += wander_wobbles(wander.std_rpm, wander.corner_hz, stream, duration_s)
+    return Motion(
+        start_rev=start_angle_rev(scene, run),
+        corners=_on_samples(scene, scene.speed_profile.corners) if scene.speed_profile else ((0.0, run.speed_rpm),),
+        wobbles=wobbles,
+        lag=_lag(scene, run.speed_rpm) if scene.in_cycle_speed is not None else None,
+    )
+
+
+def other_motion(scene: Scene, run: Run, shaft: OtherShaft) -> Motion:
+    """Motion of a ``shaft`` with a speed of its own, its angle by chance; ``scene`` and ``run`` as above."""
+    assert shaft.rpm is not None  # a shaft at a ratio turns with the crank
+    start = float(seed_stream(scene.seed, "other_shafts", shaft.name, run.stream).random())
+    corners = tuple(zip(shaft.time_s, shaft.rpm, strict=True)) if shaft.time_s else ((0.0, shaft.rpm[0]),)
+    return Motion(start_rev=start, corners=_on_samples(scene, corners))
+
+
+def _on_samples(scene: Scene, corners: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    rate_hz = scene.rate_hz(scene.speed_range_rpm[1])
+    return tuple((round(time_s * rate_hz) / rate_hz, rpm) for time_s, rpm in corners)
+
+
+def _lag(scene: Scene, speed_rpm: float) -> Lag:
+    assert scene.in_cycle_speed is not None
+    if scene.in_cycle_speed.flywheel_inertia_kg_m2 is None:
+        return lag_by_order(scene.in_cycle_speed.by_order)
+    return lag_from_torque(
+        scene.engine,
+        flywheel_inertia_kg_m2=scene.in_cycle_speed.flywheel_inertia_kg_m2,
+        speed_rpm=speed_rpm,
+        highest_order=TORQUE_ORDERS,
+        with_gas=scene.gas_torque is not None and scene.engine.gas is not None,
+    )
+
+
+def begun_earlier(motion: Motion, seconds: float) -> Motion:
+    """The same ``motion`` on a clock that starts ``seconds`` before the first sample."""
+    if seconds == 0:
+        return motion
+    return replace(
+        motion,
+        start_rev=float(motion.at(np.array([-seconds]))[0][0]),
+        corners=tuple((time_s + seconds, rpm) for time_s, rpm in motion.corners),
+        wobbles=tuple((hz, rpm, phase - 360 * hz * seconds) for hz, rpm, phase in motion.wobbles),
+    )
+
+
+def gain_of_cycle(scene: Scene, run: Run) -> Callable[[NDArray[np.int64]], NDArray[np.float64]] | None:
+    """Factor of the gas torque in every cycle, by the cycle's number, or None where all cycles of ``run`` are alike.
+
+    ``scene``: its scatter and seed. A cycle's factor does not depend on which others are asked for.
+    """
+    if scene.gas_torque is None or not scene.gas_torque.scatter_percent:
+        return None
+    scatter = scene.gas_torque.scatter_percent / 100
+
+    def gain(cycle: NDArray[np.int64]) -> NDArray[np.float64]:
+        drawn = np.zeros(cycle.size)
+        for way, side in (("after", cycle >= 0), ("before", cycle < 0)):
+            if side.any():
+                number = np.where(cycle[side] >= 0, cycle[side], -1 - cycle[side])
+                stream = seed_stream(scene.seed, "gas_torque", run.stream, way)
+                drawn[side] = stream.standard_normal(int(number.max()) + 1)[number]
+        return np.maximum(1 + scatter * drawn, 0.0)
+
+    return gain

@@ -1,0 +1,261 @@
+"""Response of poles to the forces of shafts that turn in any way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.errors import RequestError
+from crankorder.synth.integration import Integration, advance_by, integration_for, step_weights, unit_quadrature
+from crankorder.synth.order_forces import ForceLines, force_at
+from crankorder.synth.poles import Poles, steady_state
+
+if TYPE_CHECKING:
+    from crankorder.synth.motion import Motion
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Pieces = tuple[int, ...]
+GainOfCycle = Callable[[NDArray[np.int64]], Real]
+BLOCK_STEPS = 16_384
+"""Samples of the forces at once: memory does not grow with the record, and a block stays in the second cache."""
+MEMORY = 24.0
+"""Decay times before the first sample from which the past is integrated: e⁻²⁴ = 4e-11 of a wrong start is left."""
+ON_SAMPLE = 1e-6
+"""Share of a sample by which a corner may miss it: what that changes is below round-off."""
+SPEED_SAMPLES = 4001
+ROOM = 1.02
+"""Room for peaks of the speed between those that are looked at."""
+
+
+def driven_signal(
+    poles: Poles,
+    sources: Sequence[tuple[ForceLines, Motion]],
+    *,
+    rate_hz: float,
+    n_samples: int,
+    tolerance: float = 1e-9,
+    gain_of_cycle: GainOfCycle | None = None,
+    revs_per_cycle: float = 2.0,
+    block_steps: int = BLOCK_STEPS,
+) -> Real:
+    """Acceleration of every channel under forces that follow shafts, shape (channel, sample); first sample at t = 0.
+
+    ``poles``: structure and filter. ``sources``: forces, and the motion of the shaft they follow. ``rate_hz``: samples
+    per second. ``n_samples``: how many. ``tolerance``: largest relative error of the response to a tone, 1e-15 … 1;
+    smaller takes more samples of the forces. ``gain_of_cycle``: factors of the gas lines by number of the cycle: cycle
+    k is k … k + 1 times ``revs_per_cycle`` of their shaft's angle, before the start numbers may be negative; the gain
+    steps at that very angle, between samples. ``block_steps``: samples of the forces at once; it changes no result.
+
+    The past is a constant first speed in its steady state. Where a shaft wobbles, or gains differ from cycle to cycle,
+    24 decay times of the slowest pole are integrated before the first sample. Corners of the speed, where the angular
+    acceleration jumps, lose no accuracy: each piece of the motion is integrated with its own formula.
+    Raises RequestError where the forces change too fast for the rate, where a force that falls with speed meets a
+    standstill, and where gas lines with gains follow more than one shaft.
+    """
+    shafts = _Shafts(sources, gain_of_cycle, revs_per_cycle)
+    signal = np.zeros((poles.direct.shape[0], n_samples))
+    if not shafts.sources:
+        return signal
+    poles = poles.driven_on(shafts.axes(poles.direct.shape[1]))
+    first = int(np.floor(min(0.0, shafts.first_corner_s) * rate_hz))
+    first -= int(np.ceil(MEMORY * poles.decay_s * rate_hz)) if shafts.remember else 0
+    highest_hz = shafts.highest_force_hz(first / rate_hz, n_samples / rate_hz, tolerance)
+    stepping = _Stepping(poles, shafts, integration_for(highest_hz, rate_hz, tolerance), rate_hz)
+    state = shafts.steady(poles, first / rate_hz)
+    per_block = max(1, block_steps // stepping.integration.substeps)
+    for stretch in shafts.stretches(rate_hz, first, n_samples):
+        for start in range(stretch.first, stretch.last, per_block):
+            stop = min(start + per_block, stretch.last)
+            part, state = stepping.block(start, stop, stretch.pieces, state)
+            if stop > 0:
+                signal[:, max(start, 0) : stop] = part[:, max(-start, 0) :]
+        state = state + stepping.after_corner(stretch)
+    return signal
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Output steps ``first`` … ``last`` in which every motion keeps to one piece, and what follows from a corner on."""
+
+    first: int
+    last: int
+    pieces: Pieces
+    corner_s: float
+    next_pieces: Pieces
+
+
+class _Shafts:
+    """All forces and motions: the gas lines that a cycle's gain multiplies apart from the rest."""
+
+    def __init__(
+        self, sources: Sequence[tuple[ForceLines, Motion]], gain_of_cycle: GainOfCycle | None, revs_per_cycle: float
+    ) -> None:
+        self.sources = [(lines, motion) for lines, motion in sources if lines.order.size]
+        self.gain_of_cycle, self.revs_per_cycle = gain_of_cycle, revs_per_cycle
+        with_gas = [k for k, (lines, _) in enumerate(self.sources) if lines.gas.any()] if gain_of_cycle else []
+        if len(with_gas) > 1:
+            raise RequestError("gas forces that differ from cycle to cycle follow one shaft only", found=len(with_gas))
+        self.gas_shaft = with_gas[0] if with_gas else None
+        self.rest = [lines for lines, _ in self.sources]
+        if self.gas_shaft is not None:
+            lines = self.rest[self.gas_shaft]
+            self.gas, self.rest[self.gas_shaft] = lines.only(lines.gas), lines.only(~lines.gas)
+
+    @property
+    def remember(self) -> bool:
+        """Whether the past is more than a steady state."""
+        uneven = any(motion.wobbles or motion.lag is not None for _, motion in self.sources)
+        return uneven or self.gas_shaft is not None
+
+    @property
+    def first_corner_s(self) -> float:
+        """Time of the first corner of any motion; before it all is steady but for wobbles."""
+        return min((time for _, motion in self.sources for time in motion.corner_s), default=0.0)
+
+    def axes(self, n_axes: int) -> NDArray[np.bool_]:
+        """Axes (axis,) along which anything acts."""
+        acts = np.zeros(n_axes, dtype=np.bool_)
+        for lines, _ in self.sources:
+            acts |= lines.amplitude.any(axis=1)
+        return acts
+
+    def steady(self, poles: Poles, time_s: float) -> Complex:
+        """State at ``time_s`` after an endless past at the first speed of every motion."""
+        state = np.zeros(poles.pole_per_s.size, dtype=np.complex128)
+        for lines, motion in self.sources:
+            speed_rpm = motion.corners[0][1]
+            angle_rev = motion.at(np.array([time_s]), piece=0)[0]
+            force = lines.at_speed(speed_rpm) * np.exp(2j * np.pi * lines.order * angle_rev)
+            state += steady_state(poles, force, lines.order * speed_rpm / 60)
+        return state
+
+    def highest_force_hz(self, start_s: float, end_s: float, tolerance: float) -> float:
+        """Highest frequency of any force; what wobble and lag modulate reaches one sideband higher (Carson's rule)."""
+        highest = 0.0
+        for lines, motion in self.sources:
+            corners = [time_s for time_s in motion.corner_s if start_s < time_s < end_s]
+            looked_at = np.union1d(np.linspace(start_s, end_s, SPEED_SAMPLES), corners)
+            fastest_rpm = float(np.abs(motion.at(looked_at)[1]).max())
+            order = float(np.abs(lines.order).max())
+            sidebands_hz = max((frequency for frequency, *_ in motion.wobbles), default=0.0)
+            if motion.lag is not None:
+                swing = np.abs(motion.lag.by_order(max(fastest_rpm, 1.0)))
+                seen = motion.lag.order[2 * np.pi * order * swing > tolerance]
+                sidebands_hz += float(np.max(seen, initial=0.0)) * fastest_rpm / 60
+            room = ROOM if self.remember else 1.0
+            highest = max(highest, room * order * fastest_rpm / 60 + sidebands_hz)
+        return highest
+
+    def stretches(self, rate_hz: float, first: int, n_samples: int) -> Iterator[_Stretch]:
+        """Every stretch between corners from step ``first`` to ``n_samples``; a corner between samples ends late."""
+        start_s = first / rate_hz
+        pieces = tuple(sum(time <= start_s for time in motion.corner_s) for _, motion in self.sources)
+        corners = sorted(
+            (time, k) for k, (_, motion) in enumerate(self.sources) for time in motion.corner_s if time > start_s
+        )
+        for time_s, k in corners:
+            last = int(np.ceil(time_s * rate_hz - ON_SAMPLE))
+            if last >= n_samples:
+                break
+            following = (*pieces[:k], pieces[k] + 1, *pieces[k + 1 :])
+            yield _Stretch(first, last, pieces, time_s, following)
+            first, pieces = last, following
+        yield _Stretch(first, n_samples, pieces, n_samples / rate_hz, pieces)
+
+    def at(self, time_s: Real, pieces: Pieces) -> tuple[Real, Real | None, Real | None]:
+        """Forces (axis, n) without those that gains multiply, these with a gain of 1, and the angle of their shaft."""
+        total = np.zeros((self.sources[0][0].amplitude.shape[0], time_s.size))
+        gas = gas_angle_rev = None
+        for k, (_, motion) in enumerate(self.sources):
+            moves = motion.at(time_s, piece=pieces[k])
+            total += force_at(self.rest[k], *moves)
+            if k == self.gas_shaft:
+                gas, gas_angle_rev = force_at(self.gas, *moves), moves[0]
+        return total, gas, gas_angle_rev
+
+
+class _Stepping:
+    """The integration of one record: from block to block, and over what happens between samples."""
+
+    def __init__(self, poles: Poles, shafts: _Shafts, integration: Integration, rate_hz: float) -> None:
+        self.poles, self.shafts, self.integration, self.rate_hz = poles, shafts, integration, rate_hz
+        self.growth, self.taps = step_weights(poles.pole_per_s, 1 / (rate_hz * integration.substeps), integration)
+        self.points, self.shares = unit_quadrature(float(np.max(np.abs(poles.pole_per_s), initial=0.0)) / rate_hz)
+
+    def block(self, start: int, stop: int, pieces: Pieces, state: Complex) -> tuple[Real, Complex]:
+        """Signal (channel, n) at output steps ``start`` … ``stop``, and the state at ``stop``."""
+        margin, substeps = self.integration.margin, self.integration.substeps
+        number = np.arange(start * substeps - margin, stop * substeps + margin)
+        force, gas, angle_rev = self.shafts.at(number / (self.rate_hz * substeps), pieces)
+        if gas is None or angle_rev is None or self.shafts.gain_of_cycle is None:
+            return self._advance(force, state)
+        at_steps = angle_rev[margin : margin + (stop - start) * substeps + 1 : substeps]
+        cycle = np.floor(at_steps / self.shafts.revs_per_cycle).astype(np.int64)
+        gain = np.asarray(self.shafts.gain_of_cycle(cycle), dtype=np.float64)
+        changes = np.flatnonzero(np.diff(cycle))
+        borders_s = self._borders(changes + start, cycle[changes], cycle[changes + 1], pieces)
+        parts, done = [], 0
+        for change, border_s in zip([*changes.tolist(), None], [*borders_s.tolist(), 0.0], strict=True):
+            end = stop - start if change is None else change + 1
+            some = slice(done * substeps, end * substeps + 2 * margin)
+            part, state = self._advance(force[:, some] + gain[done] * gas[:, some], state)
+            parts.append(part)
+            if change is not None:
+                more = gain[change + 1] - gain[change]
+                state = state + more * self._late(border_s, start + end, lambda time: self._gas(time, pieces))
+            done = end
+        return np.concatenate(parts, axis=1), state
+
+    def after_corner(self, stretch: _Stretch) -> Complex:
+        """What the state at the end of ``stretch`` lacks because the corner came before that sample."""
+        if stretch.last - stretch.corner_s * self.rate_hz <= ON_SAMPLE:
+            return np.zeros_like(self.poles.pole_per_s)
+        return self._late(
+            stretch.corner_s,
+            stretch.last,
+            lambda time: self._all(time, stretch.next_pieces) - self._all(time, stretch.pieces),
+        )
+
+    def _advance(self, force: Real, state: Complex) -> tuple[Real, Complex]:
+        return advance_by(
+            self.poles, force, growth=self.growth, taps=self.taps, integration=self.integration, state=state
+        )
+
+    def _late(self, from_s: float, step: int, force: Callable[[Real], Real]) -> Complex:
+        """State at output ``step`` that a ``force`` of time leaves which acts from ``from_s`` on."""
+        to_s = step / self.rate_hz
+        acting = self.poles.input @ force(from_s + (to_s - from_s) * self.points)
+        fading = np.exp(np.outer(self.poles.pole_per_s, (to_s - from_s) * (1 - self.points)))
+        late: Complex = (to_s - from_s) * (fading * acting) @ self.shares
+        return late
+
+    def _all(self, time_s: Real, pieces: Pieces) -> Real:
+        force, gas, angle_rev = self.shafts.at(time_s, pieces)
+        if gas is None or angle_rev is None or self.shafts.gain_of_cycle is None:
+            return force
+        cycle = np.floor(angle_rev / self.shafts.revs_per_cycle).astype(np.int64)
+        return force + gas * self.shafts.gain_of_cycle(cycle)
+
+    def _gas(self, time_s: Real, pieces: Pieces) -> Real:
+        gas = self.shafts.at(time_s, pieces)[1]
+        assert gas is not None  # only called where there are gas lines with gains
+        return gas
+
+    def _borders(self, step: NDArray[np.int64], old: NDArray[np.int64], new: NDArray[np.int64], pieces: Pieces) -> Real:
+        """Times within output steps ``step`` at which one cycle becomes the other: Newton's method from the middle."""
+        assert self.shafts.gas_shaft is not None  # only called where there are gas lines with gains
+        motion, piece = self.shafts.sources[self.shafts.gas_shaft][1], pieces[self.shafts.gas_shaft]
+        target_rev = np.maximum(old, new) * self.shafts.revs_per_cycle
+        begin = step / self.rate_hz
+        end = (step + 1) / self.rate_hz
+        time_s = 0.5 * (begin + end)
+        for _ in range(6 if step.size else 0):
+            angle_rev, speed_rpm, _ = motion.at(time_s, piece=piece)
+            turns_per_s = np.where(speed_rpm == 0, np.inf, speed_rpm / 60)
+            time_s = np.clip(time_s - (angle_rev - target_rev) / turns_per_s, begin, end)
+        return time_s

@@ -1,0 +1,397 @@
+"""The motion of a shaft as a formula: its angle, speed and acceleration at any time, and the time of any angle."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crankorder.errors import RequestError
+from crankorder.synth.fast_motion import BLOCK, REACH_RAD, TERMS, fill_motion, fill_times
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Corner = tuple[float, float]
+
+MOST_WOBBLES = 256
+"""Lines that a wander is made of at most: with random phases their sum is as good as Gaussian."""
+LEAST_SWING = 1e-100
+"""Speed (rev/s) that counts as none: far below it numbers lose their digits."""
+MOST_SPANS = 1 << 17
+"""Parts of a recording in which turning points are looked for one by one; if more seem to have one, signs decide."""
+SHORTEST_STEP = 1e-4
+"""Finest step that orders of a lag may share."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lag:
+    """In-cycle motion: how far the crank is behind an even rotation, by order of the crank angle itself.
+
+    mean angle = crank angle + Re Σ (inertia + gas · (reference_rpm / mean speed)²) · exp(2πi order crank_angle). The
+    torque of the masses grows with speed squared, as the energy of the flywheel does: their part is the same at every
+    speed. ``order``: (k,), ascending, > 0. ``inertia``, ``gas``: complex (k,), rev. ``reference_rpm``: mean speed of
+    the gas part, > 0.
+    """
+
+    order: Floats
+    inertia: Complex
+    gas: Complex
+    reference_rpm: float = 1.0
+
+    def __post_init__(self) -> None:
+        sound = len(self.order) == len(self.inertia) == len(self.gas) and bool(np.all(np.diff(self.order) > 0))
+        if not sound or np.any(np.asarray(self.order) <= 0) or not self.reference_rpm > 0:
+            raise RequestError("no such lag", place="lag", allowed="ascending orders above 0, two parts of each")
+
+    @property
+    def has_gas(self) -> bool:
+        """Whether some of the lag depends on the speed."""
+        return bool(np.any(self.gas))
+
+    def by_order(self, speed_rpm: float) -> Complex:
+        """Complex lag (rev) of each order, shape (k,), at the mean ``speed_rpm`` (rpm, not 0 where there is gas)."""
+        return self.inertia + self.gas * (self.reference_rpm / speed_rpm) ** 2 if self.has_gas else self.inertia + 0
+
+    def at(self, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
+        """Lag (rev) at ``crank_angle_rev`` (any shape) and the mean ``speed_rpm``: mean less crank angle."""
+        turned = np.exp(2j * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)[..., None] * self.order)
+        lag: Floats = (turned @ self.by_order(speed_rpm)).real
+        return lag
+
+    @cached_property
+    def step(self) -> float:
+        """Largest order of which all orders are whole multiples; 0 where there is none (or none above 0.0001)."""
+        shared = Fraction(0)
+        for order in map(float, self.order):
+            near = Fraction(order).limit_denominator(round(1 / SHORTEST_STEP))
+            if abs(order - near) > 1e-12 * order:
+                return 0.0
+            shared = Fraction(
+                math.gcd(shared.numerator * near.denominator, near.numerator * shared.denominator),
+                shared.denominator * near.denominator,
+            )
+        return float(shared) if shared >= SHORTEST_STEP else 0.0
+
+    @cached_property
+    def slowest_rpm(self) -> float:
+        """Mean speed at and below which the shaft would stop within the cycle: 0 without gas, inf where it always does.
+
+        Taken at 64 angles for each period of the highest order.
+        """
+        period_rev = 1 / self.step if self.step else 64.0
+        highest = float(self.order[-1]) if len(self.order) else 1.0
+        angle = np.linspace(0, period_rev, 1 + max(64, math.ceil(64 * highest * period_rev)))
+        inertia = np.ones(angle.size)
+        gas = np.zeros(angle.size)
+        for order, of_inertia, of_gas in zip(self.order, self.inertia, self.gas, strict=True):
+            turned = 2j * np.pi * order * np.exp(2j * np.pi * order * angle)
+            inertia += (of_inertia * turned).real
+            gas += (of_gas * turned).real
+        if inertia.min() <= 0:
+            return math.inf
+        return self.reference_rpm * math.sqrt(max(0.0, float(np.max(-gas / inertia))))
+
+    def check(self, speed_rpm: float) -> None:
+        """Raise RequestError where the shaft would stop within the cycle at the mean ``speed_rpm``, either way."""
+        if math.isinf(self.slowest_rpm) or abs(speed_rpm) <= self.slowest_rpm > 0:
+            raise _stops(speed_rpm, self.slowest_rpm)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A shaft's motion: a speed that runs straight from corner to corner, slow wobbles on it, and a lag in the cycle.
+
+    ``start_rev``: crank angle at t = 0. ``corners``: time (s, ascending) and mean speed (rpm, negative backwards) of
+    each, one at least; before the first and after the last the speed stays. ``wobbles``: frequency (Hz, > 0), amplitude
+    (rpm) and phase (degrees) of each, amplitude · cos(2π frequency t + phase). ``lag``: in-cycle motion. Angles are
+    revolutions, positive forwards.
+
+    Raises RequestError for corners out of sequence, and where the lag would stop the shaft within the cycle.
+    """
+
+    start_rev: float
+    corners: tuple[Corner, ...]
+    wobbles: tuple[tuple[float, float, float], ...] = ()
+    lag: Lag | None = None
+    _points: tuple[Corner, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        times = [time for time, _ in self.corners]
+        every = [self.start_rev, *times, *(rpm for _, rpm in self.corners), *(part for w in self.wobbles for part in w)]
+        if not times or any(after <= before for before, after in pairwise(times)) or not np.isfinite(every).all():
+            raise RequestError("no such speed profile", place="corners", allowed="finite, at ascending times")
+        if any(frequency <= 0 for frequency, _, _ in self.wobbles):
+            raise RequestError("no such wobble", place="wobbles", allowed="frequencies above 0 Hz")
+        object.__setattr__(self, "_points", _without_straight(self.corners))
+        if self._lag is not None:
+            rpm = [rpm for _, rpm in self.corners]
+            self._lag.check(0.0 if min(rpm) <= 0 <= max(rpm) else min(map(abs, rpm)))
+
+    @property
+    def corner_s(self) -> tuple[float, ...]:
+        """Times (s, ascending) at which the slope of the profile changes: there the acceleration jumps."""
+        return tuple(time for time, _ in self._points[1:-1])
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the speed is the same at all times."""
+        return not self.corner_s and not len(self._wobbles) and self._lag is None
+
+    def mean_rev(self, time_s: float) -> float:
+        """Mean angle (rev) at ``time_s``: what the angle would be there without the lag."""
+        return float(self._mean(np.array([time_s], dtype=np.float64))[0, 0])
+
+    def at(self, time_s: Floats, *, piece: int | None = None) -> tuple[Floats, Floats, Floats]:
+        """Crank angle (rev), speed (rpm) and angular acceleration (rpm/s) at each time, arrays (n,).
+
+        ``time_s``: (n,), any values, also before 0; quickest in sequence. ``piece``: k takes the formula that holds
+        between ``corner_s[k - 1]`` and ``corner_s[k]`` for all of them, extended beyond its ends; None takes for each
+        time the formula that holds there (at a corner the one that follows).
+
+        All three are exact to round-off: angles to a few units in the last place of the revolutions from t = 0. Raises
+        RequestError where the shaft would stop within the cycle.
+        """
+        times = np.ascontiguousarray(time_s, dtype=np.float64)
+        if piece is not None and not 0 <= piece <= len(self.corner_s):
+            raise RequestError("no such piece of the motion", found=piece, allowed=f"0 … {len(self.corner_s)}")
+        out = np.empty((3, times.size))
+        least: float = fill_motion(
+            times, -1 if piece is None else piece, *self._numbers, np.empty(BLOCK), np.empty(TERMS), out
+        )
+        if not least > 0:
+            slowest_rpm = np.abs(self._mean(times, -1 if piece is None else piece)[1]).min()
+            raise _stops(float(slowest_rpm), lag.slowest_rpm if (lag := self.lag) else 0.0)
+        return out[0], out[1], out[2]
+
+    def stretches(self, duration_s: float) -> tuple[tuple[float, float], ...]:
+        """First and last time (s) of each part of 0 … ``duration_s`` in which the shaft turns one way, in sequence.
+
+        The speed changes sign between two of them; where it stays at zero there is none. ``duration_s``: > 0.
+        """
+        cuts = [0.0, *(time for time in self.corner_s if 0 < time < duration_s), duration_s]
+        edges = sorted({*cuts, *(time for time in self._zero_speed_s(cuts) if 0 < time < duration_s)})
+        middles = np.array([0.5 * (start + stop) for start, stop in pairwise(edges)])
+        found: list[tuple[float, float]] = []
+        way = 0.0
+        for (start, stop), rpm in zip(pairwise(edges), self._mean(middles)[1], strict=True):
+            if found and np.sign(rpm) == way and found[-1][1] == start:
+                found[-1] = (found[-1][0], stop)
+            elif rpm != 0:
+                found.append((start, stop))
+                way = np.sign(rpm)
+        return tuple(found)
+
+    def time_at(self, angle_rev: Floats, stretch: tuple[float, float]) -> Floats:
+        """Times (s), shape (n,), at which the shaft passes each angle in a stretch, exact to round-off.
+
+        ``angle_rev``: crank angles (n,), revolutions, within the stretch; quickest in sequence. ``stretch``: first and
+        last time, of :meth:`stretches` or within one. Raises RequestError for an angle outside.
+        """
+        angles = np.ascontiguousarray(angle_rev, dtype=np.float64)
+        if not angles.size:
+            return np.empty(0)
+        knots = self._knots(*stretch)
+        passed = self.at(knots)[0]
+        way = 1.0 if passed[-1] >= passed[0] else -1.0
+        first, last = way * passed[0], way * passed[-1]
+        slack = 1e-11 * max(1.0, abs(first), abs(last))
+        low, high = float((way * angles).min()), float((way * angles).max())
+        if not (first - slack <= low and high <= last + slack):
+            raise RequestError(
+                "the shaft does not pass this angle in the stretch",
+                found=f"{way * (low if low < first else high):.17g} rev",
+                allowed=f"{passed[0]:.17g} … {passed[-1]:.17g} rev",
+            )
+        sequence = None if np.all(way * np.diff(angles) >= 0) else np.argsort(way * angles, kind="stable")
+        sorted_rev = np.clip(angles if sequence is None else angles[sequence], passed.min(), passed.max())
+        times = np.empty(angles.size)
+        fill_times(
+            sorted_rev,
+            knots,
+            way * np.maximum.accumulate(way * passed),
+            way,
+            *self._numbers[:-1],
+            np.zeros(TERMS),
+            times,
+        )
+        if sequence is not None:
+            times[sequence] = times.copy()
+        return times
+
+    @cached_property
+    def _lag(self) -> Lag | None:
+        lag = self.lag
+        return None if lag is None or not (lag.has_gas or np.any(lag.inertia)) else lag
+
+    @cached_property
+    def _wobbles(self) -> Floats:
+        """Frequency (Hz), amplitude (rev/s) and phase (rev), shape (w, 3): one for each frequency that matters."""
+        summed: dict[float, complex] = {}
+        for frequency, rpm, phase_deg in self.wobbles:
+            if rpm:
+                phase_rad = math.radians(math.remainder(phase_deg, 360))
+                summed[frequency] = summed.get(frequency, 0j) + rpm / 60 * cmath.exp(1j * phase_rad)
+        least = max(1e-16 * sum(abs(rpm) / 60 for _, rpm, _ in self.wobbles), LEAST_SWING)
+        rows = [(hz, abs(swing), cmath.phase(swing) / (2 * math.pi)) for hz, swing in summed.items()]
+        return np.array([row for row in rows if row[1] > least], dtype=np.float64).reshape(-1, 3)
+
+    @cached_property
+    def _numbers(self) -> tuple[Floats, Floats, Floats, Floats, float, float, float]:
+        """What the compiled passes need, in the sequence in which they take it."""
+        lag, table, step = self._lag, np.zeros((0, 5)), 0.0
+        if lag is not None:
+            columns = (lag.order, lag.inertia.real, lag.inertia.imag, lag.gas.real, lag.gas.imag)
+            table, step = _filled(np.stack(columns, axis=1), lag.step)
+        gas = lag is not None and lag.has_gas
+        reference, slowest = (lag.reference_rpm / 60, lag.slowest_rpm / 60) if gas and lag is not None else (0.0, 0.0)
+        start = self.start_rev if lag is None else self.start_rev + float(lag.at(self.start_rev, self._mean_rpm(0.0)))
+        pieces = _pieces(self._points, start)
+        return np.array(self.corner_s, dtype=np.float64), pieces, self._wobbles, table, step, reference, slowest
+
+    def _mean(self, time_s: Floats, piece: int = -1) -> Floats:
+        """Angle, speed and acceleration without the lag, shape (3, n)."""
+        out = np.empty((3, time_s.size))
+        corner_s, pieces, wobbles, *_ = self._numbers
+        fill_motion(
+            time_s,
+            piece,
+            corner_s,
+            pieces,
+            wobbles,
+            np.zeros((0, 5)),
+            0.0,
+            0.0,
+            0.0,
+            np.empty(BLOCK),
+            np.empty(TERMS),
+            out,
+        )
+        return out
+
+    def _mean_rpm(self, time_s: float) -> float:
+        rpm = float(np.interp(time_s, *np.transpose(self.corners)))
+        return rpm + sum(a * math.cos(2 * math.pi * (f * time_s + p / 360)) for f, a, p in self.wobbles)
+
+    def _knots(self, start_s: float, stop_s: float) -> Floats:
+        """Times that part a stretch at its corners and, where there are wobbles, as often as a power series needs."""
+        cuts = [start_s, *(time for time in self.corner_s if start_s < time < stop_s), stop_s]
+        top_hz = self._wobbles[:, 0].max() if len(self._wobbles) else 0.0
+        parts = [math.ceil((after - before) * math.pi * top_hz / REACH_RAD) + 1 for before, after in pairwise(cuts)]
+        grids = [np.linspace(*ends, n, endpoint=False) for ends, n in zip(pairwise(cuts), parts, strict=True)]
+        return np.concatenate([*grids, [stop_s]])
+
+    def _zero_speed_s(self, cuts: list[float]) -> list[float]:
+        """Times at which the mean speed is or crosses zero; between two of ``cuts`` its slope has no jump."""
+        if not len(self._wobbles):
+            crossings = []
+            for (start, before), (stop, after) in pairwise([(time, self._mean_rpm(time)) for time in cuts]):
+                if before * after < 0:
+                    crossings.append(start + before / (before - after) * (stop - start))
+            return crossings
+        slope = 2 * np.pi * np.abs(self._wobbles[:, 0] * self._wobbles[:, 1]) * 60
+        straight = [abs(after - before) / (stop - start) for (start, before), (stop, after) in pairwise(self._points)]
+        steepest = float(slope.sum()) + max(straight)
+        bent = float((2 * np.pi * self._wobbles[:, 0] * slope).sum())
+        low, high = np.array(cuts[:-1]), np.array(cuts[1:])
+        crossings = []
+        for _ in range(200):
+            middle, half = 0.5 * (low + high), 0.5 * (high - low)
+            _, rpm, rate = self._mean(middle)
+            near = (np.abs(rpm) <= steepest * half) & (half > 1e-15 * (1 + np.abs(middle)))
+            one_way = (np.abs(rate) > bent * half) | (low.size > MOST_SPANS)
+            crossings += self._crossings(low[near & one_way], high[near & one_way])
+            low, middle, high = low[near & ~one_way], middle[near & ~one_way], high[near & ~one_way]
+            low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+            if not low.size:
+                break
+        return crossings
+
+    def _crossings(self, low: Floats, high: Floats) -> list[float]:
+        """Where the mean speed, which rises or falls throughout from each ``low`` to ``high``, is zero."""
+        below, above = self._mean(low)[1], self._mean(high)[1]
+        change = below * above <= 0
+        low, high, rising = low[change], high[change], (above > below)[change]
+        for _ in range(80):
+            middle = 0.5 * (low + high)
+            passed = (self._mean(middle)[1] > 0) == rising
+            low, high = np.where(passed, low, middle), np.where(passed, middle, high)
+        return [float(time) for time in 0.5 * (low + high)]
+
+
+def wander_wobbles(
+    std_rpm: float, corner_hz: float, stream: np.random.Generator, duration_s: float
+) -> tuple[tuple[float, float, float], ...]:
+    """Random wobbles (Hz, rpm, degrees) that together make a speed wander with an even spectrum up to a corner.
+
+    Each has a cell of the spectrum to itself, its frequency anywhere in it, so that the sum does not repeat; phases are
+    by chance and amplitudes equal. ``std_rpm``: standard deviation of the sum, ≥ 0. ``corner_hz``: top of the spectrum,
+    > 0. ``stream``: where the randomness comes from. ``duration_s``: of the recording, > 0: two wobbles for each
+    resolved line, 16 at least and 256 at most.
+    Source: S. O. Rice, Mathematical analysis of random noise, 1944, equation 1.7-1 with jittered frequencies.
+    """
+    if not std_rpm:
+        return ()
+    count = min(max(math.ceil(2 * corner_hz * duration_s), 16), MOST_WOBBLES)
+    # 1 − u is above zero: no wobble stands still
+    frequency_hz = (np.arange(count) + 1 - stream.random(count)) * (corner_hz / count)
+    phase_deg = 360 * stream.random(count)
+    amplitude_rpm = std_rpm * math.sqrt(2 / count)
+    return tuple((float(f), amplitude_rpm, float(phase)) for f, phase in zip(frequency_hz, phase_deg, strict=True))
+
+
+def _without_straight(corners: tuple[Corner, ...]) -> tuple[Corner, ...]:
+    """Corners that turn, between a point before the first and one after the last."""
+    first, last = corners[0], corners[-1]
+    kept = [(first[0] - 1.0, first[1])]
+    for (time, rpm), (after_s, after) in pairwise([*corners, (last[0] + 1.0, last[1])]):
+        before_s, before = kept[-1]
+        straight = before + (after - before) * ((time - before_s) / (after_s - before_s))
+        if abs(rpm - straight) > 8 * np.finfo(float).eps * max(abs(before), abs(rpm), abs(after)):
+            kept.append((time, rpm))
+    return (*kept, (last[0] + 1.0, last[1]))
+
+
+def _pieces(points: tuple[Corner, ...], start_rev: float) -> Floats:
+    """Time, mean angle, speed and acceleration (rev, s) at a place of each piece: t = 0 or its corner nearest to it."""
+    origin = bisect_right([time for time, _ in points[1:-1]], 0.0)
+    slopes = [(after - before) / (stop - start) for (start, before), (stop, after) in pairwise(points)]
+    rpm_at_0 = points[origin][1] + slopes[origin] * (0.0 - points[origin][0])
+    if slopes[origin] == 0:
+        rpm_at_0 = points[origin][1]
+    rows: list[tuple[float, float, float]] = [(0.0, start_rev, rpm_at_0)] * len(slopes)
+    for way, corners in ((1, points[origin + 1 : -1]), (-1, points[origin:0:-1])):
+        turned, (time, rpm) = Fraction(0), (0.0, rpm_at_0)
+        for number, (next_s, next_rpm) in enumerate(corners, start=1):
+            turned += (Fraction(next_s) - Fraction(time)) * (Fraction(rpm) + Fraction(next_rpm)) / 120
+            time, rpm = next_s, next_rpm
+            rows[origin + way * number] = (time, start_rev + float(turned), rpm)
+    numbers = [(time, angle, rpm / 60, slope / 60) for (time, angle, rpm), slope in zip(rows, slopes, strict=True)]
+    return np.array(numbers, dtype=np.float64)
+
+
+def _filled(table: Floats, step: float) -> tuple[Floats, float]:
+    """Rows of a lag with those of zero between them, so that each order is the next multiple of ``step``, if few."""
+    places = np.rint(table[:, 0] / step).astype(int) - 1 if step else np.zeros(0, dtype=int)
+    if not step or places[-1] + 1 > 4 * len(table) + 8:
+        return table, 0.0
+    filled = np.zeros((places[-1] + 1, 5))
+    filled[places] = table
+    filled[:, 0] = step * np.arange(1, places[-1] + 2)
+    return filled, step
+
+
+def _stops(rpm: float, slowest_rpm: float) -> RequestError:
+    return RequestError(
+        "the shaft would stop within the cycle",
+        place="in-cycle speed",
+        found=f"a mean speed of {rpm:g} rpm",
+        allowed="no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm",
+        remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
+    )

@@ -1,0 +1,235 @@
+"""Forces by order of a shaft, at any angle, speed and angular acceleration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from crankorder.engine.fast_acceleration import fast_sine_cosine
+from crankorder.errors import RequestError
+
+Real = NDArray[np.float64]
+BLOCK = 256
+"""Samples at once: the phasors and sums of a block stay in the fastest cache."""
+LONGEST_JUMP = 8
+"""Multiplications from one multiple of the angle to the next, above which sine and cosine are cheaper."""
+RPM_PER_RAD_S = 30 / math.pi
+ENDLESS = "a force that falls with speed is endless where the shaft stands still"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForceLines:
+    """Forces Re Σ amplitude · scale · exp(2πi order rev), rev the angle of their shaft in revolutions.
+
+    ``order`` (line); ``amplitude`` complex peak (axis, line), N and N·m, at ``at_speed_rpm`` (line); ``exponent``
+    (line): scale = |speed / at_speed|^exponent; ``inertia`` (line): forces of masses that the shaft moves, whose scale
+    is (ω² − iα/order) / ω_at² with α the angular acceleration, exact for any motion; ``gas`` (line): lines that a
+    cycle's own gain multiplies; ``cause`` (line): what made each.
+    Raises RequestError where an inertia line has no order above 0.
+    """
+
+    order: Real
+    amplitude: NDArray[np.complex128]
+    at_speed_rpm: Real
+    exponent: Real
+    inertia: NDArray[np.bool_]
+    gas: NDArray[np.bool_]
+    cause: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if np.any(self.order[self.inertia] <= 0):
+            raise RequestError("forces of moving masses have orders above 0", found=self.order[self.inertia].tolist())
+
+    def only(self, chosen: NDArray[np.bool_]) -> ForceLines:
+        """The ``chosen`` (line,) lines."""
+        return ForceLines(
+            order=self.order[chosen],
+            amplitude=self.amplitude[:, chosen],
+            at_speed_rpm=self.at_speed_rpm[chosen],
+            exponent=self.exponent[chosen],
+            inertia=self.inertia[chosen],
+            gas=self.gas[chosen],
+            cause=tuple(cause for cause, kept in zip(self.cause, chosen.tolist(), strict=True) if kept),
+        )
+
+    def at_speed(self, speed_rpm: float) -> NDArray[np.complex128]:
+        """Complex peaks (axis, line) at a constant ``speed_rpm``, backwards negative, every gain 1.
+
+        Raises RequestError where a force that falls with speed meets a standstill.
+        """
+        exponent = np.where(self.inertia, 2.0, self.exponent)
+        if speed_rpm == 0 and np.any(exponent < 0):
+            raise RequestError(ENDLESS, allowed="speed ≠ 0")
+        scaled: NDArray[np.complex128] = self.amplitude * (abs(speed_rpm) / self.at_speed_rpm) ** exponent
+        return scaled
+
+    @cached_property
+    def sums(self) -> _Sums:
+        """The lines as sums over phasors, one sum for each axis and each way of growing with the motion."""
+        return _sums(self)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Sums:
+    """What the compiled loop takes: phasors, the terms of each, and the factor that each sum gets in the end.
+
+    A phasor is ``jump`` multiplications by the base phasor exp(2πi unit rev) away from the one before, or, where jump
+    is 0, the sine and cosine of order · rev. Its terms are ``first_term[i]`` … ``first_term[i + 1]``: weight real and
+    imaginary, and the sum it goes to, factor · axes + axis.
+    """
+
+    unit: float
+    jump: NDArray[np.int64]
+    order: Real
+    first_term: NDArray[np.int64]
+    weight: Real
+    goes_to: NDArray[np.int64]
+    factors: tuple[_Factor, ...]
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """speed² or acceleration (rpm/s) of inertia lines, else |speed / at|^exponent; times the cycle's gain for gas."""
+
+    of: str
+    exponent: float
+    at_speed_rpm: float
+    gas: bool
+
+    def at(self, speed_rpm: Real, acceleration_rpm_per_s: Real, gain: Real | float) -> Real:
+        if self.of == "acceleration":
+            factor = acceleration_rpm_per_s
+        elif self.exponent == 0:
+            factor = np.ones_like(speed_rpm)
+        else:
+            factor = np.abs(speed_rpm / self.at_speed_rpm) ** self.exponent
+        return factor * gain if self.gas else factor
+
+
+def force_at(
+    lines: ForceLines,
+    angle_rev: Real,
+    speed_rpm: Real,
+    acceleration_rpm_per_s: Real,
+    gain: Real | float | None = None,
+) -> Real:
+    """Forces and moments of ``lines`` (N, N·m), shape (axis, n), where the shaft moves as stated.
+
+    ``angle_rev``, ``speed_rpm``, ``acceleration_rpm_per_s``: of the shaft, each (n,), backwards negative. ``gain``: of
+    the gas lines, (n,) or one for all. Raises RequestError where a force that falls with speed meets a standstill.
+    Source: d²/dt² of X·exp(i·order·φ) for the inertia lines, φ̇ = ω, φ̈ = α.
+    """
+    force = np.zeros((lines.amplitude.shape[0], angle_rev.size))
+    if np.any(lines.exponent[~lines.inertia] < 0) and not np.all(speed_rpm):
+        raise RequestError(ENDLESS, allowed="speed ≠ 0")
+    sums = lines.sums
+    ones = 1.0 if gain is None else gain
+    rows = np.empty((len(sums.factors), angle_rev.size))
+    live = np.ones(len(sums.factors), dtype=np.bool_)
+    for number, (row, factor) in enumerate(zip(rows, sums.factors, strict=True)):
+        row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, ones)
+        live[number] = factor.of != "acceleration" or row.any()
+    if angle_rev.size and sums.jump.size:
+        fill_forces(
+            np.ascontiguousarray(angle_rev, dtype=np.float64),
+            sums.unit,
+            sums.jump,
+            sums.order,
+            sums.first_term,
+            sums.weight,
+            sums.goes_to,
+            rows,
+            live,
+            force,
+        )
+    return force
+
+
+def _sums(lines: ForceLines) -> _Sums:
+    """Terms gathered by order, each with the factor and axis it belongs to."""
+    factors: dict[_Factor, int] = {}
+    by_order: dict[float, dict[int, complex]] = {}
+    n_axes = lines.amplitude.shape[0]
+    for number, order in enumerate(lines.order.tolist()):
+        for factor, share in _factors(lines, number):
+            row = factors.setdefault(factor, len(factors))
+            for axis in np.flatnonzero(lines.amplitude[:, number]).tolist():
+                into, goes_to = by_order.setdefault(order, {}), row * n_axes + axis
+                into[goes_to] = into.get(goes_to, 0) + share * complex(lines.amplitude[axis, number])
+    halves = sorted(order for order in by_order if order > 0 and (2 * order).is_integer())
+    order = [*halves, *(order for order in by_order if order not in set(halves))]
+    unit = math.gcd(*(int(2 * value) for value in halves)) if halves else 1
+    steps = np.diff(np.array([0.0, *order])) * 2 / unit
+    steps[len(halves) :] = 0
+    terms = [(goes_to, weight) for value in order for goes_to, weight in by_order[value].items()]
+    weight = np.array([term[1] for term in terms], dtype=np.complex128)
+    return _Sums(
+        unit=unit / 2,
+        jump=np.where(steps <= LONGEST_JUMP, steps, 0).astype(np.int64),
+        order=np.array(order, dtype=np.float64),
+        first_term=np.cumsum([0, *(len(by_order[value]) for value in order)]),
+        weight=np.stack([weight.real, weight.imag], axis=1),
+        goes_to=np.array([term[0] for term in terms], dtype=np.int64),
+        factors=tuple(factors),
+    )
+
+
+def _factors(lines: ForceLines, number: int) -> list[tuple[_Factor, complex]]:
+    """Factors of one line, and the share of its amplitude that each multiplies."""
+    at, gas = float(lines.at_speed_rpm[number]), bool(lines.gas[number])
+    if lines.inertia[number]:
+        per_acceleration = -1j * RPM_PER_RAD_S / (float(lines.order[number]) * at**2)
+        return [(_Factor("speed", 2.0, at, gas), 1.0), (_Factor("acceleration", 1.0, 1.0, gas), per_acceleration)]
+    exponent = float(lines.exponent[number])
+    return [(_Factor("speed", exponent, at if exponent else 1.0, gas), 1.0)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def fill_forces(angle_rev, unit, jump, order, first_term, weight, goes_to, rows, live, force):  # type: ignore[no-untyped-def]
+    """Sums of phasors added to ``force`` (axis, n), block by block.
+
+    ``angle_rev`` (n,), ``rows`` (factor, n) and ``live`` (factor,): the motion and what it makes of the factors; which
+    of them are not all 0. ``unit``, ``jump``, ``order``, ``first_term``, ``weight``, ``goes_to``: see ``_Sums``.
+    """
+    n_axes = force.shape[0]
+    base_re, base_im = np.zeros(BLOCK), np.zeros(BLOCK)
+    re, im = np.zeros(BLOCK), np.zeros(BLOCK)
+    summed = np.empty((rows.shape[0] * n_axes, BLOCK))
+    used = np.zeros(summed.shape[0], dtype=np.bool_)
+    for term in range(goes_to.size):
+        used[goes_to[term]] = live[goes_to[term] // n_axes]
+    for start in range(0, angle_rev.size, BLOCK):
+        n = min(BLOCK, angle_rev.size - start)
+        for s in range(summed.shape[0]):
+            for i in range(n):
+                summed[s, i] = 0.0
+        for k in range(-1, jump.size):  # the base phasor first; one place for sine and cosine halves the compilation
+            if k < 0 or jump[k] == 0:
+                times = unit if k < 0 else order[k]
+                for i in range(n):
+                    im[i], re[i] = fast_sine_cosine(times * angle_rev[start + i])
+            if k < 0:
+                for i in range(n):
+                    base_re[i], base_im[i] = re[i], im[i]
+                    re[i], im[i] = 1.0, 0.0
+                continue
+            for _ in range(jump[k]):
+                for i in range(n):
+                    turned = re[i] * base_re[i] - im[i] * base_im[i]
+                    im[i] = re[i] * base_im[i] + im[i] * base_re[i]
+                    re[i] = turned
+            for term in range(first_term[k], first_term[k + 1]):
+                if used[goes_to[term]]:
+                    row, w_re, w_im = summed[goes_to[term]], weight[term, 0], weight[term, 1]
+                    for i in range(n):
+                        row[i] += w_re * re[i] - w_im * im[i]
+        for s in range(summed.shape[0]):
+            if used[s]:
+                out, factor = force[s % n_axes], rows[s // n_axes]
+                for i in range(n):
+                    out[start + i] += factor[start + i] * summed[s, i]

@@ -1,0 +1,155 @@
+"""Lines over one angle are lines over the other, as many samples and a Fourier transform find them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import RequestError
+from crankorder.synth.cycle import lines_in_angle, lines_in_time
+from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.order_forces import ForceLines
+
+ORDERS = np.array([0.0, 0.5, 1.0, 2.0, 2.0, 4.0, 5.3])
+RPM = 1300.0
+
+
+def _lag(size: float = 1.0, orders: tuple[float, ...] = (0.5, 1.0, 2.0, 3.5)) -> Lag:
+    order = np.array(orders)
+    inertia = size * 6e-3 / order * np.exp(3j * order)
+    return Lag(order=order, inertia=inertia, gas=size * 3e-3 / order * np.exp(1j * order**2), reference_rpm=1000.0)
+
+
+def _forces() -> ForceLines:
+    rng = np.random.default_rng(7)
+    amplitude = rng.normal(size=(6, ORDERS.size)) + 1j * rng.normal(size=(6, ORDERS.size))
+    return ForceLines(
+        order=ORDERS,
+        amplitude=amplitude,
+        at_speed_rpm=np.array([1000.0, 1000.0, 1500.0, 1500.0, 1000.0, 900.0, 1200.0]),
+        exponent=np.array([0.0, 0.0, 2.0, 2.0, 1.0, 2.0, 2.5]),
+        inertia=np.array([False, False, True, True, False, True, False]),
+        gas=np.array([True, True, False, False, False, False, False]),
+        cause=("a", "b", "c", "d", "e", "f", "g"),
+    )
+
+
+def _force_at(lines: ForceLines, angle: np.ndarray, rpm: np.ndarray, rpm_per_s: np.ndarray) -> np.ndarray:
+    """Force (axis, n) as the definition has it."""
+    omega, alpha, total = rpm * np.pi / 30, rpm_per_s * np.pi / 30, np.zeros((6, angle.size))
+    for k, order in enumerate(lines.order):
+        at = lines.at_speed_rpm[k] * np.pi / 30
+        if lines.inertia[k]:
+            scale = (omega**2 - 1j * alpha / order) / at**2
+        else:
+            scale = np.abs(omega / at) ** lines.exponent[k]
+        total += (lines.amplitude[:, k, None] * scale * np.exp(2j * np.pi * order * angle)).real
+    return total
+
+
+def _found(signal: np.ndarray, revs: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orders and complex lines of samples over ``revs`` whole turns."""
+    lines = np.fft.rfft(signal, axis=1) * 2 / signal.shape[1]
+    lines[:, 0] /= 2
+    return np.arange(lines.shape[1]) / revs, lines
+
+
+def _worst(order: np.ndarray, amplitude: np.ndarray, signal: np.ndarray, revs: float) -> float:
+    """Largest difference between given lines and those of samples over ``revs`` whole turns, over the largest line."""
+    every, expected = _found(signal, revs)
+    placed = np.zeros_like(expected)
+    places = np.rint(order * revs).astype(int)
+    np.testing.assert_allclose(order, every[places], atol=1e-12)
+    assert np.unique(places).size == places.size
+    placed[:, places] = amplitude
+    return float(np.abs(placed - expected).max() / np.abs(expected).max())
+
+
+@pytest.mark.parametrize("size", [1.0, 5.0])
+@pytest.mark.parametrize("rpm", [RPM, -RPM])
+def test_forces_of_an_uneven_rotation_are_lines_of_the_mean_rotation(size: float, rpm: float) -> None:
+    lines, lag, revs, n = _forces(), _lag(size), 20, 1 << 14
+    order, amplitude = lines_in_time(lines, lag, speed_rpm=rpm)
+    motion = Motion(start_rev=0.3, corners=((0.0, rpm),), lag=lag)
+    mean_rev = np.arange(n) / n * revs
+    signal = _force_at(lines, *motion.at((mean_rev - motion.mean_rev(0.0)) * 60 / rpm))
+    assert _worst(order, amplitude, signal, revs) < 2e-12
+
+
+def test_a_perfect_order_analysis_finds_the_lines_in_angle() -> None:
+    lag, revs, n = _lag(3.0), 20, 1 << 13
+    rng = np.random.default_rng(8)
+    of_time = np.array([0.0, 0.5, 2.0, 5.3, 11.5])
+    given = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
+    order, amplitude = lines_in_angle(of_time, given, lag, speed_rpm=RPM)
+    motion = Motion(start_rev=0.0, corners=((0.0, RPM),), lag=lag)
+    angle = np.arange(n) / n * revs
+    time = motion.time_at(angle, (-1.0, 5.0))
+    mean_rev = motion.mean_rev(0.0) + time * RPM / 60
+    signal = (given @ np.exp(2j * np.pi * np.outer(of_time, mean_rev))).real
+    assert _worst(order, amplitude, signal, revs) < 2e-12
+
+
+def test_there_and_back_gives_the_lines_that_were_given() -> None:
+    lag, lines = _lag(), _forces().only(np.array([False] * 6 + [True]))
+    steady = ForceLines(
+        order=lines.order,
+        amplitude=lines.amplitude,
+        at_speed_rpm=lines.at_speed_rpm,
+        exponent=np.zeros(1),
+        inertia=lines.inertia,
+        gas=lines.gas,
+        cause=lines.cause,
+    )
+    order, amplitude = lines_in_time(steady, lag, speed_rpm=RPM)
+    assert order.size > 20
+    again, back = lines_in_angle(order, amplitude, lag, speed_rpm=RPM)
+    size = np.abs(back).max(axis=0)
+    np.testing.assert_allclose(back[:, again == 5.3], lines.amplitude, rtol=1e-11)
+    assert size[again != 5.3].max(initial=0) < 1e-11 * size.max()
+
+
+def test_an_even_rotation_changes_nothing_but_the_speed() -> None:
+    lines = _forces()
+    even = Lag(order=np.array([0.5]), inertia=np.zeros(1, dtype=complex), gas=np.zeros(1, dtype=complex))
+    order, amplitude = lines_in_time(lines, even, speed_rpm=RPM)
+    np.testing.assert_array_equal(order, np.unique(ORDERS))
+    scale = (RPM / lines.at_speed_rpm) ** np.where(lines.inertia, 2.0, lines.exponent)
+    of_second = (lines.amplitude * scale)[:, 3:5].sum(axis=1)
+    np.testing.assert_allclose(amplitude[:, order == 2.0][:, 0], of_second, rtol=1e-13)
+    np.testing.assert_allclose(amplitude[:, 0], lines.amplitude[:, 0].real, atol=1e-15)
+    none = Lag(order=np.zeros(0), inertia=np.zeros(0, dtype=complex), gas=np.zeros(0, dtype=complex))
+    np.testing.assert_allclose(lines_in_time(lines, none, speed_rpm=RPM)[1], amplitude, rtol=1e-12, atol=1e-13)
+
+
+def test_a_small_lag_modulates_the_phase() -> None:
+    lag = Lag(order=np.array([2.0]), inertia=np.array([1e-6 + 0j]), gas=np.zeros(1, dtype=complex))
+    order, amplitude = lines_in_angle(np.array([5.0]), np.ones((1, 1), dtype=complex), lag, speed_rpm=RPM)
+    line = dict(zip(order.tolist(), amplitude[0].tolist(), strict=True))
+    assert line[5.0] == pytest.approx(1, abs=1e-9)
+    for side in (3.0, 7.0):
+        assert line[side] == pytest.approx(1j * np.pi * 5 * 1e-6, rel=1e-4)
+
+
+def test_only_sidebands_at_the_steps_of_the_lag_appear() -> None:
+    lag = _lag(orders=(1.0, 3.0))
+    order, _ = lines_in_angle(np.array([2.0, 5.3]), np.ones((1, 2), dtype=complex), lag, speed_rpm=RPM)
+    beside = np.mod(order + 1e-9, 1.0) - 1e-9
+    assert np.all((np.abs(beside) < 1e-8) | (np.abs(beside - 0.3) < 1e-8) | (np.abs(beside - 0.7) < 1e-8))
+    assert {2.0, 5.3} <= set(order.tolist())
+
+
+def test_no_lines_give_no_lines() -> None:
+    order, amplitude = lines_in_angle(np.array([1.0]), np.zeros((3, 1), dtype=complex), _lag(), speed_rpm=RPM)
+    assert order.shape == (0,)
+    assert amplitude.shape == (3, 0)
+
+
+def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused() -> None:
+    one = np.ones((1, 1), dtype=complex)
+    with pytest.raises(RequestError, match="common cycle"):
+        lines_in_angle(np.array([1.0]), one, _lag(orders=(1.0, 2**0.5)), speed_rpm=RPM)
+    with pytest.raises(RequestError, match="stop within the cycle"):
+        lines_in_angle(np.array([1.0]), one, _lag(), speed_rpm=100.0)
+    with pytest.raises(RequestError, match="stop within the cycle"):
+        lines_in_time(_forces(), _lag(), speed_rpm=0.0)

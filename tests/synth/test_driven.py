@@ -1,0 +1,374 @@
+"""Run-ups, wobbles and cycles against an integration of the same modes that shares nothing with the compiled one."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from crankorder.errors import RequestError
+from crankorder.synth.analogue import in_series, low_pass
+from crankorder.synth.driven import driven_signal
+from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.order_forces import ForceLines
+from crankorder.synth.poles import poles_of
+from crankorder.synth.response import Structure, accelerance
+
+RATE_HZ = 5000.0
+OMEGA, ZETA = 2 * np.pi * np.array([60.0, 115.0, 400.0]), np.array([0.15, 0.1, 0.05])
+SENSOR = np.array([[0.006, 0.010], [0.0, -0.008], [0.004, 0.001]]) * np.exp(1j * np.array([[0, 0], [0, 0.6], [2.0, 0]]))
+DRIVE = np.array([[0.2, 1.0, -0.3, 4.0, 0.0, -2.0], [0.5, -0.7, 0.3, 0.0, 0.0, 3.0], [0.1, 0.4, 0.9, 0.0, 2.0, 0.0]])
+RIGID = np.array([[0.0, 0.0, 0.002, 0.0, 0.1, 0.0], [0.001, 0.0, 0.003, 0.0, 0.0, 0.2]])
+STRUCTURE = Structure(
+    frequency_hz=OMEGA / (2 * np.pi), damping_ratio=ZETA, sensor_per_kg=SENSOR, drive=DRIVE, rigid_body_per_kg=RIGID
+)
+POLES = poles_of(STRUCTURE)
+TWICE_DAMPING, SQUARED = 2 * ZETA * OMEGA, OMEGA**2
+
+ORDERS = np.array([1.0, 2.0, 4.0, 2.5, 1.37])
+PLACES = np.random.default_rng(2).normal(size=(6, 2, 5)) * np.array([1e-3, 4e-4, 2e-5, 0.0, 0.0])
+"""Cosine and sine parts of mass times place (kg·m) along each axis: forces are its second derivative in time."""
+PUSHES = np.random.default_rng(3).normal(size=(6, 2, 5)) * np.array([0.0, 0.0, 0.0, 5.0, 8.0])
+"""Forces that grow as speed to the power of 2 (order 2.5) or not at all (1.37), N at 1000 rpm."""
+AT_RPM = 1000.0
+
+
+def lines(*, gas: bool = False) -> ForceLines:
+    omega = AT_RPM * np.pi / 30
+    place, push = (part[:, 0] - 1j * part[:, 1] for part in (PLACES, PUSHES))
+    return ForceLines(
+        order=ORDERS,
+        amplitude=push - (ORDERS * omega) ** 2 * place,
+        at_speed_rpm=np.full(5, AT_RPM),
+        exponent=np.array([2.0, 2.0, 2.0, 2.0, 0.0]),
+        inertia=np.array([True, True, True, False, False]),
+        gas=np.array([False, False, False, True, True]) & gas,
+        cause=("mass", "mass", "mass", "push", "push"),
+    )
+
+
+def plain_force(phi: float, omega: float, alpha: float, gas_gain: float = 1.0) -> np.ndarray:
+    """Forces where the shaft is at ``phi`` (rad) with ``omega`` (rad/s) and ``alpha`` (rad/s²)."""
+    cosine, sine = np.cos(ORDERS * phi), np.sin(ORDERS * phi)
+    # d²/dt² of cos kφ is −kα sin kφ − (kω)² cos kφ, of sin kφ it is kα cos kφ − (kω)² sin kφ
+    along, across = -((ORDERS * omega) ** 2), ORDERS * alpha
+    masses = PLACES[:, 0] @ (along * cosine - across * sine) + PLACES[:, 1] @ (along * sine + across * cosine)
+    grown = np.where(ORDERS == 2.5, (omega * 30 / np.pi / AT_RPM) ** 2, 1.0) * gas_gain
+    return masses + PUSHES[:, 0] @ (grown * cosine) + PUSHES[:, 1] @ (grown * sine)
+
+
+def integrated(
+    force_of_time: Callable[[float], np.ndarray],
+    sample_s: np.ndarray,
+    *,
+    borders_s: tuple[float, ...],
+    start: np.ndarray,
+) -> np.ndarray:
+    """Channels at ``sample_s``: q̈ + 2ζω q̇ + ω² q = drive·f from border to border, DOP853 with 1e-13."""
+    found, state = [], start
+    for begin, end in pairwise(borders_s):
+        first, last = np.nextafter(begin, end), np.nextafter(end, begin)  # which formula holds is never in doubt
+
+        def force(time: float, first: float = first, last: float = last) -> np.ndarray:
+            return force_of_time(min(max(time, first), last))
+
+        def motion(time: float, state: np.ndarray, force: Callable[[float], np.ndarray] = force) -> np.ndarray:
+            q, speed = state[:3], state[3:]
+            return np.concatenate([speed, DRIVE @ force(time) - TWICE_DAMPING * speed - SQUARED * q])
+
+        within = sample_s[(sample_s >= begin) & (sample_s < end)]
+        wanted = np.append(within, end)
+        solved = solve_ivp(motion, (begin, end), state, method="DOP853", t_eval=wanted, rtol=1e-13, atol=1e-17)
+        found += [channels(motion(t, y), y, force(t)) for t, y in zip(within, solved.y.T, strict=False)]
+        state = solved.y[:, -1]
+    return np.array(found).T
+
+
+def channels(rates: np.ndarray, state: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Acceleration of the sensors; a complex residue also takes the mode's velocity, twice differentiated."""
+    damped = OMEGA * np.sqrt(1 - ZETA**2)
+    acceleration, speed = rates[3:], state[3:]
+    third = -2 * ZETA * OMEGA * acceleration - OMEGA**2 * speed  # d³q/dt³ without the force's own derivative
+    in_phase = acceleration @ SENSOR.real
+    turned = (ZETA * OMEGA / damped * acceleration + third / damped) @ SENSOR.imag
+    return in_phase + turned + RIGID @ force
+
+
+def steady_start(rpm: float, phi: float) -> np.ndarray:
+    """Modes in the steady state of a constant speed, at the angle ``phi`` (rad)."""
+    state = np.zeros(6)
+    omega = rpm * np.pi / 30
+    for k, order in enumerate(ORDERS):
+        scale = (rpm / AT_RPM) ** 2 if order == 2.5 else 1.0
+        peak = scale * (PUSHES[:, 0, k] - 1j * PUSHES[:, 1, k])
+        peak = peak - (order * omega) ** 2 * (PLACES[:, 0, k] - 1j * PLACES[:, 1, k])
+        s = 1j * order * omega
+        q = (DRIVE @ peak) / (OMEGA**2 + 2 * ZETA * OMEGA * s + s**2) * np.exp(1j * order * phi)
+        state += np.concatenate([q.real, (s * q).real])
+    return state
+
+
+def profile(
+    corners: tuple[tuple[float, float], ...], start_rev: float
+) -> Callable[[float], tuple[float, float, float]]:
+    """Angle (rad), speed (rad/s) and acceleration (rad/s²) of a speed that runs straight from corner to corner."""
+
+    def at(time: float) -> tuple[float, float, float]:
+        rev, before_s, before = start_rev, 0.0, corners[0][1]
+        for corner_s, rpm in (*corners, (np.inf, corners[-1][1])):
+            slope = (rpm - before) / (corner_s - before_s) if before_s < corner_s < np.inf else 0.0
+            run = min(time, corner_s) - before_s
+            rev += (before * run + slope * run**2 / 2) / 60
+            if time < corner_s:
+                return 2 * np.pi * rev, (before + slope * run) * np.pi / 30, slope * np.pi / 30
+            before_s, before = corner_s, rpm
+        raise AssertionError
+
+    return at
+
+
+PROFILES = {
+    "run-up": ((0.0, 300.0), (0.25, 5000.0)),
+    "corners": ((0.04, 900.0), (0.1, 2700.0), (0.16, 2700.0), (0.2, 300.0)),
+    "corners between samples": ((0.04003, 900.0), (0.10017, 2700.0), (0.1600071, 2700.0), (0.2, 300.0)),
+    "reversal": ((0.02, 700.0), (0.2, -1500.0)),
+    "from standstill": ((0.04, 0.0), (0.2, 2000.0)),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_run_up_is_what_a_precise_integration_gives(name: str) -> None:
+    corners, start_rev, n_samples = PROFILES[name], 0.3, 1300
+    at = profile(corners, start_rev)
+    times = np.arange(n_samples) / RATE_HZ
+    borders = tuple(sorted({0.0, *(time for time, _ in corners), times[-1] + 0.5 / RATE_HZ}))
+    start = steady_start(corners[0][1], 2 * np.pi * start_rev)
+    expected = integrated(lambda time: plain_force(*at(time)), times, borders_s=borders, start=start)
+    sources = [(lines(), Motion(start_rev=start_rev, corners=corners))]
+    for tolerance, allowed in ((1e-9, 1e-11), (1e-12, 1e-12)):
+        found = driven_signal(POLES, sources, rate_hz=RATE_HZ, n_samples=n_samples, tolerance=tolerance)
+        error = np.abs(found - expected).max() / np.abs(expected).max()
+        assert error < allowed
+
+
+def test_without_the_inertia_of_angular_acceleration_the_run_up_would_be_wrong() -> None:
+    motion = Motion(start_rev=0.0, corners=PROFILES["run-up"])
+    forces = lines()
+    without = replace(forces, inertia=np.zeros(5, dtype=bool))
+    one, other = (driven_signal(POLES, [(part, motion)], rate_hz=RATE_HZ, n_samples=2000) for part in (forces, without))
+    assert np.abs(one - other).max() > 1e-3 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("rpm", [60.0, 1234.5, -900.0, 9000.0])
+def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm: float) -> None:
+    n_samples, start_rev = 10_000, 0.3
+    motion = Motion(start_rev=start_rev, corners=((0.0, rpm),))
+    found = driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=n_samples, tolerance=1e-14)
+    amplitude = np.einsum("cal,al->cl", accelerance(STRUCTURE, ORDERS * rpm / 60), lines().at_speed(rpm))
+    turns = ORDERS[:, None] * (start_rev + rpm / 60 * np.arange(n_samples) / RATE_HZ)
+    expected = (amplitude @ np.exp(2j * np.pi * turns)).real
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_behind_a_filter_the_response_is_accelerance_times_filter() -> None:
+    filter, rpm, n_samples = in_series(low_pass(8, 900.0), low_pass(1, 200.0)), 2000.0, 5000
+    motion = Motion(start_rev=0.1, corners=((0.0, rpm),))
+    poles = poles_of(STRUCTURE, filter)
+    found = driven_signal(poles, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=n_samples, tolerance=1e-14)
+    frequency = ORDERS * rpm / 60
+    response = accelerance(STRUCTURE, frequency) * filter.response(frequency)
+    amplitude = np.einsum("cal,al->cl", response, lines().at_speed(rpm))
+    turns = ORDERS[:, None] * (0.1 + rpm / 60 * np.arange(n_samples) / RATE_HZ)
+    expected = (amplitude @ np.exp(2j * np.pi * turns)).real
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_response() -> None:
+    """v̈ + √2 ω v̇ + ω² v = ω² a, a two-pole Butterworth filter, integrated with the modes as further states."""
+    corners, corner = ((0.0, 300.0), (0.15, 5000.0)), 2 * np.pi * 700.0
+    at = profile(corners, 0.2)
+    times = np.arange(700) / RATE_HZ
+
+    def motion(time: float, state: np.ndarray) -> np.ndarray:
+        force = plain_force(*at(time))
+        acceleration = DRIVE @ force - 2 * ZETA * OMEGA * state[3:6] - OMEGA**2 * state[:3]
+        rates = np.concatenate([state[3:6], acceleration])
+        sensed = channels(rates, state[:6], force)
+        filtered, rate = state[6:8], state[8:10]
+        return np.concatenate([rates, rate, corner**2 * (sensed - filtered) - np.sqrt(2) * corner * rate])
+
+    frequency = ORDERS * 5.0
+    gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
+    tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
+    begin = np.concatenate(
+        [
+            steady_start(300.0, 0.4 * np.pi),
+            tone.real.sum(axis=1),
+            (2j * np.pi * frequency * tone).real.sum(axis=1),
+        ]
+    )
+    solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
+    found = driven_signal(
+        poles_of(STRUCTURE, low_pass(2, 700.0)),
+        [(lines(), Motion(start_rev=0.2, corners=corners))],
+        rate_hz=RATE_HZ,
+        n_samples=700,
+        tolerance=1e-12,
+    )
+    assert np.abs(found - solved.y[6:8]).max() < 1e-11 * np.abs(found).max()
+
+
+def wobbling(time: float) -> tuple[float, float, float]:
+    rpm, slope = 1500 + 60 * np.cos(2 * np.pi * 7 * time + 1), -60 * 14 * np.pi * np.sin(14 * np.pi * time + 1)
+    turned = 1500 * time + 60 * (np.sin(14 * np.pi * time + 1) - np.sin(1)) / (14 * np.pi)
+    return 2 * np.pi * (0.3 + turned / 60), rpm * np.pi / 30, slope * np.pi / 30
+
+
+def lagging(time: float) -> tuple[float, float, float]:
+    """The angle θ whose θ + 2π·lag(θ) turns evenly, by Newton's method; lag of order 2, 0.01 rev."""
+    even = 2 * np.pi * (25 * time + 0.3 + 0.01 * np.cos(2 * 0.6 * np.pi))
+    theta = even
+    for _ in range(7):
+        theta -= (theta + 0.02 * np.pi * np.cos(2 * theta) - even) / (1 - 0.04 * np.pi * np.sin(2 * theta))
+    omega = 50 * np.pi / (1 - 0.04 * np.pi * np.sin(2 * theta))
+    return theta, omega, omega**3 / (50 * np.pi) * 0.08 * np.pi * np.cos(2 * theta)
+
+
+UNEVEN = {
+    "wobble": (Motion(start_rev=0.3, corners=((0.0, 1500.0),), wobbles=((7.0, 60.0, np.degrees(1)),)), wobbling),
+    "lag": (
+        Motion(
+            start_rev=0.3,
+            corners=((0.0, 1500.0),),
+            lag=Lag(order=np.array([2.0]), inertia=np.array([0.01 + 0j]), gas=np.zeros(1, dtype=complex)),
+        ),
+        lagging,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNEVEN)
+def test_an_uneven_rotation_has_its_past(name: str) -> None:
+    motion, at = UNEVEN[name]
+    times, past_s = np.arange(300) / RATE_HZ, 0.5
+    expected = integrated(
+        lambda time: plain_force(*at(time)),
+        times,
+        borders_s=(-past_s, times[-1] + 0.5 / RATE_HZ),
+        start=steady_start(1500.0, at(-past_s)[0]),
+    )
+    found = driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=300)
+    assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def factor(cycle: np.ndarray) -> np.ndarray:
+    return 1 + 0.3 * np.sin(5.0 * np.asarray(cycle) ** 2)
+
+
+@pytest.mark.parametrize("corners", [((0.02, 1500.0), (0.0801, 4000.0)), ((0.01, 1200.0), (0.1, -2400.0))])
+def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float, float], ...]) -> None:
+    times, past_s, start_rev = np.arange(600) / RATE_HZ, 0.5, 0.3017
+    at = profile(corners, start_rev)
+    inner = [-past_s, *(time for time, _ in corners), times[-1] + 0.5 / RATE_HZ]
+    fine = np.linspace(-past_s, times[-1] + 0.5 / RATE_HZ, 5001)
+    cycle = np.floor([at(time)[0] / (4 * np.pi) for time in fine])
+    for k in np.flatnonzero(np.diff(cycle)):
+        low, high, target = fine[k], fine[k + 1], 4 * np.pi * max(cycle[k], cycle[k + 1])
+        rising = cycle[k + 1] > cycle[k]
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if (at(middle)[0] < target) == rising else (low, middle)
+        inner.append(high)
+
+    def force(time: float) -> np.ndarray:
+        phi, omega, alpha = at(time)
+        return plain_force(phi, omega, alpha, float(factor(np.floor(phi / (4 * np.pi)))))
+
+    expected = integrated(
+        force, times, borders_s=tuple(sorted(set(inner))), start=steady_start(corners[0][1], at(-past_s)[0])
+    )
+    found = driven_signal(
+        POLES,
+        [(lines(gas=True), Motion(start_rev=start_rev, corners=corners))],
+        rate_hz=RATE_HZ,
+        n_samples=600,
+        gain_of_cycle=factor,
+    )
+    assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def test_equal_gains_change_nothing_but_the_size() -> None:
+    sources = [(lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0))))]
+    plain, same, double = (
+        driven_signal(POLES, sources, rate_hz=RATE_HZ, n_samples=3000, gain_of_cycle=gain)
+        for gain in (None, lambda c: np.ones(c.size), lambda c: np.full(c.size, 2.0))
+    )
+    gas_only = [(lines(gas=True).only(lines(gas=True).gas), sources[0][1])]
+    gas = driven_signal(POLES, gas_only, rate_hz=RATE_HZ, n_samples=3000)
+    assert np.abs(same - plain).max() < 1e-10 * np.abs(plain).max()  # of a past that is integrated, not known
+    assert np.abs(double - plain - gas).max() < 1e-10 * np.abs(plain).max()
+
+
+@pytest.mark.parametrize("gain", [None, factor], ids=["no gains", "gains"])
+def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -> None:
+    shafts = [
+        (lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.3, 3000.0)))),
+        (lines(), Motion(start_rev=0.0, corners=((0.1003, -700.0), (0.2, -710.0)))),
+    ]
+    whole, *parts = (
+        driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=1600, gain_of_cycle=gain, block_steps=size)
+        for size in (1 << 20, 2, 37, 1000)
+    )
+    for part in parts:
+        assert np.abs(part - whole).max() < 1e-13 * np.abs(whole).max()
+
+
+def test_sources_add_up() -> None:
+    shafts = [
+        (lines(), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0)))),
+        (lines(), Motion(start_rev=0.7, corners=((0.2, -700.0), (0.5, -1710.0)))),
+    ]
+    both = driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=4000, tolerance=1e-12)
+    apart = [driven_signal(POLES, [one], rate_hz=RATE_HZ, n_samples=4000, tolerance=1e-12) for one in shafts]
+    assert np.abs(both - apart[0] - apart[1]).max() < 1e-11 * np.abs(both).max()
+
+
+def test_orders_close_to_half_the_rate_are_followed() -> None:
+    """A run-up whose fastest force ends at 0.98 of half the rate, against the same at thirteen times the rate."""
+    forces = lines().only(np.array([False, False, True, False, False]))
+    motion = Motion(start_rev=0.0, corners=((0.0, 30_000.0), (0.5, 36_750.0)))  # order 4: 2000 … 2450 Hz
+    slow = driven_signal(POLES, [(forces, motion)], rate_hz=RATE_HZ, n_samples=3000)
+    fast = driven_signal(POLES, [(forces, motion)], rate_hz=13 * RATE_HZ, n_samples=39_000, tolerance=1e-13)
+    assert np.abs(slow - fast[:, ::13]).max() < 1e-9 * np.abs(fast).max()
+
+
+def test_gas_on_two_shafts_cannot_have_gains() -> None:
+    shafts = [(lines(gas=True), Motion(start_rev=start, corners=((0.0, 600.0),))) for start in (0.0, 0.1)]
+    with pytest.raises(RequestError, match="one shaft only"):
+        driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=10, gain_of_cycle=factor)
+
+
+def test_corners_before_the_first_sample_count() -> None:
+    late = Motion(start_rev=0.3, corners=((0.1, 600.0), (0.2, 2400.0)))
+    early_rev = float(late.at(np.array([0.14]))[0][0])
+    early = Motion(start_rev=early_rev, corners=((0.1 - 0.14, 600.0), (0.2 - 0.14, 2400.0)))
+    whole = driven_signal(POLES, [(lines(), late)], rate_hz=RATE_HZ, n_samples=1700, tolerance=1e-13)
+    rest = driven_signal(POLES, [(lines(), early)], rate_hz=RATE_HZ, n_samples=1000, tolerance=1e-13)
+    assert np.abs(rest - whole[:, 700:]).max() < 1e-12 * np.abs(rest).max()
+
+
+def test_a_rigid_body_alone_follows_the_force_at_once() -> None:
+    nothing = {"frequency_hz": np.zeros(0), "damping_ratio": np.zeros(0), "sensor_per_kg": np.zeros((0, 2))}
+    body = poles_of(Structure(**nothing, drive=np.zeros((0, 6)), rigid_body_per_kg=RIGID))
+    corners = PROFILES["run-up"]
+    at = profile(corners, 0.3)
+    sources = [(lines(), Motion(start_rev=0.3, corners=corners))]
+    found = driven_signal(body, sources, rate_hz=RATE_HZ, n_samples=500)
+    expected = RIGID @ np.array([plain_force(*at(k / RATE_HZ)) for k in range(500)]).T
+    assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
+
+
+def test_without_forces_nothing_moves() -> None:
+    assert np.array_equal(driven_signal(POLES, [], rate_hz=RATE_HZ, n_samples=10), np.zeros((2, 10)))

@@ -1,0 +1,170 @@
+"""The compiled integration against plain NumPy, against analytic motion, and its error against its own bound."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from crankorder.errors import RequestError
+from crankorder.synth.integration import (
+    STENCILS,
+    Integration,
+    advance,
+    integration_for,
+    interpolation_error,
+    step_weights,
+)
+from crankorder.synth.poles import Poles, frequency_response, steady_state
+
+RNG = np.random.default_rng(8)
+POLES = Poles(
+    pole_per_s=np.array([-3 + 380j, -0.4 + 1500j, -900 + 0j, -4e4 + 5e4j, -2 + 0j]),
+    input=RNG.normal(size=(5, 6)),
+    output=RNG.normal(size=(2, 5)) + 1j * RNG.normal(size=(2, 5)),
+    direct=RNG.normal(size=(2, 6)),
+)
+RATE_HZ = 8192.0
+
+
+def plain_advance(force: np.ndarray, integration: Integration, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One step of the grid after the other, each of them the integral of a polynomial through the samples about it."""
+    margin, substeps = integration.margin, integration.substeps
+    step = 1 / (RATE_HZ * substeps)
+    grow, taps = step_weights(POLES.pole_per_s, step, Integration(integration.stencil, 1))
+    signal, state = [], state.copy()
+    for number in range(force.shape[1] - 2 * margin):
+        if number % substeps == 0:
+            signal.append((POLES.output @ state).real + POLES.direct @ force[:, margin + number])
+        about = force[:, number + 1 : number + 1 + integration.stencil]
+        state += grow * state + (taps * (POLES.input @ about)).sum(axis=1)
+    return np.array(signal).T, state
+
+
+@pytest.mark.parametrize("integration", [Integration(2, 1), Integration(8, 1), Integration(12, 3), Integration(4, 2)])
+def test_the_compiled_integration_is_the_plain_one(integration: Integration) -> None:
+    n_samples = 1100  # three blocks, the last not full
+    force = RNG.normal(size=(6, n_samples * integration.substeps + 2 * integration.margin))
+    start = RNG.normal(size=5) + 1j * RNG.normal(size=5)
+    step = 1 / (RATE_HZ * integration.substeps)
+    signal, after = advance(POLES, force, step_s=step, integration=integration, state=start)
+    expected, expected_after = plain_advance(force, integration, start)
+    assert signal.shape == (2, n_samples)
+    assert np.abs(signal - expected).max() < 1e-13 * np.abs(expected).max()
+    assert np.abs(after - expected_after).max() < 1e-13 * np.abs(expected_after).max()
+
+
+@pytest.mark.parametrize("stencil", STENCILS)
+def test_weights_are_exact_for_polynomials_up_to_the_stencil(stencil: int) -> None:
+    pole, step = np.array([-1.3 + 2.1j]), 0.7
+    _, taps = step_weights(pole, step, Integration(stencil, 1))
+    nodes = np.arange(stencil) - (stencil // 2 - 1)
+    for power in range(stencil):
+        parts = [
+            quad(lambda t, part=part, p=power: getattr(np.exp(pole[0] * (step - t)), part) * (t / step) ** p, 0, step)[
+                0
+            ]
+            for part in ("real", "imag")
+        ]
+        samples = nodes.astype(float) ** power
+        assert abs((taps[0] * samples).sum() - complex(*parts)) < 1e-14 * np.abs(taps[0] * samples).sum()
+
+
+def tone_error(pole_per_step: complex, phase_rad: float, integration: Integration) -> float:
+    """Relative error of the steady response of a pole to a tone: both are known in closed form."""
+    growth, taps = step_weights(np.array([pole_per_step]), 1.0, integration)
+    samples = np.exp(1j * phase_rad * (np.arange(taps.shape[1]) - (integration.stencil // 2 - 1)))
+    found = (taps[0] * samples).sum() / (np.exp(1j * phase_rad * integration.substeps) - 1 - growth[0])
+    return abs(found * (1j * phase_rad - pole_per_step) - 1)
+
+
+@pytest.mark.parametrize("stencil", STENCILS)
+@pytest.mark.parametrize("phase_rad", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("pole", [-1e-4 + 2e-3j, -0.002 + 0.05j, -0.3 + 0.5j, -2 + 2j])
+def test_the_error_of_a_tone_is_within_its_bound_and_not_far_below(
+    stencil: int, phase_rad: float, pole: complex
+) -> None:
+    bound = interpolation_error(stencil, phase_rad)
+    for substeps in (1, 3):
+        error = tone_error(pole, phase_rad, Integration(stencil, substeps))
+        assert bound / 3 < error < bound + 1e-13
+
+
+def test_up_to_the_fastest_tone_the_bound_still_holds() -> None:
+    ratios = [
+        tone_error(pole, phase, Integration(stencil, 1)) / interpolation_error(stencil, phase)
+        for stencil in STENCILS
+        for phase in (1.5, 2.0, 3.0)
+        for pole in (-1e-4 + 2e-3j, -0.01 + 1j * phase, -2 + 2j)
+    ]
+    assert max(ratios) < 1
+
+
+@pytest.mark.parametrize("share", [0.01, 0.2, 0.95, 3.0])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-9, 1e-12])
+def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not(share: float, tolerance: float) -> None:
+    frequency = share * RATE_HZ / 2
+    chosen = integration_for(frequency, RATE_HZ, tolerance)
+    phase = 2 * np.pi * frequency / RATE_HZ
+    assert tone_error(-0.001 + 0.03j, phase / chosen.substeps, chosen) < max(tolerance, 1e-13)
+    cheaper = [Integration(s, chosen.substeps) for s in STENCILS if s < chosen.stencil]
+    cheaper += [Integration(s, chosen.substeps - 1) for s in STENCILS if chosen.substeps > 1]
+    assert all(interpolation_error(way.stencil, phase / way.substeps) > tolerance for way in cheaper)
+
+
+def test_what_no_integration_can_follow_is_refused() -> None:
+    with pytest.raises(RequestError, match="change too fast"):
+        integration_for(2e6, RATE_HZ, 1e-12)
+    with pytest.raises(RequestError, match="tolerance 1e-17"):
+        integration_for(10.0, RATE_HZ, 1e-17)
+
+
+def test_forces_close_to_half_the_rate_meet_the_tolerance_by_substeps() -> None:
+    frequency = np.array([0.49 * RATE_HZ])
+    integration = integration_for(frequency[0], RATE_HZ, 1e-10)
+    assert integration.substeps > 4
+    force = RNG.normal(size=(6, 1)) + 1j * RNG.normal(size=(6, 1))
+    grid = (np.arange(2000 * integration.substeps + 2 * integration.margin) - integration.margin) / integration.substeps
+    samples = (force * np.exp(2j * np.pi * 0.49 * grid)).real
+    step = 1 / (RATE_HZ * integration.substeps)
+    start = steady_state(POLES, force, frequency)
+    signal, _ = advance(POLES, samples, step_s=step, integration=integration, state=start)
+    amplitude = frequency_response(POLES, frequency)[:, :, 0] @ force
+    expected = (amplitude * np.exp(2j * np.pi * 0.49 * np.arange(2000))).real
+    assert np.abs(signal - expected).max() < 1e-10 * np.abs(amplitude).max()
+
+
+def test_ten_million_steps_do_not_drift() -> None:
+    """A lightly damped mode at resonance, whose gain is that of 1/(1 − |e^{λh}|) = 10⁵ steps."""
+    natural, damping, rate = 2 * np.pi * 60.0, 2e-3, 80_000.0
+    pole = natural * (-damping + 1j * np.sqrt(1 - damping**2))
+    mode = Poles(pole_per_s=np.array([pole]), input=np.eye(1), output=np.ones((1, 1)) + 0j, direct=np.zeros((1, 1)))
+    frequency, integration = np.array([60.0]), Integration(6, 1)
+    state = steady_state(mode, np.ones((1, 1)), frequency)
+    # 60 Hz repeats after 4000 samples exactly: the forces have no rounding that grows
+    turn = np.exp(2j * np.pi * (np.arange(-3, 4003) * 3 % 4000) / 4000)
+    expected = (frequency_response(mode, frequency)[0, 0, 0] * turn[3:-3]).real
+    force, peak = np.ascontiguousarray(turn.real[None]), np.abs(expected).max()
+    worst = 0.0
+    for _ in range(2500):
+        signal, state = advance(mode, force, step_s=1 / rate, integration=integration, state=state)
+        worst = max(worst, float(np.abs(signal[0] - expected).max()))
+    assert worst < 1e-13 * peak
+
+
+def test_a_free_pole_rings_as_the_exponential() -> None:
+    force = np.zeros((6, 5000 + 4))
+    start = np.array([1.0, 1j, 2.0, 0.0, 1.0])
+    signal, after = advance(POLES, force, step_s=1 / RATE_HZ, integration=Integration(4, 1), state=start)
+    times = np.arange(5001) / RATE_HZ
+    states = start[:, None] * np.exp(POLES.pole_per_s[:, None] * times)
+    assert np.abs(signal - (POLES.output @ states[:, :-1]).real).max() < 1e-12
+    assert np.abs(after - states[:, -1]).max() < 1e-12
+
+
+def test_the_integration_is_linear_in_force_and_state() -> None:
+    def run(force: np.ndarray, state: np.ndarray) -> np.ndarray:
+        return advance(POLES, force, step_s=1 / RATE_HZ, integration=Integration(8, 1), state=state)[0]
+
+    forces, states = RNG.normal(size=(2, 6, 600)), RNG.normal(size=(2, 5)) + 0j
+    together = run(2 * forces[0] - forces[1], 2 * states[0] - states[1])
+    apart = 2 * run(forces[0], states[0]) - run(forces[1], states[1])
+    assert np.abs(together - apart).max() < 1e-13 * np.abs(apart).max()

@@ -1,0 +1,328 @@
+"""A shaft's motion is one smooth formula: its rates are its derivatives, and every angle has its time."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from crankorder.errors import RequestError
+from crankorder.synth.motion import Lag, Motion, wander_wobbles
+
+EPS = np.finfo(float).eps
+PROFILE = ((0.5, 900.0), (2.0, 1500.0), (3.0, 1500.0), (4.5, -600.0), (6.0, -600.0))
+FORWARDS = ((0.5, 900.0), (2.0, 1500.0), (3.0, 1500.0), (4.5, 700.0))
+WOBBLES = ((0.7, 40.0, 30.0), (3.1, 12.0, -100.0), (11.0, 2.0, 200.0))
+
+
+def _lag(*, gas: bool = True, orders: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 4.0, 6.0)) -> Lag:
+    order = np.array(orders)
+    inertia = 4e-3 / order**2 * np.exp(1j * order)
+    return Lag(order=order, inertia=inertia, gas=gas * 2e-3 / order * np.exp(2j * order**2), reference_rpm=1000.0)
+
+
+def _mean(motion: Motion, time_s: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Mean angle from t = 0 and its three derivatives, rev and s: sine by sine, in extended precision."""
+    time = np.asarray(time_s, dtype=np.longdouble)
+    corner_s, corner_rpm = np.array(motion.corners, dtype=np.longdouble).T
+    knots = np.concatenate([[min(time.min(), 0) - 1], corner_s, [max(time.max(), corner_s[-1]) + 1]])
+    rpm = np.concatenate([corner_rpm[:1], corner_rpm, corner_rpm[-1:]])
+    slope = np.diff(rpm) / np.diff(knots)
+    turned = np.concatenate([[0], np.cumsum((rpm[1:] + rpm[:-1]) / 120 * np.diff(knots))])
+
+    def profile(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        k = np.searchsorted(knots, t, side="right") - 1
+        after = t - knots[k]
+        return turned[k] + after * (rpm[k] + slope[k] * after / 2) / 60, (rpm[k] + slope[k] * after) / 60, slope[k] / 60
+
+    angle, speed, acceleration = profile(time)
+    angle, jerk = angle - profile(np.zeros(1, dtype=np.longdouble))[0], np.zeros_like(time)
+    two_pi = 8 * np.arctan(np.longdouble(1))
+    for frequency, amplitude, phase in motion.wobbles:
+        rate, swing, start = two_pi * np.longdouble(frequency), np.longdouble(amplitude) / 60, two_pi * phase / 360
+        angle = angle + swing / rate * (np.sin(rate * time + start) - np.sin(start))
+        speed = speed + swing * np.cos(rate * time + start)
+        acceleration = acceleration - swing * rate * np.sin(rate * time + start)
+        jerk = jerk - swing * rate**2 * np.cos(rate * time + start)
+    return angle, speed, acceleration, jerk
+
+
+def _lag_terms(lag: Lag, angle: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
+    """The lag and what the laws below need of its derivatives, by the definition."""
+    turn = 2j * np.pi * lag.order[:, None]
+    phasor = np.exp(turn * angle)
+    share = (lag.reference_rpm / 60 / speed) ** 2
+    both, gas = lag.inertia[:, None] + lag.gas[:, None] * share, lag.gas[:, None]
+    return {
+        "share": share,
+        "value": (both * phasor).sum(axis=0).real,
+        "by_angle": (turn * both * phasor).sum(axis=0).real,
+        "by_angle_twice": (turn**2 * both * phasor).sum(axis=0).real,
+        "by_share": (gas * phasor).sum(axis=0).real,
+        "by_both": (turn * gas * phasor).sum(axis=0).real,
+    }
+
+
+def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles() -> None:
+    motion = Motion(start_rev=0.37, corners=PROFILE, wobbles=WOBBLES)
+    time = np.linspace(-2, 9, 20_001)
+    found = motion.at(time)
+    truth = _mean(motion, time)
+    for values, expected, unit in zip(found, truth, (1, 60, 60), strict=False):
+        np.testing.assert_allclose(values - (0.37 if unit == 1 else 0), (expected * unit).astype(float), atol=3e-12)
+
+
+@pytest.mark.parametrize("gas", [False, True])
+@pytest.mark.parametrize("orders", [(0.5, 1.0, 1.5, 2.0, 4.0), (1.0, 2.0, 5.3), (0.9, 2**0.5, np.pi)])
+def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders: tuple[float, ...], gas: bool) -> None:
+    motion = Motion(start_rev=0.37, corners=FORWARDS, wobbles=WOBBLES, lag=_lag(gas=gas, orders=orders))
+    assert motion.lag is not None
+    time = np.linspace(-2, 9, 5001)
+    angle, speed, acceleration = (part / unit for part, unit in zip(motion.at(time), (1, 60, 60), strict=True))
+    mean, rate, bend, third = (part.astype(float) for part in _mean(motion, time))
+    lag = _lag_terms(motion.lag, angle, rate)
+    share_rate = -2 * lag["share"] * bend / rate
+    share_bend = lag["share"] * (6 * (bend / rate) ** 2 - 2 * third / rate)
+    np.testing.assert_allclose(angle + lag["value"], mean + motion.mean_rev(0.0), atol=1e-13)
+    np.testing.assert_allclose(speed * (1 + lag["by_angle"]) + lag["by_share"] * share_rate, rate, rtol=1e-13)
+    second = (
+        acceleration * (1 + lag["by_angle"])
+        + lag["by_angle_twice"] * speed**2
+        + 2 * lag["by_both"] * share_rate * speed
+        + lag["by_share"] * share_bend
+    )
+    np.testing.assert_allclose(second, bend, atol=1e-12 * np.abs(acceleration).max())
+
+
+def test_speed_and_acceleration_are_derivatives_of_angle() -> None:
+    motion = Motion(start_rev=0.0, corners=FORWARDS, wobbles=WOBBLES, lag=_lag())
+    step, weights = 2e-4, np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
+    middle = np.linspace(0.6, 1.9, 41)
+    offsets = step * np.arange(1, 5)
+    ahead = motion.at((middle[:, None] + offsets).ravel())
+    behind = motion.at((middle[:, None] - offsets).ravel())
+    slopes = [(a - b).reshape(41, 4) @ weights / step for a, b in zip(ahead, behind, strict=True)]
+    _, speed, acceleration = motion.at(middle)
+    np.testing.assert_allclose(60 * slopes[0], speed, rtol=1e-9)
+    np.testing.assert_allclose(slopes[1], acceleration, atol=1e-9 * np.abs(acceleration).max())
+
+
+@pytest.mark.parametrize("start_rev", [0.0, 0.3, 12.75])
+def test_the_start_is_the_angle_at_time_zero(start_rev: float) -> None:
+    for corners in (PROFILE, FORWARDS, ((-3.0, 800.0), (4.0, 1200.0))):
+        lag = _lag(gas=corners is not PROFILE)
+        motion = Motion(start_rev=start_rev, corners=corners, wobbles=WOBBLES, lag=lag)
+        assert motion.at(np.zeros(1))[0][0] == pytest.approx(start_rev, abs=2 * EPS * max(1.0, start_rev))
+        assert Motion(start_rev=start_rev, corners=corners).at(np.zeros(1))[0][0] == start_rev
+
+
+def test_pieces_meet_at_their_corners() -> None:
+    motion = Motion(start_rev=0.2, corners=PROFILE, wobbles=WOBBLES, lag=_lag(gas=False))
+    assert motion.corner_s == (0.5, 2.0, 3.0, 4.5)
+    for k, corner_s in enumerate(motion.corner_s):
+        before, after = (motion.at(np.array([corner_s]), piece=piece) for piece in (k, k + 1))
+        np.testing.assert_allclose(before[0], after[0], rtol=4 * EPS)
+        np.testing.assert_allclose(before[1], after[1], rtol=1e-13)
+        assert abs(before[2] - after[2]) > 100
+        np.testing.assert_array_equal(motion.at(np.array([corner_s])), after)
+
+
+def test_a_piece_goes_on_beyond_its_ends() -> None:
+    motion = Motion(start_rev=0.0, corners=((1.0, 600.0), (2.0, 1200.0)))
+    angle, speed, acceleration = motion.at(np.array([3.0]), piece=1)
+    assert (angle[0], speed[0], acceleration[0]) == pytest.approx((50.0, 1800.0, 600.0), rel=4 * EPS)
+    with pytest.raises(RequestError, match="piece"):
+        motion.at(np.zeros(1), piece=3)
+
+
+def test_corners_that_do_not_turn_are_none() -> None:
+    assert Motion(start_rev=0.0, corners=((0.1, 100.0), (0.4, 400.0), (0.7, 700.0))).corner_s == (0.1, 0.7)
+    level = Motion(start_rev=0.0, corners=((0.0, 900.0), (1.0, 900.0), (2.0, 900.0)), wobbles=((1.0, 0.0, 0.0),))
+    assert level.corner_s == ()
+    assert level.is_steady
+    assert not Motion(start_rev=0.0, corners=((0.0, 900.0),), lag=_lag()).is_steady
+    assert not Motion(start_rev=0.0, corners=((0.0, 900.0),), wobbles=((1.0, 1.0, 0.0),)).is_steady
+
+
+def test_a_day_of_turning_loses_no_digits() -> None:
+    motion = Motion(start_rev=0.1, corners=((0.0, 701.3), (1e5, 6001.7)))
+    time = np.linspace(0, 99_999.9, 101)
+    for t, angle in zip(time.tolist(), motion.at(time)[0].tolist(), strict=True):
+        slope = (Fraction(6001.7) - Fraction(701.3)) / 100_000
+        exact = Fraction(0.1) + Fraction(t) * (Fraction(701.3) + slope * Fraction(t) / 2) / 60
+        assert abs(float(Fraction(angle) - exact)) <= 4 * EPS * angle
+
+
+def test_the_sequence_of_times_does_not_matter() -> None:
+    motion = Motion(start_rev=0.0, corners=FORWARDS, wobbles=WOBBLES, lag=_lag())
+    time = np.linspace(-1, 6, 3000)
+    mixed = np.random.default_rng(1).permutation(time.size)
+    for straight, shuffled in zip(motion.at(time), motion.at(time[mixed]), strict=True):
+        np.testing.assert_allclose(shuffled, straight[mixed], atol=2e-12 * np.abs(straight).max())
+    assert [part.size for part in motion.at(np.zeros(0))] == [0, 0, 0]
+
+
+speeds = st.floats(-3000, 3000).map(lambda rpm: round(rpm, 1))
+
+
+@given(
+    rpm=st.lists(speeds, min_size=2, max_size=5),
+    spans=st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5),
+    wobbles=st.lists(st.tuples(st.floats(0.1, 20.0), st.floats(0.0, 300.0), st.floats(-180, 180)), max_size=3),
+    lagging=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_every_angle_of_a_stretch_has_its_time(
+    rpm: list[float], spans: list[float], wobbles: list[tuple[float, float, float]], lagging: bool
+) -> None:
+    corners = tuple(zip(np.cumsum(spans)[: len(rpm)].tolist(), rpm, strict=True))
+    lag = _lag(gas=False) if lagging else None
+    motion = Motion(start_rev=0.4, corners=corners, wobbles=tuple(wobbles), lag=lag)
+    stretches = motion.stretches(10.0)
+    for (_, stop), (start, _) in pairwise(stretches):
+        assert stop <= start
+    for start, stop in stretches:
+        time = np.linspace(start, stop, 100)
+        angle, speed, _ = motion.at(time)
+        way = np.sign(angle[-1] - angle[0])
+        inside = slice(1, -1)
+        assert np.all(speed[inside] * way >= -1e-9)
+        back = motion.time_at(angle, (start, stop))
+        again = motion.at(back)[0]
+        # a time has no more digits than its float: as much as the parts of the motion turn in its last place
+        size = 1 + np.abs(angle).max() + stop * (max(map(abs, rpm)) + sum(part[1] for part in wobbles)) / 60
+        np.testing.assert_allclose(again, angle, rtol=0, atol=8 * EPS * size)
+        quick = np.abs(speed) > 1
+        np.testing.assert_allclose((back - time)[quick] * speed[quick] / 60, 0, atol=8 * EPS * size)
+
+
+def test_times_of_angles_are_right_with_gas_and_in_any_sequence() -> None:
+    motion = Motion(start_rev=0.4, corners=FORWARDS, wobbles=WOBBLES, lag=_lag())
+    time = np.linspace(0, 5, 2001)
+    angle = motion.at(time)[0]
+    mixed = np.random.default_rng(2).permutation(time.size)
+    np.testing.assert_allclose(motion.time_at(angle, (0.0, 5.0)), time, atol=1e-14)
+    np.testing.assert_array_equal(motion.time_at(angle[mixed], (0.0, 5.0)), motion.time_at(angle, (0.0, 5.0))[mixed])
+
+
+def test_the_angle_at_which_the_shaft_turns_round_is_passed_then() -> None:
+    motion = Motion(start_rev=0.4, corners=((1.0, -1366.4), (3.07064548043304, 1.4)))
+    for stretch in motion.stretches(10.0):
+        np.testing.assert_allclose(motion.time_at(motion.at(np.array(stretch))[0], stretch), stretch, atol=1e-7)
+
+
+def test_an_angle_outside_the_stretch_is_refused() -> None:
+    motion = Motion(start_rev=0.0, corners=((0.0, 600.0),))
+    with pytest.raises(RequestError, match=r"found 20\.5"):
+        motion.time_at(np.array([3.0, 20.5]), (0.0, 2.0))
+    assert motion.time_at(np.zeros(0), (0.0, 2.0)).size == 0
+
+
+def test_stretches_end_where_the_shaft_turns_round_and_leave_standstills_out() -> None:
+    corners = ((1.0, 600.0), (2.0, 0.0), (3.0, 0.0), (4.0, -600.0), (6.0, 600.0))
+    motion = Motion(start_rev=0.0, corners=corners)
+    assert motion.stretches(8.0) == ((0.0, 2.0), (3.0, 5.0), (5.0, 8.0))
+    assert motion.stretches(1.5) == ((0.0, 1.5),)
+    assert Motion(start_rev=0.0, corners=((0.0, 0.0),)).stretches(5.0) == ()
+
+
+def test_a_dip_to_zero_is_no_turn() -> None:
+    assert Motion(start_rev=0.0, corners=((0.0, 500.0), (1.0, 0.0), (2.0, 500.0))).stretches(3.0) == ((0.0, 3.0),)
+
+
+def test_a_wobble_alone_turns_the_shaft_to_and_fro() -> None:
+    stretches = Motion(start_rev=0.0, corners=((0.0, 0.0),), wobbles=((0.5, 100.0, 0.0),)).stretches(4.0)
+    ends = [0.0, 0.5, 1.5, 2.5, 3.5, 4.0]
+    np.testing.assert_allclose(np.array(stretches), list(pairwise(ends)), atol=1e-14)
+
+
+def test_wobbles_that_cancel_or_nearly_do_end_the_search_for_turns() -> None:
+    against = ((3.0, 50.0, 10.0), (3.0, 50.0, 190.0))
+    assert Motion(start_rev=0.0, corners=((0.0, 0.0),), wobbles=against).stretches(5.0) == ()
+    beating = Motion(start_rev=0.0, corners=((0.0, 0.0),), wobbles=((3.0, 50.0, 10.0), (3.0 + 1e-9, 50.0, 190.0)))
+    stretches = beating.stretches(0.9)
+    assert len(stretches) == 6  # speed ∝ t · sin(2π 3 t + 10°): it turns where the sine is zero
+    np.testing.assert_allclose(stretches[0][1], 170 / 360 / 3, atol=1e-6)
+
+
+def test_the_lag_shifts_no_turn() -> None:
+    with_lag = Motion(start_rev=0.0, corners=PROFILE, wobbles=WOBBLES, lag=_lag(gas=False))
+    without = Motion(start_rev=0.0, corners=PROFILE, wobbles=WOBBLES)
+    assert with_lag.stretches(8.0) == without.stretches(8.0)
+    assert len(without.stretches(8.0)) == 2
+
+
+def test_a_shaft_that_would_stop_within_the_cycle_is_refused() -> None:
+    lag = Lag(order=np.array([2.0]), inertia=np.array([0.0j]), gas=np.array([0.02 + 0j]), reference_rpm=1000.0)
+    slowest = 1000 * np.sqrt(4 * np.pi * 0.02)
+    assert lag.slowest_rpm == pytest.approx(slowest, rel=1e-2)
+    Motion(start_rev=0.0, corners=((0.0, 1.05 * slowest),), lag=lag)
+    for corners in (((0.0, 0.95 * slowest),), ((0.0, -2000.0), (1.0, 2000.0)), ((0.0, 2000.0), (1.0, 0.0))):
+        with pytest.raises(RequestError, match="stop within the cycle"):
+            Motion(start_rev=0.0, corners=corners, lag=lag)
+    slowed = Motion(start_rev=0.0, corners=((0.0, 1000.0),), wobbles=((1.0, 900.0, 180.0),), lag=lag)
+    with pytest.raises(RequestError, match="stop within the cycle"):
+        slowed.at(np.linspace(0, 1, 50))
+    always = Lag(order=np.array([2.0]), inertia=np.array([0.09 + 0j]), gas=np.zeros(1, dtype=complex))
+    with pytest.raises(RequestError, match="no speed"):
+        Motion(start_rev=0.0, corners=((0.0, 1000.0),), lag=always)
+
+
+def test_a_lag_that_nearly_stops_the_shaft_is_followed() -> None:
+    order = np.array([1.0])
+    lag = Lag(order=order, inertia=np.array([0.98 / (2 * np.pi) + 0j]), gas=np.zeros(1, dtype=complex))
+    motion = Motion(start_rev=0.0, corners=((0.0, 60.0),), lag=lag)
+    rng = np.random.default_rng(3)
+    time = rng.uniform(0, 5, 500)
+    angle = motion.at(time)[0]
+    np.testing.assert_allclose(angle + lag.at(angle, 60.0), time + lag.at(0.0, 60.0), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("corners", "wobbles"),
+    [
+        ((), ()),
+        (((1.0, 5.0), (1.0, 6.0)), ()),
+        (((0.0, float("nan")),), ()),
+        (((0.0, 900.0),), ((0.0, 5.0, 0.0),)),
+        (((0.0, 900.0),), ((1.0, float("inf"), 0.0),)),
+    ],
+)
+def test_a_motion_that_is_none_is_refused(corners: tuple, wobbles: tuple) -> None:
+    with pytest.raises(RequestError):
+        Motion(start_rev=0.0, corners=corners, wobbles=wobbles)
+
+
+@pytest.mark.parametrize("orders", [(-1.0, 2.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0, 3.0)])
+def test_a_lag_whose_orders_do_not_ascend_from_zero_is_refused(orders: tuple[float, ...]) -> None:
+    with pytest.raises(RequestError, match="lag"):
+        Lag(order=np.array(orders), inertia=np.zeros(2, dtype=complex), gas=np.zeros(2, dtype=complex))
+
+
+@pytest.mark.parametrize(
+    ("orders", "step"),
+    [((0.5, 2.0), 0.5), ((2.0, 4.0, 6.0), 2.0), ((1.0, 5.3), 0.1), ((1 / 3, 2.0), 1 / 3), ((1.0, 2**0.5), 0.0)],
+)
+def test_orders_of_a_lag_share_a_step(orders: tuple[float, ...], step: float) -> None:
+    zero = np.zeros(len(orders), dtype=complex)
+    assert Lag(order=np.array(orders), inertia=zero, gas=zero).step == pytest.approx(step, rel=1e-15)
+
+
+def test_wander_has_its_deviation_and_stays_below_its_corner() -> None:
+    wobbles = wander_wobbles(7.0, 2.0, np.random.default_rng(4), 30.0)
+    assert len(wobbles) == 120
+    frequency = np.array([part[0] for part in wobbles])
+    assert 0 < frequency.min() < frequency.max() <= 2.0
+    assert np.all(
+        (frequency * 60 >= np.arange(120) * (1 - 1e-12)) & (frequency * 60 <= np.arange(1, 121) * (1 + 1e-12))
+    )
+    motion = Motion(start_rev=0.0, corners=((0.0, 1000.0),), wobbles=wobbles)
+    speed = motion.at(np.linspace(0, 5000, 50_001))[1]
+    assert speed.std() == pytest.approx(7.0, rel=0.02)
+    assert wander_wobbles(0.0, 2.0, np.random.default_rng(4), 30.0) == ()
+    assert len(wander_wobbles(1.0, 2.0, np.random.default_rng(4), 1e5)) == 256
+    assert wobbles == wander_wobbles(7.0, 2.0, np.random.default_rng(4), 30.0)

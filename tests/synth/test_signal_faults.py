@@ -1,0 +1,292 @@
+"""Faults that are put into signals: what the records say, and that the pipeline finds what they say."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.ingest.signal_faults import mend_signal
+from crankorder.settings import load_settings
+from crankorder.synth.acquisition import recorded
+from crankorder.synth.effects import Acquisition
+from crankorder.synth.faults import (
+    AnySignalFault,
+    Clipping,
+    Drift,
+    Dropout,
+    DroppedSamples,
+    IepeOverload,
+    NotANumber,
+    Spikes,
+)
+from crankorder.synth.signal_faults import converter_records, impossible_faults, stand_ins, with_signal_faults
+
+Records = list[dict[str, Any]]
+RATE_HZ, N = 5000.0, 40_000
+NAMES = ("Y", "Z")
+SETTINGS = load_settings().ingest
+
+
+def clean_signal() -> np.ndarray:
+    random = np.random.default_rng(3)
+    time = np.arange(N) / RATE_HZ
+    tones = np.vstack([3 * np.sin(2 * np.pi * 30.3 * time), 8 * np.cos(2 * np.pi * 41.7 * time)])
+    return tones + 0.2 * random.normal(size=(2, N))
+
+
+CLEAN = clean_signal()
+CLEAN.flags.writeable = False
+PEAK = np.abs(CLEAN).max(axis=1)
+
+
+def faulty(*faults: AnySignalFault, seed: int = 1, recording: str = "rpm_1000") -> tuple[np.ndarray, Records]:
+    return with_signal_faults(
+        CLEAN, faults, names=NAMES, recording=recording, stream=recording, rate_hz=RATE_HZ, seed=seed
+    )
+
+
+def found(samples: np.ndarray, name: str) -> list[tuple[str, str]]:
+    """Flags and severities that the pipeline gives to a channel."""
+    flags = mend_signal(samples.copy(), name, Path("rpm_1000.h5"), settings=SETTINGS)
+    return [(flag["flag"], flag["severity"]) for flag in flags]
+
+
+def told(records: Records, name: str) -> list[tuple[str, str]]:
+    return [(record["flag"], record["severity"]) for record in records if record["channel"] == name]
+
+
+def test_a_clean_signal_has_no_record_no_flag_and_no_copy() -> None:
+    signal, records = faulty()
+    assert signal is CLEAN
+    assert records == []
+    assert [found(row, name) for row, name in zip(CLEAN, NAMES, strict=True)] == [[], []]
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_clipping_is_found_as_it_is_told_also_behind_a_converter(one_sided: bool) -> None:
+    signal, records = faulty(Clipping(kind="clipping", of_peak=0.6, one_sided=one_sided))
+    for stored in (signal, recorded(signal, Acquisition(full_scale=20.0, bits=16)).samples):
+        for row, name in zip(stored, NAMES, strict=True):
+            assert found(row, name) == told(records, name) == [("clipped", "bad")]
+    for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
+        beyond = (clean > 0.6 * peak) if one_sided else (np.abs(clean) > 0.6 * peak)
+        assert row.max() == record["level_m_s2"] == pytest.approx(0.6 * peak)
+        assert row.min() == (clean.min() if one_sided else -row.max())
+        assert record["n_samples"] == np.count_nonzero(beyond)
+        assert record["first_sample"] == np.argmax(beyond)
+        assert (row[~beyond] == clean[~beyond]).all()
+
+
+def test_little_clipping_is_suspect_only() -> None:
+    signal, records = faulty(Clipping(kind="clipping", of_peak=0.97, channels=("Y",)))
+    assert told(records, "Y") == [("clipped", "suspect")]
+    assert told(records, "Z") == []
+    assert (signal[1] == CLEAN[1]).all()
+
+
+@pytest.mark.parametrize(("duration_s", "samples"), [(0.0, 1), (0.0006, 3)])
+def test_a_few_missing_samples_are_bridged_and_counted_as_told(duration_s: float, samples: int) -> None:
+    signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=duration_s, channels=("Z",)))
+    assert np.flatnonzero(np.isnan(signal[1])).tolist() == list(range(10_000, 10_000 + samples))
+    assert (records[0]["first_sample"], records[0]["n_samples"], records[0]["start_s"]) == (10_000, samples, 2.0)
+    assert found(signal[1], "Z") == told(records, "Z") == [("non_finite_interpolated", "suspect")]
+    assert found(signal[0], "Y") == []
+
+
+def test_many_missing_samples_are_told_as_bad_and_refused_by_the_pipeline() -> None:
+    signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=1.0, channels=("Y",)))
+    assert told(records, "Y") == [("non_finite", "bad")]
+    assert records[0]["n_samples"] == np.isnan(signal[0]).sum() == 5000
+    with pytest.raises(InputError, match="5000 missing samples"):
+        found(signal[0], "Y")
+
+
+@pytest.mark.parametrize("sensitivity", [None, 100.0])
+def test_a_number_in_place_of_missing_samples_is_in_the_unit_of_the_file_and_found(sensitivity: float | None) -> None:
+    signal, records = faulty(NotANumber(kind="not_a_number", at_s=3.0, duration_s=0.0004, instead=-999.0))
+    acquisition = Acquisition(sensitivity_mv_per_g=sensitivity, full_scale=50.0, bits=24)
+    made = recorded(signal, acquisition, stand_ins=stand_ins(records, names=NAMES))
+    for row, name in zip(made.samples, NAMES, strict=True):
+        assert np.flatnonzero(row == -999.0).tolist() == [15_000, 15_001]
+        assert found(row, name) == told(records, name) == [("non_finite_interpolated", "suspect")]
+    assert not made.clipped_share.any()
+
+
+def test_a_dropout_is_found_as_it_is_told() -> None:
+    signal, records = faulty(Dropout(kind="dropout", at_s=4.0, duration_s=0.5))
+    for row, name in zip(signal, NAMES, strict=True):
+        assert not row[20_000:22_500].any()
+        assert found(row, name) == told(records, name) == [("dropout", "bad")]
+    assert {(record["first_sample"], record["n_samples"]) for record in records} == {(20_000, 2500)}
+    rest = np.ones(N, dtype=bool)
+    rest[20_000:22_500] = False
+    assert (signal[:, rest] == CLEAN[:, rest]).all()
+
+
+def test_a_dropout_too_short_for_the_pipeline_is_told_as_suspect() -> None:
+    signal, records = faulty(Dropout(kind="dropout", at_s=4.0, duration_s=0.01))
+    assert told(records, "Y") == [("dropout", "suspect")]
+    assert found(signal[0], "Y") == []
+
+
+def test_a_dropout_at_the_end_ends_with_the_recording() -> None:
+    signal, records = faulty(Dropout(kind="dropout", at_s=7.9, duration_s=9.0))
+    assert (records[0]["first_sample"], records[0]["n_samples"]) == (39_500, 500)
+    assert not signal[:, 39_500:].any()
+
+
+def test_spikes_are_single_samples_of_the_stated_height_where_the_record_says() -> None:
+    signal, records = faulty(Spikes(kind="spikes", count=12, times_peak=7.0))
+    for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
+        changed = np.flatnonzero(row != clean)
+        assert record["flag"] == "spikes"
+        assert record["samples"] == changed.tolist()
+        assert changed.size == record["n_samples"] == 12
+        assert np.abs(row[changed]) == pytest.approx(7 * peak)
+        assert {-1.0, 1.0} == set(np.sign(row[changed]))
+    assert records[0]["samples"] != records[1]["samples"]
+
+
+def test_an_overload_is_a_step_that_decays() -> None:
+    fault = IepeOverload(kind="iepe_overload", at_s=1.0001, times_peak=25.0, decay_s=0.4)
+    signal, records = faulty(fault)
+    added = signal - CLEAN
+    time = np.arange(N) / RATE_HZ
+    assert records[0]["first_sample"] == 5001  # the first sample after the step
+    for row, peak in zip(added, PEAK, strict=True):
+        exact = np.where(time >= 1.0001, 25 * peak * np.exp(-(time - 1.0001) / 0.4), 0.0)
+        assert row == pytest.approx(exact, abs=1e-12 * 25 * peak)
+
+
+def test_drift_is_an_offset_and_a_straight_rise() -> None:
+    signal, records = faulty(Drift(kind="drift", offset_m_s2=3.0, drift_m_s2=-20.0))
+    assert (signal - CLEAN)[0] == pytest.approx(3.0 - 20.0 * np.arange(N) / (N - 1), abs=1e-12)
+    assert told(records, "Y") == [("drift", "info")]
+
+
+def test_dropped_samples_let_what_follows_come_early() -> None:
+    signal, records = faulty(DroppedSamples(kind="dropped_samples", at_s=2.0, count=100, channels=("Z",)))
+    assert (signal[0] == CLEAN[0]).all()
+    assert (signal[1, :10_000] == CLEAN[1, :10_000]).all()
+    assert (signal[1, 10_000:-100] == CLEAN[1, 10_100:]).all()
+    assert (signal[1, -100:] == CLEAN[1, -1]).all()
+    assert (records[0]["first_sample"], records[0]["dropped"]) == (10_000, 100)
+
+
+def test_dropped_samples_move_the_records_of_what_they_move() -> None:
+    drop = DroppedSamples(kind="dropped_samples", at_s=2.0, count=100)
+    before = NotANumber(kind="not_a_number", at_s=1.0, duration_s=0.0006)
+    across = NotANumber(kind="not_a_number", at_s=1.998, duration_s=0.003)
+    after = NotANumber(kind="not_a_number", at_s=5.0, duration_s=0.0006)
+    gone = NotANumber(kind="not_a_number", at_s=2.01, duration_s=0.0)
+    spikes = Spikes(kind="spikes", count=300, times_peak=3.0)
+    signal, records = faulty(spikes, before, across, after, gone, drop)
+    row, mine = signal[0], [record for record in records if record["channel"] == "Y"]
+    places = [(r.get("first_sample"), r["n_samples"]) for r in mine[1:5]]
+    assert places == [(5000, 3), (9990, 10), (24_900, 3), (None, 0)]
+    assert mine[4]["severity"] == "info"
+    missing = np.concatenate([np.arange(first, first + n) for first, n in places[:3]])
+    assert np.flatnonzero(np.isnan(row)).tolist() == missing.tolist()
+    left = np.setdiff1d(mine[0]["samples"], missing)
+    assert np.abs(row[left]) == pytest.approx(3 * PEAK[0])
+    assert mine[0]["n_samples"] < 300
+
+
+def test_faults_act_in_the_sequence_of_the_scene() -> None:
+    clip, drift = Clipping(kind="clipping", of_peak=0.5), Drift(kind="drift", offset_m_s2=100.0)
+    clipped_last, _ = faulty(drift, clip)
+    drifted_last, _ = faulty(clip, drift)
+    assert clipped_last[0] == pytest.approx(np.full(N, 0.5 * PEAK[0]))  # of the clean peak, whatever came before
+    assert drifted_last[0] == pytest.approx(np.clip(CLEAN[0], -0.5 * PEAK[0], 0.5 * PEAK[0]) + 100.0)
+
+
+def test_the_peak_is_that_of_the_finite_samples() -> None:
+    signal = CLEAN.copy()
+    signal[0, 5], signal[0, 6] = np.nan, np.inf
+    made, records = with_signal_faults(
+        signal,
+        [Clipping(kind="clipping", of_peak=0.5)],
+        names=NAMES,
+        recording="r",
+        stream="r",
+        rate_hz=RATE_HZ,
+        seed=1,
+    )
+    assert records[0]["level_m_s2"] == pytest.approx(0.5 * PEAK[0])
+    assert np.isnan(made[0, 5])
+    assert made[0, 6] == records[0]["level_m_s2"]
+
+
+def test_only_the_named_recordings_and_channels_have_a_fault() -> None:
+    fault = Dropout(kind="dropout", at_s=1.0, duration_s=1.0, channels=("Z",), recordings=("rpm_2000",))
+    assert faulty(fault)[0] is CLEAN
+    signal, records = faulty(fault, recording="rpm_2000")
+    assert [(record["recording"], record["channel"]) for record in records] == [("rpm_2000", "Z")]
+    assert (signal[0] == CLEAN[0]).all()
+
+
+def test_chance_depends_on_seed_recording_channel_and_number_only() -> None:
+    spikes, drift = Spikes(kind="spikes", count=5), Drift(kind="drift", drift_m_s2=1.0)
+    base = faulty(spikes)[1][0]["samples"]
+    assert faulty(spikes)[1][0]["samples"] == base
+    assert faulty(spikes, drift)[1][0]["samples"] == base
+    others = [
+        faulty(spikes, seed=2)[1][0]["samples"],
+        faulty(spikes, recording="rpm_2000")[1][0]["samples"],
+        faulty(drift, spikes)[1][2]["samples"],
+    ]
+    assert base not in others
+
+
+def test_every_record_is_a_quality_flag() -> None:
+    every: tuple[AnySignalFault, ...] = (
+        Clipping(kind="clipping", of_peak=0.9),
+        IepeOverload(kind="iepe_overload", at_s=1.0),
+        NotANumber(kind="not_a_number", at_s=1.0),
+        Spikes(kind="spikes", count=1),
+        Drift(kind="drift", drift_m_s2=1.0),
+        DroppedSamples(kind="dropped_samples", at_s=1.0, count=2),
+        Dropout(kind="dropout", at_s=1.0, duration_s=1.0),
+    )
+    _, records = faulty(*every)
+    assert len(records) == 14
+    for record in records:
+        assert {"recording", "flag", "severity", "detail", "channel", "n_samples"} <= record.keys()
+        assert record["severity"] in ("info", "suspect", "bad")
+        assert "\n" not in record["detail"]
+
+
+def test_a_converter_that_clips_is_told_as_the_pipeline_finds_it() -> None:
+    made = recorded(CLEAN, Acquisition(full_scale=6.0, bits=16))
+    records = converter_records(made.clipped_share, names=NAMES, recording="rpm_1000")
+    assert told(records, "Y") == found(made.samples[0], "Y") == []
+    assert told(records, "Z") == found(made.samples[1], "Z") == [("clipped", "bad")]
+
+
+@pytest.mark.parametrize(
+    ("fault", "place"),
+    [
+        (Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"),
+        (NotANumber(kind="not_a_number", at_s=100.0), "at_s"),
+        (IepeOverload(kind="iepe_overload", at_s=8.5), "at_s"),
+        (DroppedSamples(kind="dropped_samples", at_s=7.0, count=6000), "count"),
+        (Spikes(kind="spikes", count=N + 1), "count"),
+    ],
+)
+def test_what_a_recording_is_too_short_for_is_told_beforehand(fault: AnySignalFault, place: str) -> None:
+    (told_fault,) = impossible_faults((Drift(kind="drift"), fault), n_samples=N, duration_s=N / RATE_HZ)
+    assert told_fault[1] == f"signal_faults.1.{place}"
+    with pytest.raises(ValueError, match=r"fault|dropped|larger sample"):
+        faulty(fault)
+
+
+def test_what_just_fits_is_not_refused() -> None:
+    fitting: tuple[AnySignalFault, ...] = (
+        Dropout(kind="dropout", at_s=7.9998, duration_s=1.0),
+        DroppedSamples(kind="dropped_samples", at_s=7.0, count=4998),
+        Spikes(kind="spikes", count=N),
+    )
+    assert list(impossible_faults(fitting, n_samples=N, duration_s=N / RATE_HZ)) == []
+    assert len(faulty(*fitting)[1]) == 6
