@@ -146,6 +146,8 @@ class Motion:
 
     def mean_rev(self, time_s: float) -> float:
         """Mean angle (rev) at ``time_s``: what the angle would be there without the lag."""
+        if self.is_steady:
+            return self.start_rev + self.corners[0][1] / 60 * time_s
         return float(self._mean(np.array([time_s], dtype=np.float64))[0, 0])
 
     def at(self, time_s: Floats, *, piece: int | None = None) -> tuple[Floats, Floats, Floats]:
