@@ -128,7 +128,11 @@ def test_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("pulses_per_rev = 360\n", "", "an encoder of kind 'square' needs pulses_per_rev"),
+        ("pulses_per_rev = 360", 'pulses_per_rev = 360\npattern = "60-2"', "stated by pattern and by pulses_per_rev"),
+        ("pulses_per_rev = 360", 'pattern = "36-2-l"', "unknown wheel; found '36-2-l'"),
+        ("pulses_per_rev = 360", "tooth_angles_deg = [0, 90, 80]", "tooth angles must rise"),
+        ("pulses_per_rev = 360", "tooth_angles_deg = [10, 90]", "tooth angles start at 0"),
+        ("pulses_per_rev = 360", "pulses_per_rev = 360\ncam_to_tdc_deg = 3.0", "cam_to_tdc_deg needs cam"),
         ('source = "encoder"\n', "", "an encoder of kind 'square' needs source"),
         ("pulses_per_rev = 360", "pulses_per_rev = 2\nmissing_teeth = 2", "more teeth are missing than the wheel has"),
         ('domain = "time"', 'domain = "crank_angle"', "samples by crank angle need samples_per_rev"),

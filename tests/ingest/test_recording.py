@@ -239,6 +239,34 @@ def test_a_channel_that_is_also_the_encoder_is_not_spoilt_by_its_unit(write, rea
     assert recording.sizes["pulse"] == pytest.approx(1000 / 60 * 36 * N / RATE, abs=2)
 
 
+def test_a_named_wheel_and_a_cam_mark_reach_the_recording(write, read):
+    tables = (
+        CHANNEL + '[encoder]\nkind = "square"\nsource = "enc"\npattern = "36-2-1"\ncam = "cam"\ncam_to_tdc_deg = 77\n'
+    )
+    recording = read(write(acc=TIME, enc=turned(1000, 36), cam=turned(500, 1)), tables)
+    assert len(recording.attrs["tooth_angles_deg"]) == 33
+    assert recording.attrs["tooth_angles_deg"][16:18] == [160.0, 180.0]
+    assert recording.attrs["cam_to_tdc_deg"] == 77.0
+    assert "pulses_per_rev" not in recording.attrs
+    np.testing.assert_allclose(np.diff(recording["cam_time"]), 60 / 500, atol=1.01 / RATE)
+
+
+@pytest.mark.parametrize(
+    ("wheel", "attrs"),
+    [
+        ('pattern = "60-2"', {"pulses_per_rev": 60, "missing_teeth": 2}),
+        ('pattern = "120"', {"pulses_per_rev": 120, "missing_teeth": 0}),
+        ("tooth_angles_deg = [0, 10.5, 200]", {"tooth_angles_deg": [0.0, 10.5, 200.0]}),
+        ("", {}),
+    ],
+)
+def test_a_wheel_is_stated_one_way_or_left_to_the_pulses(write, read, wheel, attrs):
+    tables = CHANNEL + f'[encoder]\nkind = "square"\nsource = "enc"\n{wheel}\n'
+    recording = read(write(acc=TIME, enc=turned(1000, 36)), tables)
+    keys = ("pulses_per_rev", "missing_teeth", "tooth_angles_deg")
+    assert {key: recording.attrs[key] for key in keys if key in recording.attrs} == attrs
+
+
 @pytest.mark.parametrize("kind", ["pulse_times", "edge_list"])
 def test_times_of_pulses_are_taken_as_they_are(write, read, kind):
     times = np.arange(1, 700) * 60 / 1000 / 36

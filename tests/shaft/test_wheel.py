@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,13 @@ def test_d1_one_lost_pulse_is_repaired_and_counted(known_shaft, recording_of, or
     assert abs(phases[1] - phases[0]) < 0.02
 
 
+def test_d1_the_lost_pulse_is_located(known_shaft, recording_of):
+    pulse_s = known_shaft(1000.0).pulse_time_s(60)
+    faulty = shaft_angle(recording_of(np.delete(pulse_s, 777), pulses_per_rev=60), settings=SETTINGS)
+    (when,) = re.findall(r"at ([0-9.]+) s", detail_of(faulty, "encoder_missing_pulse"))
+    assert float(when) == pytest.approx(pulse_s[777], abs=1e-4)
+
+
 def test_d2_a_damaged_line_is_named_by_its_angle_and_its_orders_are_right(known_shaft, recording_of, order_error):
     shaft = known_shaft(1000.0, irregularity=TORSION)
     trace = shaft.square(360, lost=lambda k: k % 360 == 90)
@@ -78,7 +87,8 @@ def test_d4_pulses_doubled_by_ringing_are_removed_and_counted(known_shaft, recor
     rung = pulse_s[1000::3600] + 0.2e-3
     recording = recording_of(np.sort(np.append(pulse_s, rung)), pulse_noise_s=1e-6)
     angle = shaft_angle(recording, settings=SETTINGS)
-    assert detail_of(angle, "encoder_double_pulse") == f"{rung.size} false pulses removed"
+    when = ", ".join(f"{value:.6g}" for value in rung)
+    assert detail_of(angle, "encoder_double_pulse") == f"{rung.size} false pulses removed, at {when} s"
     assert angle.attrs["n_pulses"] == pulse_s.size
     estimated = angle_of(angle, shaft.time_s)
     whole_pulses = np.round(360 * np.nanmean(estimated - shaft.angle_rev())) / 360
@@ -134,6 +144,9 @@ def test_an_index_mark_lost_or_extra_is_flagged_and_does_no_harm(known_shaft, re
         recording_of(pulse_s, index_time_s=marks, pulses_per_rev=60, pulse_noise_s=1e-7), settings=SETTINGS
     )
     assert detail_of(angle, flag).startswith("1 ")
+    where = {"lost": index_s[10], "extra": more[0] if more else 0.0, "doubled": index_s[20]}[fault]
+    (when,) = re.findall(r"at ([0-9.]+) s", detail_of(angle, flag))
+    assert float(when) == pytest.approx(where, abs=2e-5)
     difference = angle_of(angle, index_s[1:-1])
     np.testing.assert_allclose(difference, np.round(difference), atol=1e-6)
 
@@ -192,7 +205,7 @@ def test_a_tooth_lost_anywhere_on_a_missing_tooth_wheel_keeps_its_zero(known_sha
 
 def test_the_wrong_wheel_is_refused(known_shaft):
     pulse_s = wheel_with_gap(known_shaft(1500.0), 36, 2)
-    with pytest.raises(InputError, match="36 teeth per gap measured"):
+    with pytest.raises(InputError, match=r"found a wheel 36-2 \(34 pulses\).*allowed: a 60-2 wheel of 58 pulses"):
         number_teeth(pulse_s, pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
     with pytest.raises(InputError, match="no gap found"):
         number_teeth(known_shaft(1500.0).pulse_time_s(60), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
@@ -209,3 +222,29 @@ def test_too_many_repairs_are_refused(known_shaft):
 def test_times_that_cannot_be_pulses_are_refused(times):
     with pytest.raises(InputError):
         number_teeth(np.array(times, dtype=np.float64), pulses_per_rev=1, settings=SETTINGS)
+
+
+def test_a_burst_of_interference_is_removed_and_told_from_ringing(known_shaft):
+    pulse_s = known_shaft(1000.0).pulse_time_s(60)
+    burst = pulse_s[900] + np.array([0.1, 0.3, 0.32, 0.5, 0.7]) * (pulse_s[901] - pulse_s[900])
+    teeth = number_teeth(np.sort(np.append(pulse_s, burst)), pulses_per_rev=60, settings=SETTINGS)
+    np.testing.assert_array_equal(teeth.time_s, pulse_s)
+    flags = {flag: detail for flag, _, detail in teeth.flags}
+    assert flags["encoder_double_pulse"].startswith("5 false pulses")
+    assert flags["encoder_glitch"].startswith("1 bursts") and f"{burst[0]:.6g}" in flags["encoder_glitch"]
+
+
+def test_a_count_that_slips_for_good_is_put_right_at_the_index_and_located(known_shaft):
+    shaft = known_shaft(900.0, irregularity={})
+    pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
+    # one pulse too few, and the others spread so that no interval looks wrong: only the index shows it
+    spread = np.concatenate([pulse_s[:1500], np.linspace(pulse_s[1500], pulse_s[1512], 12), pulse_s[1513:]])
+    teeth = number_teeth(spread, pulses_per_rev=60, index_time_s=index_s, settings=SETTINGS)
+    detail = {flag: detail for flag, _, detail in teeth.flags}["encoder_slip"]
+    assert detail.startswith("pulse count put right at 1 index marks")
+    (when,) = re.findall(r"at ([0-9.]+) s", detail)
+    assert float(when) == pytest.approx(index_s[index_s > pulse_s[1500]][0], abs=1e-5)
+    true = np.round((shaft.angle_rev(teeth.time_s) - teeth.index_tooth / 60) * 60).astype(int)
+    off = (true - (teeth.tooth - round(teeth.index_tooth))) % 60
+    assert set(off[teeth.time_s < pulse_s[1500]]) == set(off[teeth.time_s > index_s[index_s > pulse_s[1512]][0]])
+    assert (np.diff(teeth.tooth) > 0).all()

@@ -12,10 +12,12 @@ from crankorder.ingest.formats import contents_of
 from crankorder.ingest.rawfile import Contents
 from crankorder.ingest.units import known_unit
 from crankorder.settings import load_settings
+from crankorder.shaft.pattern import known_names
 
 _TIME = re.compile(r"(time|zeit|t)\b.*", re.IGNORECASE)
 _INDEX = re.compile(r"\b(index|tdc|trigger|z.?pulse|once.?per.?rev|ref)\b", re.IGNORECASE)
 _ENCODER = re.compile(r"enc|tach|pulse|crank|tooth|teeth|\bir\b|kurbel", re.IGNORECASE)
+_CAM = re.compile(r"\bcam(shaft)?\b|nockenwelle", re.IGNORECASE)
 _SPEED = re.compile(r"rpm|speed|drehzahl", re.IGNORECASE)
 
 
@@ -25,7 +27,7 @@ def draft_manifest(folder: Path) -> str:
     Lines that end in ``# state: …`` hold guesses to be checked. Raises RequestError where ``folder`` is no folder, and
     NoUsableRecordingError, naming what each file is, where none can be read.
     """
-    pattern, contents = _recordings(folder)
+    pattern, contents, path = _recordings(folder)
     roles = _roles(contents)
     lines = [
         "# Draft by `crankorder init`: check every line that says `state`.",
@@ -44,23 +46,23 @@ def draft_manifest(folder: Path) -> str:
     for name, role in roles.items():
         if role == "channel":
             lines += _channel(name, contents.units.get(name, ""))
-    lines += _encoder(roles)
+    lines += _encoder(roles, contents, path)
     return "\n".join(lines) + "\n"
 
 
-def _recordings(folder: Path) -> tuple[str, Contents]:
-    """Pattern of the largest group of readable files with one suffix, and the contents of its first file."""
+def _recordings(folder: Path) -> tuple[str, Contents, Path]:
+    """Pattern of the largest group of readable files with one suffix, the contents of its first file, and its path."""
     if not folder.is_dir():
         raise RequestError("there is no such folder", file=folder)
     settings = load_settings().ingest
-    groups: dict[str, list[Contents]] = {}
+    groups: dict[str, list[tuple[Contents, Path]]] = {}
     faults: list[CrankorderError] = []
     for path in sorted(folder.iterdir(), key=natural_key):
         if is_leftover(path.name) or path.suffix.lower() in (".toml", ".md", ".json") or path.is_dir():
             continue
         try:
             contents = contents_of(path, settings=settings)
-            groups.setdefault(path.suffix, []).append(contents)
+            groups.setdefault(path.suffix, []).append((contents, path))
         except CrankorderError as error:
             faults.append(error)
     if not groups:
@@ -70,11 +72,11 @@ def _recordings(folder: Path) -> tuple[str, Contents]:
             found="; ".join(str(fault) for fault in faults[:3]) or "an empty folder",
         )
     suffix = max(groups, key=lambda name: len(groups[name]))
-    return f"*{suffix}", groups[suffix][0]
+    return f"*{suffix}", *groups[suffix][0]
 
 
 def _roles(contents: Contents) -> dict[str, str]:
-    """What each column is likely for: time, index, encoder, speed or channel; each of the first four once."""
+    """What each column is likely for: time, index, cam, encoder, speed or channel; each but the last once."""
     roles: dict[str, str] = {}
     for name in contents.names:
         unit = known_unit(contents.units.get(name, ""))
@@ -88,6 +90,8 @@ def _roles(contents: Contents) -> dict[str, str]:
             guess = "channel"
         elif _INDEX.search(name):
             guess = "index"
+        elif _CAM.search(name):
+            guess = "cam"
         elif _ENCODER.search(name):
             guess = "encoder"
         roles[name] = "channel" if guess in roles.values() else guess
@@ -122,22 +126,48 @@ def _channel(name: str, file_unit: str) -> list[str]:
     return [*lines, 'direction = ""                    # state: such as +Z', ""]
 
 
-def _encoder(roles: dict[str, str]) -> list[str]:
+def _encoder(roles: dict[str, str], contents: Contents, path: Path) -> list[str]:
     by_role = {role: name for name, role in roles.items()}
     if "encoder" in by_role:
-        lines = [
-            "[encoder]",
-            f"source = {_text(by_role['encoder'])}",
-            'kind = "square"                   # state: square, analogue, pulse_times or edge_list',
-            "pulses_per_rev = 1                # state: pulses of the full wheel per revolution",
-            "missing_teeth = 0",
-        ]
-        return [*lines, *([f"index = {_text(by_role['index'])}"] if "index" in by_role else [])]
+        marks = [f"{role} = {_text(by_role[role])}" for role in ("index", "cam") if role in by_role]
+        return ["[encoder]", f"source = {_text(by_role['encoder'])}", *_wheel(by_role, contents, path), *marks]
     if "index" in by_role:
         return ["[encoder]", f"source = {_text(by_role['index'])}", 'kind = "square"', "pulses_per_rev = 1"]
     if "speed" in by_role:
         return ["[encoder]", f"source = {_text(by_role['speed'])}", 'kind = "speed"']
     return ["[encoder]", 'kind = "none"                     # state: no column looks like an encoder']
+
+
+def _wheel(by_role: dict[str, str], contents: Contents, path: Path) -> list[str]:
+    """Kind, edge and wheel of the encoder as its pulses in the file at ``path`` tell them, else to be stated."""
+    from crankorder.ingest.encoder_guess import encoder_guess
+
+    guess = encoder_guess(
+        path,
+        by_role["encoder"],
+        index=by_role.get("index"),
+        time=by_role.get("time"),
+        rate_hz=contents.rates_hz.get(by_role["encoder"]),
+    )
+    if guess is None:
+        return [
+            'kind = "square"                   # state: square, analogue, pulse_times or edge_list',
+            "# pulses_per_rev = 60             # state: pulses of the full wheel per revolution; they do not tell",
+            "# missing_teeth = 2               # state: or pattern, or tooth_angles_deg",
+        ]
+    lines = [f'kind = "{guess.kind}"'.ljust(34) + "# state: as its values look", f'edge = "{guess.edge}"']
+    if guess.found is None:
+        return [
+            *lines,
+            "# pulses_per_rev = 60             # state: pulses per revolution; they are even, or too few to tell",
+        ]
+    even, angles = guess.found.pattern.even, guess.found.pattern.angles_deg
+    told = f"# state: {guess.found.told}"
+    if even is not None:
+        return [*lines, f"pulses_per_rev = {even[0]}".ljust(34) + told, f"missing_teeth = {even[1]}"]
+    if guess.found.pattern.name in known_names():
+        return [*lines, f'pattern = "{guess.found.pattern.name}"'.ljust(34) + told]
+    return [*lines, told, f"tooth_angles_deg = [{', '.join(f'{angle:.4g}' for angle in angles)}]"]
 
 
 def _text(value: str) -> str:

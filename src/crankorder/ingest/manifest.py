@@ -12,11 +12,13 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, ValidationError, WithJsonSchema
+from pydantic import BaseModel, Field, ValidationError
 from pydantic import field_validator as field_check
 
 from crankorder.engine.bearings import Bearing
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
+from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
+from crankorder.ingest.encoder_table import Count, Encoder, Name, Positive, Source, Table, encoder_faults
 from crankorder.ingest.toml_lines import key_lines
 from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, parse_sensitivity, unit_of
 
@@ -24,34 +26,8 @@ SCHEMA_VERSION = 1
 MANIFEST_NAME = "run.toml"
 _MAX_MANIFEST_BYTES = 4_000_000
 
-EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "none"]
-TRACE_KINDS = ("square", "analogue")
-TIME_KINDS = ("pulse_times", "edge_list")
 
-
-def _source(value: object) -> str | int:
-    if isinstance(value, str) and value:
-        return value
-    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
-        return value
-    raise ValueError("a source is a dataset path, a column name, or a column number from 0")
-
-
-Source = Annotated[
-    str | int,
-    PlainValidator(_source),
-    WithJsonSchema({"anyOf": [{"type": "string", "minLength": 1}, {"type": "integer", "minimum": 0}]}),
-]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(gt=0)]
-Name = Annotated[str, StringConstraints(min_length=1, max_length=1000)]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class Test(_Table):
+class Test(Table):
     """``[test]``: what was tested."""
 
     __test__ = False  # not a pytest class, in spite of its name
@@ -62,14 +38,14 @@ class Test(_Table):
     recipe: Name | None = None
 
 
-class Recordings(_Table):
+class Recordings(Table):
     """``[recordings]``: which files, relative to the folder, and their speeds where no file states them."""
 
     files: Annotated[tuple[Name, ...], Field(strict=False)]
-    speed_rpm: dict[str, Positive] = {}
+    speed_rpm: dict[str, Positive] = Field(default={})
 
 
-class Sampling(_Table):
+class Sampling(Table):
     """``[sampling]``: the axis of the samples."""
 
     domain: Literal["time", "crank_angle"] = "time"
@@ -79,7 +55,7 @@ class Sampling(_Table):
     start_deg: float = 0.0
 
 
-class Channel(_Table):
+class Channel(Table):
     """``[[channels]]``: one analysed signal."""
 
     name: Name
@@ -125,21 +101,7 @@ class Channel(_Table):
         return self.quantity or self.analysed_unit.quantity
 
 
-class Encoder(_Table):
-    """``[encoder]``: how the file tells the angle or the speed of the shaft."""
-
-    kind: EncoderKind = "none"
-    source: Source | None = None
-    pulses_per_rev: Count | None = None
-    missing_teeth: Annotated[int, Field(ge=0)] = 0
-    index: Source | None = None
-    edge: Literal["rising", "falling"] = "rising"
-    ratio: Positive = 1.0
-    index_to_tdc_deg: float = 0.0
-    speed_rpm: Positive | None = None
-
-
-class Manifest(_Table):
+class Manifest(Table):
     """A test-run folder, as ``run.toml`` describes it."""
 
     schema_version: Literal[1]
@@ -294,7 +256,10 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
                     place=f"bearings.{number}",
                 )
             )
-    return faults + _encoder_faults(manifest)
+    speeds_stated, cycle = bool(manifest.recordings.speed_rpm), manifest.test.cycle
+    return faults + encoder_faults(
+        manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated
+    )
 
 
 def _channel_faults(channel: Channel, place: str) -> list[RequestError]:
@@ -326,41 +291,3 @@ def _unit_clash(source: Unit, target: Unit, place: str) -> list[RequestError]:
     except RequestError as error:
         return [RequestError(error.problem, place=place, remedy=error.remedy)]
     return []
-
-
-def _encoder_faults(manifest: Manifest) -> list[RequestError]:
-    encoder, faults = manifest.encoder, []
-    needs: dict[str, object] = {}
-    if encoder.kind in (*TRACE_KINDS, *TIME_KINDS):
-        needs = {"source": encoder.source, "pulses_per_rev": encoder.pulses_per_rev}
-    elif encoder.kind == "speed":
-        needs = {"source": encoder.source}
-    elif encoder.kind == "constant" and not manifest.recordings.speed_rpm:
-        needs = {"speed_rpm": encoder.speed_rpm}
-    for key, value in needs.items():
-        if value is None:
-            faults.append(
-                RequestError(
-                    f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
-                )
-            )
-    if encoder.pulses_per_rev is not None and encoder.missing_teeth >= encoder.pulses_per_rev:
-        faults.append(
-            RequestError(
-                "more teeth are missing than the wheel has",
-                place="encoder.missing_teeth",
-                found=encoder.missing_teeth,
-                allowed=f"below pulses_per_rev = {encoder.pulses_per_rev}, which counts the full wheel",
-            )
-        )
-    if manifest.sampling.domain == "crank_angle" and encoder.kind not in ("none", "constant"):
-        faults.append(
-            RequestError(
-                "samples by crank angle have no use for an encoder",
-                place="encoder.kind",
-                found=encoder.kind,
-                allowed="none, constant",
-                remedy='Remove [encoder], or state domain = "time"',
-            )
-        )
-    return faults

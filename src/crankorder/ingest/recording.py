@@ -12,8 +12,9 @@ import xarray as xr
 
 from crankorder.errors import CrankorderError, InputError
 from crankorder.ingest.channel_units import STATES_NO_UNIT, file_to_analysed
+from crankorder.ingest.encoder_table import TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.formats import read_file
-from crankorder.ingest.manifest import TIME_KINDS, TRACE_KINDS, Channel, Encoder, Manifest
+from crankorder.ingest.manifest import Channel, Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
 from crankorder.ingest.sampling import agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
@@ -50,7 +51,7 @@ def _wanted(manifest: Manifest) -> list[Source]:
     encoder = manifest.encoder
     sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
     if encoder.kind not in ("none", "constant"):
-        sources += [encoder.source, encoder.index]
+        sources += [encoder.source, encoder.index, encoder.cam]
     if manifest.sampling.domain == "time":
         sources.append(manifest.sampling.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
@@ -92,6 +93,8 @@ def _check_lengths(raw: RawFile, manifest: Manifest, path: Path) -> None:
         sampled["the encoder"] = encoder.source
     if encoder.kind in TRACE_KINDS and encoder.index is not None:
         sampled["the index"] = encoder.index
+    if encoder.kind in TRACE_KINDS and encoder.cam is not None:
+        sampled["the cam mark"] = encoder.cam
     lengths = {name: raw.columns[source].size for name, source in sampled.items()}
     first, n_samples = next(iter(lengths.items()))
     for name, length in lengths.items():
@@ -131,8 +134,9 @@ def _add_encoder(
     if encoder.kind == "speed":
         recording["speed_signal"] = ("time", _speed(raw, encoder, path), {"units": "min-1", "long_name": "speed"})
         return
-    assert encoder.pulses_per_rev is not None  # the manifest was checked for it
-    attrs["pulses_per_rev"], attrs["missing_teeth"] = encoder.pulses_per_rev, encoder.missing_teeth
+    attrs |= encoder.wheel
+    if encoder.cam_to_tdc_deg is not None:
+        attrs["cam_to_tdc_deg"] = encoder.cam_to_tdc_deg
     if "index_to_tdc_deg" in encoder.model_fields_set:  # unstated, the phase refers to the mark and says so
         attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
 
@@ -141,11 +145,16 @@ def _add_encoder(
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
         return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
 
-    pulse_s, attrs["pulse_noise_s"] = pulses(encoder.source, encoder.pulses_per_rev)
+    pulse_s, attrs["pulse_noise_s"] = pulses(
+        encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
+    )
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.index is not None:
         index_s, _ = pulses(encoder.index, 1)
         recording["index_time"] = ("revolution", index_s, {"units": "s", "long_name": "time of index"})
+    if encoder.cam is not None:
+        cam_s, _ = pulses(encoder.cam, 1)
+        recording["cam_time"] = ("cycle", cam_s, {"units": "s", "long_name": "time of cam mark"})
 
 
 def _add_stated_speed(recording: xr.Dataset, manifest: Manifest, path: Path) -> None:

@@ -12,15 +12,20 @@ from crankorder.errors import InputError
 from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots
-from crankorder.shaft.pulses import Remark
+from crankorder.shaft.cycle import cam_mark, firing_tdc
+from crankorder.shaft.pattern_search import find_pattern
+from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.repair import IntArray
 from crankorder.shaft.speed_signal import integrated_speed
 from crankorder.shaft.wheel import NumberedTeeth, number_teeth
 
-# Jitter so many times the noise of sampling is worth a remark.
 FEWEST_SAMPLES_PER_TOOTH = 2.5
 """A tooth and its gap need a sample each, and the fastest teeth of a turn are shorter than the mean."""
 
+# Jitter so many times the noise of sampling is worth a remark.
 JITTER_RATIO = 1.5
+# Pulses that are enough to tell their noise.
+MOST_NOISE_TEETH = 20_000
 PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
 
 
@@ -70,43 +75,84 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         raise InputError(
             "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
         )
-    pulses_per_rev, ratio = int(attrs.get("pulses_per_rev", 1)), float(attrs.get("ratio", 1.0))
+    ratio = float(attrs.get("ratio", 1.0))
     stated = float(attrs.get("pulse_noise_s", 0.0))
     noise = stated if stated > 0.0 else None
-    index = recording["index_time"].values.astype(np.float64) if "index_time" in recording.variables else None
-    teeth = number_teeth(
-        recording["pulse_time"].values.astype(np.float64),
-        pulses_per_rev=pulses_per_rev,
-        settings=settings,
-        missing_teeth=int(attrs.get("missing_teeth", 0)),
-        index_time_s=index,
-        ratio=ratio,
-        noise_s=noise or 0.0,
-    )
-    knots = angle_knots(
-        teeth.time_s,
-        teeth.tooth,
-        teeth_per_rev=pulses_per_rev * ratio,
-        noise_s=noise,
-        settings=settings,
-    )
-    tdc, reference, flags = _tdc(teeth, pulses_per_rev, recording)
-    first = (teeth.tooth[0] / (pulses_per_rev * ratio)) - tdc
-    if noise is not None and knots.noise_s > JITTER_RATIO * noise:
+    pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), _times(recording, "index_time")
+    wheel, found = _wheel_of(attrs, pulse_s, index_s)
+    teeth = number_teeth(pulse_s, **wheel, settings=settings, index_time_s=index_s, ratio=ratio, noise_s=noise or 0.0)
+    teeth_per_rev = teeth.teeth_per_rev * ratio
+    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
+        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
+    knots = angle_knots(teeth.time_s, teeth.tooth, teeth_per_rev=teeth_per_rev, noise_s=noise, settings=settings)
+    tdc, cycle_known, reference, flags = _tdc(teeth, teeth_per_rev, recording)
+    if stated > 0.0 and knots.noise_s > JITTER_RATIO * stated:
         share = knots.noise_s / float(np.median(np.diff(teeth.time_s)))
         flags.append(
             ("encoder_jitter", "info", f"pulses jitter by {share:.2g} of their distance, more than their sampling")
         )
     flags += _undersampled(recording, teeth)
-    knots = replace(knots, angle_rev=knots.angle_rev - tdc - np.ceil(first - 1e-9))
-    return _dataset(recording, knots, reference, teeth.time_s.size, [*teeth.flags, *flags])
+    period = int(attrs["revs_per_cycle"]) if cycle_known else 1
+    turns = period * np.ceil((teeth.tooth[0] / teeth_per_rev - tdc) / period - 1e-9)
+    knots = replace(knots, angle_rev=knots.angle_rev - tdc - turns)
+    remarks = [*found, *teeth.flags, *flags]
+    return _dataset(recording, knots, reference, teeth.time_s.size, remarks, cycle_known=cycle_known)
+
+
+def _times(recording: xr.Dataset, name: str) -> FloatArray | None:
+    return recording[name].values.astype(np.float64) if name in recording.variables else None
+
+
+def _wheel_of(
+    attrs: dict[str, Any], pulse_s: FloatArray, index_s: FloatArray | None
+) -> tuple[dict[str, Any], list[Remark]]:
+    """Arguments of ``number_teeth`` that say what wheel it is; found from the pulses where nothing states it."""
+    if "tooth_angles_deg" in attrs:
+        angles = tuple(float(angle) for angle in np.atleast_1d(attrs["tooth_angles_deg"]))
+        return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, []
+    if "pulses_per_rev" in attrs:
+        missing = int(attrs.get("missing_teeth", 0))
+        return {"pulses_per_rev": int(attrs["pulses_per_rev"]), "missing_teeth": missing}, []
+    found = find_pattern(pulse_s, index_time_s=index_s)
+    if found is None:
+        raise InputError(
+            "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few",
+            place="encoder.pulses_per_rev",
+            found=f"{pulse_s.size} pulses",
+            remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
+        )
+    remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
+    even = found.pattern.even
+    if even is not None:
+        return {"pulses_per_rev": even[0], "missing_teeth": even[1]}, [remark]
+    angles = found.pattern.angles_deg
+    return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, [remark]
+
+
+def uneven_noise_s(time_s: FloatArray, tooth: IntArray) -> float:
+    """Standard deviation [s] of the pulse times of uneven teeth, from their fourth divided differences, by the median.
+
+    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers, growing.
+    """
+    if time_s.size < 8:
+        return 0.0
+    count = min(time_s.size, MOST_NOISE_TEETH) - 4
+    total, power = np.zeros(count), np.zeros(count)
+    for k in range(5):
+        weight = np.ones(count)
+        for other in range(5):
+            if other != k:
+                weight /= tooth[k : k + count] - tooth[other : other + count]
+        total += weight * time_s[k : k + count]
+        power += weight**2
+    return float(np.median(np.abs(total) / np.sqrt(power))) / 0.6745
 
 
 def _undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
-    """Remark where a sampled encoder has too few samples per tooth: edges are lost then without any trace."""
+    """Remark where a sampled encoder has too few samples per pulse: edges are lost then without any trace."""
     if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
         return []
-    steps = np.diff(teeth.time_s) / np.diff(teeth.tooth) * float(recording.attrs["rate_hz"])
+    steps = np.diff(teeth.time_s) * float(recording.attrs["rate_hz"])
     fewest = float(np.quantile(steps, 0.02))
     if fewest >= FEWEST_SAMPLES_PER_TOOTH:
         return []
@@ -115,35 +161,45 @@ def _undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
     return [("encoder_undersampled", "bad", detail)]
 
 
-def _tdc(teeth: NumberedTeeth, pulses_per_rev: int, recording: xr.Dataset) -> tuple[float, str, list[Remark]]:
-    """Angle [rev] of a top dead centre, on the scale where tooth 0 is 0; what it rests on; remarks."""
-    attrs = recording.attrs
-    ratio = float(attrs.get("ratio", 1.0))
-    to_tdc_rev = float(attrs.get("index_to_tdc_deg", 0.0)) / 360.0
-    flags: list[Remark] = []
-    if not np.isfinite(teeth.index_tooth):
+def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> tuple[float, bool, str, list[Remark]]:
+    """Angle [rev] of a top dead centre where that of tooth 0 is 0; whether it fires; what it rests on; remarks."""
+    attrs, flags = recording.attrs, _mark_flags(teeth, recording)
+    tdc = teeth.index_tooth / teeth_per_rev + float(attrs.get("index_to_tdc_deg", 0.0)) / 360.0
+    stated = "index_to_tdc_deg" in attrs
+    # a mark on the camshaft itself, as of an encoder there
+    cycle_known = abs(teeth.index_period / teeth_per_rev - int(attrs["revs_per_cycle"])) < 1e-9
+    cycle_known |= int(attrs["revs_per_cycle"]) == 1
+    cam_s = _times(recording, "cam_time")
+    if cam_s is not None and not cycle_known:
+        place = np.interp(cam_s, teeth.time_s, teeth.tooth / teeth_per_rev, left=np.nan, right=np.nan)
+        mark = cam_mark(place, cam_s)
+        flags += mark.flags
+        if np.isfinite(mark.place_rev):
+            to_tdc = float(attrs["cam_to_tdc_deg"]) if "cam_to_tdc_deg" in attrs else None
+            stated |= not np.isfinite(tdc) and to_tdc is not None
+            tdc, told = firing_tdc(mark.place_rev, tdc, to_tdc)
+            flags, cycle_known = flags + told, True
+    if not np.isfinite(tdc):
         if not any(flag == "no_index" for flag, _, _ in teeth.flags):
             flags.append(
                 ("no_index", "suspect", "no once-per-revolution mark: orders yes, but their phase has no reference")
             )
-        return float(teeth.tooth[0]) / (pulses_per_rev * ratio), "none", flags
+        return float(teeth.tooth[0]) / teeth_per_rev, cycle_known, "none", flags
+    if not cycle_known:
+        detail = "which top dead centre fires is not known: half orders may be turned by 180°"
+        flags.append(("cycle_phase_unknown", "info", detail))
+    single = teeth.teeth_per_rev == 1 and "index_time" not in recording.variables and cam_s is None
+    return tdc, cycle_known, "tdc" if stated else "pulse" if single else "index", flags
+
+
+def _mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
+    """Remark where the mark is on a shaft whose turns are no whole crank revolutions."""
+    ratio = float(recording.attrs.get("ratio", 1.0))
     turns = 1.0 / ratio
-    if abs(turns - round(turns)) > 1e-9:
-        detail = f"the encoder turns {ratio:g} times per crank revolution: its mark is at top dead centre only once"
-        flags.append(("index_not_on_crank", "suspect", detail))
-    if "index_to_tdc_deg" in attrs:
-        reference = "tdc"
-    else:
-        reference = "pulse" if pulses_per_rev == 1 and "index_time" not in recording.variables else "index"
-    if int(attrs["revs_per_cycle"]) != 1:
-        flags.append(
-            (
-                "cycle_phase_unknown",
-                "info",
-                "which top dead centre fires is not known: half orders may be turned by 180°",
-            )
-        )
-    return teeth.index_tooth / (pulses_per_rev * ratio) + to_tdc_rev, reference, flags
+    if not np.isfinite(teeth.index_tooth) or abs(turns - round(turns)) <= 1e-9:
+        return []
+    detail = f"the encoder turns {ratio:g} times per crank revolution: its mark is at top dead centre only once"
+    return [("index_not_on_crank", "suspect", detail)]
 
 
 def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
@@ -184,7 +240,13 @@ def _sampled_by_angle(recording: xr.Dataset) -> AngleKnots:
 
 
 def _dataset(
-    recording: xr.Dataset, knots: AngleKnots, reference: str, n_pulses: int, remarks: list[Remark]
+    recording: xr.Dataset,
+    knots: AngleKnots,
+    reference: str,
+    n_pulses: int,
+    remarks: list[Remark],
+    *,
+    cycle_known: bool = False,
 ) -> ShaftAngle:
     """The ShaftAngle dataset, signed in its history."""
     name = str(recording.attrs["recording"])
@@ -201,7 +263,7 @@ def _dataset(
         attrs={
             "recording": name,
             "phase_reference": reference,
-            "cycle_known": int(int(recording.attrs["revs_per_cycle"]) == 1),
+            "cycle_known": int(cycle_known or int(recording.attrs["revs_per_cycle"]) == 1),
             "revs_per_cycle": int(recording.attrs["revs_per_cycle"]),
             "n_pulses": n_pulses,
             "domain": str(recording.attrs["domain"]),

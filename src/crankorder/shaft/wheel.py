@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from crankorder.errors import InputError
 from crankorder.settings import ShaftSettings
+from crankorder.shaft.index_marks import at_index
+from crankorder.shaft.pattern_search import find_pattern
 from crankorder.shaft.pulses import FloatArray, Remark
-
-IntArray = npt.NDArray[np.int64]
+from crankorder.shaft.repair import IntArray as IntArray
+from crankorder.shaft.repair import followed_wheel, listed_times, running_part
+from crankorder.shaft.uneven import Wheel, coarsest_grid, displaced_teeth, gap_is_absent, times_on_grid, wheel_of
 
 # A short interval that completes one tooth with its neighbour, within this share of it, was cut by a false pulse.
 SPLIT_SHARE = 0.25
-# A tooth beside the gap that sits this share of a tooth off the line of its neighbours says nothing of the angle.
-DISPLACED_SHARE = 0.05
 # A tooth lost at the same place in this share of the revolutions is damage, not chance.
 DAMAGE_SHARE = 0.5
+# So many false pulses between two true ones are a burst of interference, not ringing.
+GLITCH_PULSES = 3
+# The first tooth is not certain where another choice changes the log of the speed by less than this more in all.
+CERTAIN_MARGIN = 1.0
+# Speed that changes by more than this from tooth to tooth, in the mean of its logarithm, is none: the wheel is another.
+MOST_MISFIT = 0.4
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,8 @@ class NumberedTeeth:
 
     ``index_tooth`` is the tooth number, possibly between teeth, of a revolution mark: the first tooth behind the gap,
     the index, or the pulse itself; NaN where there is no such mark. ``n_repaired`` counts lost and false pulses.
+    ``teeth_per_rev`` are the even teeth per encoder revolution that the numbers count: of the full wheel, or of the
+    grid on which uneven teeth stand; ``index_period`` are those from one mark to the next.
     """
 
     time_s: FloatArray
@@ -35,6 +44,8 @@ class NumberedTeeth:
     index_tooth: float
     n_repaired: int
     flags: list[Remark]
+    teeth_per_rev: int
+    index_period: float
 
 
 def number_teeth(
@@ -43,6 +54,7 @@ def number_teeth(
     pulses_per_rev: int,
     settings: ShaftSettings,
     missing_teeth: int = 0,
+    tooth_angles_deg: Sequence[float] | None = None,
     index_time_s: FloatArray | None = None,
     ratio: float = 1.0,
     noise_s: float = 0.0,
@@ -52,63 +64,126 @@ def number_teeth(
     Parameters
     ----------
     time_s : (pulses,), s, not decreasing
-    pulses_per_rev : teeth of the full wheel per encoder revolution, 1 or more
-    settings : ``double_pulse_ratio`` and ``lost_pulse_ratio`` bound a plausible interval, ``gap_ratio_tolerance`` a
-        gap; ``max_repaired_fraction`` is where repair ends and refusal begins
+    pulses_per_rev : teeth of the full wheel per encoder revolution, 1 or more; not looked at with ``tooth_angles_deg``
+    settings : ``double_pulse_ratio`` and ``lost_pulse_ratio`` bound a plausible interval of an even wheel;
+        ``max_repaired_fraction`` is where repair ends and refusal begins
     missing_teeth : teeth left out of the full wheel in one gap, 0 or more
+    tooth_angles_deg : degrees, 0 and rising, the pulses of one encoder revolution of any wheel, or None
     index_time_s : (marks,), s, times of the once-per-revolution mark, or None
     ratio : encoder revolutions per crank revolution; the index may sit on either shaft
     noise_s : standard deviation of one pulse time, s; at few samples per pulse it widens what is plausible
 
     Returns
     -------
-    NumberedTeeth with remarks on every repair.
+    NumberedTeeth with remarks on every repair; the longest run between standstills only.
 
     Raises
     ------
-    InputError for fewer than 3 pulses, times that go back, no gap, another count between gaps or index marks than
+    InputError for fewer than 3 pulses, times that go back, another wheel or another count between index marks than
     configured, or more repairs than ``max_repaired_fraction`` of the pulses.
     """
     _check_times(time_s)
-    window = max(2, min(8, pulses_per_rev // 8))
-    kept, step = _steps(
+    wheel = wheel_of(pulses_per_rev, missing_teeth, tooth_angles_deg)
+    widest = float(wheel.spans.max() * wheel.places.size / wheel.grid)
+    part, flags = running_part(time_s, pulses_per_rev=wheel.places.size * ratio, gap=widest)
+    if part.stop - part.start < time_s.size:
+        time_s = time_s[part]
+        _check_times(time_s)
+    if wheel.even:
+        kept, tooth = _followed_even(time_s, wheel.grid, settings, noise_s)
+        certain = wheel.grid == 1
+    else:
+        kept, tooth, certain = _followed_uneven(time_s, wheel, settings)
+    kept_time = time_s[kept] if kept.size < time_s.size else time_s
+    n_false = _flag_false(time_s, kept, flags)
+    index_tooth, index_period = 0.0 if certain else np.nan, float(wheel.grid)
+    if not (certain or wheel.even):
+        flags.append(_no_phase(wheel))
+    if index_time_s is not None and index_time_s.size:
+        periods = (wheel.grid, wheel.grid * ratio)
+        tooth, index_tooth, index_period = at_index(kept_time, tooth, index_time_s, periods, flags, renumber=wheel.even)
+        kept_time, tooth = _growing(kept_time, tooth)
+    lost = _lost_teeth(tooth, wheel)
+    _flag_lost(lost, kept_time, tooth, wheel, index_tooth, flags)
+    if n_false + lost.size > settings.max_repaired_fraction * time_s.size:
+        raise _uncertain(time_s, lost.size, n_false, wheel, settings)
+    if not wheel.even:
+        true = ~displaced_teeth(kept_time, tooth, wheel, flags)
+        if not true.all():
+            kept_time, tooth = kept_time[true], tooth[true]
+        kept_time = times_on_grid(kept_time, tooth, wheel)
+    n_repaired, (step, first) = n_false + int(lost.size), coarsest_grid(wheel)
+    if step > 1:
+        main = (tooth - first) % step == 0
+        kept_time, tooth, index_tooth = kept_time[main], (tooth[main] - first) // step, (index_tooth - first) / step
+    return NumberedTeeth(kept_time, tooth, index_tooth, n_repaired, flags, wheel.grid // step, index_period / step)
+
+
+def _followed_even(
+    time_s: FloatArray, teeth: int, settings: ShaftSettings, noise_s: float
+) -> tuple[IntArray, IntArray]:
+    """Pulses that are true and the number of the tooth of each, on a wheel of even teeth."""
+    window = max(2, min(8, teeth // 8))
+    kept, tooth = _counted(
         time_s,
         np.full(window, np.median(np.diff(time_s[: 4 * window + 8]))),
-        missing_teeth + 1,
-        settings.gap_ratio_tolerance,
         settings.double_pulse_ratio,
         settings.lost_pulse_ratio,
         noise_s * np.sqrt(12.0),
     )
-    kept_time, tooth = time_s[kept], np.cumsum(step)
-    flags: list[Remark] = []
-    n_false = time_s.size - kept_time.size
-    if n_false:
-        flags.append(("encoder_double_pulse", "suspect", f"{n_false} false pulses removed"))
-    index_tooth = 0.0 if pulses_per_rev == 1 or missing_teeth else np.nan
-    if missing_teeth:
-        tooth = _at_gaps(tooth, step, pulses_per_rev, missing_teeth, flags)
-    if index_time_s is not None and index_time_s.size:
-        tooth, index_tooth = _at_index(kept_time, tooth, index_time_s, (pulses_per_rev, pulses_per_rev * ratio), flags)
-    lost = _lost_teeth(tooth, pulses_per_rev, missing_teeth)
-    _flag_lost(lost, pulses_per_rev, index_tooth, (tooth[-1] - tooth[0]) / pulses_per_rev, flags)
-    if n_false + lost.size > settings.max_repaired_fraction * time_s.size:
-        raise InputError(
-            f"{lost.size} pulses lost and {n_false} false of {time_s.size}: the count is not certain",
-            place="encoder",
-            allowed=f"{settings.max_repaired_fraction:.0%} repaired",
-            remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
-        )
-    if missing_teeth:
-        true = ~_displaced(kept_time, tooth, pulses_per_rev, pulses_per_rev - missing_teeth, flags)
-        kept_time, tooth = kept_time[true], tooth[true]
-    return NumberedTeeth(kept_time, tooth, index_tooth, n_false + int(lost.size), flags)
+    return kept, tooth
+
+
+def _followed_uneven(time_s: FloatArray, wheel: Wheel, settings: ShaftSettings) -> tuple[IntArray, IntArray, bool]:
+    """Pulses that are true, the number of the tooth of each, and whether the wheel tells which tooth is the first."""
+    places = (wheel.places + wheel.offsets) / wheel.grid
+    followed = followed_wheel(time_s, places, repeats=wheel.repeats)
+    count, n = followed.count, wheel.places.size
+    if followed.misfit > MOST_MISFIT:
+        raise _uncertain(time_s, 0, 0, wheel, settings)
+    if gap_is_absent(time_s, followed.kept, count, wheel):
+        raise _other_wheel("no gap found in the pulse train", time_s, wheel)
+    certain = wheel.repeats == 1 and followed.margin >= CERTAIN_MARGIN
+    turn = count // n
+    return followed.kept, turn * wheel.grid + wheel.places[count - turn * n], certain
+
+
+def _no_phase(wheel: Wheel) -> Remark:
+    if wheel.repeats > 1:
+        detail = f"the wheel looks the same {wheel.repeats} times per revolution: its phase has no reference"
+        return ("no_index", "suspect", detail)
+    detail = "too few revolutions tell which tooth is the first: the phase has no reference"
+    return ("tooth_phase_uncertain", "suspect", detail)
+
+
+def _uncertain(time_s: FloatArray, n_lost: int, n_false: int, wheel: Wheel, settings: ShaftSettings) -> InputError:
+    found = f"{n_lost} pulses lost and {n_false} false of {time_s.size}" if n_lost + n_false else "no steady speed"
+    if not wheel.even:
+        return _other_wheel(f"{found}: the count is not certain", time_s, wheel)
+    return InputError(
+        f"{found}: the count is not certain",
+        place="encoder",
+        allowed=f"{settings.max_repaired_fraction:.0%} repaired",
+        remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
+    )
+
+
+def _other_wheel(problem: str, time_s: FloatArray, wheel: Wheel) -> InputError:
+    """The pulses do not fit the wheel; what they do fit, where that can be told."""
+    found = find_pattern(time_s)
+    return InputError(
+        problem,
+        place="encoder",
+        found="" if found is None else f"a wheel {found.told}",
+        allowed=f"a {wheel.name} wheel of {wheel.places.size} pulses per revolution",
+        remedy="Mend the wheel (pattern, pulses_per_rev, missing_teeth) or the edge in run.toml, or the sensor's gap",
+    )
 
 
 def _check_times(time_s: FloatArray) -> None:
     if time_s.size < 3:
         raise InputError("too few encoder pulses", found=time_s.size, allowed="3 or more", remedy="Record longer")
-    bad = np.flatnonzero(~(np.diff(time_s) >= 0.0))
+    bad = np.flatnonzero(~(time_s[1:] >= time_s[:-1]))
     if bad.size or not np.isfinite(time_s[0]):
         at = int(bad[0]) + 1 if bad.size else 0
         raise InputError(
@@ -120,187 +195,100 @@ def _check_times(time_s: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _steps(time_s, recent, gap, gap_tolerance, double_ratio, lost_ratio, slack_s):  # type: ignore[no-untyped-def]
-    """Which pulses are true, and by how many teeth each one of them advances.
+def _counted(time_s, recent, double_ratio, lost_ratio, slack_s):  # type: ignore[no-untyped-def]
+    """Which pulses are true, and the number of the tooth of each one of them.
 
     The time of one tooth is followed as the mean over ``recent``, the last few intervals.
     """
     n, window = time_s.size, recent.size
-    kept, step = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    kept[0], step[0], m, total, slot = 0, 0, 1, recent.sum(), 0
+    kept, tooth = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    kept[0], tooth[0], m, share, slot = 0, 0, 1, 1.0 / window, 0
+    total, last, count = recent.sum(), time_s[0], 0
     for i in range(1, n):
-        last, tooth_s = time_s[kept[m - 1]], total / window
-        interval = time_s[i] - last
-        if interval < double_ratio * tooth_s - slack_s or interval <= 0.0:
-            if m > 1:
-                expected = time_s[kept[m - 2]] + step[m - 1] * tooth_s
-                if abs(time_s[i] - expected) < abs(last - expected):
-                    kept[m - 1] = i
-            continue
-        splits = interval < (1.0 - SPLIT_SHARE) * tooth_s - slack_s
-        if splits and i + 1 < n and time_s[i + 1] - last < (1.0 + SPLIT_SHARE) * tooth_s:
-            continue
+        tooth_s, interval = total * share, time_s[i] - last
         teeth = 1
-        if gap > 1 and abs(interval / tooth_s - gap) <= gap_tolerance:
-            teeth = gap
-        elif interval > lost_ratio * tooth_s + slack_s:
+        if interval > lost_ratio * tooth_s + slack_s:
             teeth = max(1, int(interval / tooth_s + 0.5))
-        kept[m], step[m] = i, teeth
+            interval /= teeth
+        elif interval < (1.0 - SPLIT_SHARE) * tooth_s - slack_s:
+            if interval < double_ratio * tooth_s - slack_s or interval <= 0.0:
+                if m > 1:
+                    expected = time_s[kept[m - 2]] + (count - tooth[m - 2]) * tooth_s
+                    if abs(time_s[i] - expected) < abs(last - expected):
+                        kept[m - 1], last = i, time_s[i]
+                continue
+            if i + 1 < n and time_s[i + 1] - last < (1.0 + SPLIT_SHARE) * tooth_s:
+                continue
+        elif interval <= 0.0:
+            continue
+        count += teeth
+        kept[m], tooth[m] = i, count
         m += 1
-        total += interval / teeth - recent[slot]
-        recent[slot] = interval / teeth
-        slot = (slot + 1) % window
-    return kept[:m].copy(), step[:m].copy()
+        last = time_s[i]
+        total += interval - recent[slot]
+        recent[slot] = interval
+        slot += 1
+        if slot == window:
+            slot = 0
+    return kept[:m], tooth[:m]
 
 
-def _wrapped(value: FloatArray, period: float) -> FloatArray:
-    """``value`` less whole periods, within half a period of 0."""
-    wrapped: FloatArray = value - period * np.round(value / period)
-    return wrapped
+def _growing(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, IntArray]:
+    """Pulses whose tooth numbers grow: where a count was put right, the pulses that it counted twice are left out."""
+    if (np.diff(tooth) > 0).all():
+        return time_s, tooth
+    new = np.diff(np.maximum.accumulate(tooth), prepend=tooth[0] - 1) > 0
+    return time_s[new], tooth[new]
 
 
-def _slips(place: FloatArray, period: float) -> tuple[float, FloatArray]:
-    """Place of the marks within a period, and by how many whole teeth each mark differs from it."""
-    first = place[: max(3, place.size // 10)]
-    values, counts = np.unique(np.round(first % period), return_counts=True)
-    anchor = float(values[np.argmax(counts)])
-    anchor += float(np.median(_wrapped(first - anchor, period)))
-    off = _wrapped(place - anchor, period)
-    slip = np.round(off)
-    rest = off - slip
-    near = np.abs(rest - np.median(rest))
-    return anchor + float(np.mean(rest[near <= 4.5 * np.median(near)])), slip
+def _flag_false(time_s: FloatArray, kept: IntArray, flags: list[Remark]) -> int:
+    """Remarks on false pulses, single and in bursts; their number."""
+    n_false = int(time_s.size - kept.size)
+    if n_false == 0:
+        return 0
+    false = np.setdiff1d(np.arange(time_s.size), kept)
+    flags.append(("encoder_double_pulse", "suspect", f"{n_false} false pulses removed, {listed_times(time_s[false])}"))
+    runs = np.split(false, np.flatnonzero(np.diff(false) > 1) + 1)
+    bursts = np.array([time_s[run[0]] for run in runs if run.size >= GLITCH_PULSES])
+    if bursts.size:
+        detail = f"{bursts.size} bursts of {GLITCH_PULSES} false pulses or more, {listed_times(bursts)}"
+        flags.append(("encoder_glitch", "suspect", detail))
+    return n_false
 
 
-def _unslipped(tooth: IntArray, mark_pulse: IntArray, slip: FloatArray) -> tuple[IntArray, int, int]:
-    """Teeth renumbered where a slip lasts over two marks or more, the count of such slips, and of lone odd marks."""
-    shift, n_slips, n_odd = np.zeros(tooth.size, dtype=np.int64), 0, 0
-    current = 0
-    for k in range(slip.size):
-        if slip[k] == current:
-            continue
-        if k + 1 < slip.size and slip[k + 1] == slip[k]:
-            current = int(slip[k])
-            shift[mark_pulse[k] :] = -current
-            n_slips += 1
-        else:
-            n_odd += 1
-    return tooth + shift, n_slips, n_odd
-
-
-def _at_gaps(tooth: IntArray, step: IntArray, pulses_per_rev: int, missing_teeth: int, flags: list[Remark]) -> IntArray:
-    """Teeth numbered so that the first tooth behind the gap is a multiple of ``pulses_per_rev``."""
-    behind = np.flatnonzero(step == missing_teeth + 1)
-    wheel = f"{pulses_per_rev}-{missing_teeth}"
-    if behind.size == 0:
-        raise InputError(
-            "no gap found in the pulse train",
-            place="encoder",
-            allowed=f"a gap of {missing_teeth} teeth per revolution ({wheel} wheel)",
-            remedy="Check missing_teeth and edge in run.toml; the other edge may show the gap",
-        )
-    between = np.diff(tooth[behind])
-    if between.size >= 2:
-        values, counts = np.unique(between, return_counts=True)
-        usual = int(values[np.argmax(counts)])
-        if usual % pulses_per_rev and counts.max() > 0.5 * between.size:
-            raise InputError(
-                f"{usual} teeth per gap measured (the missing counted), {pulses_per_rev} configured",
-                place="encoder.pulses_per_rev",
-                remedy="Mend pulses_per_rev and missing_teeth in run.toml",
-            )
-    place = tooth[behind].astype(np.float64)
-    anchor, slip = _slips(place, float(pulses_per_rev))
-    renumbered, n_slips, _ = _unslipped(tooth - round(anchor), behind, slip)
-    if n_slips:
-        flags.append(("encoder_slip", "suspect", f"tooth count put right at {n_slips} gaps"))
-    return renumbered
-
-
-def _displaced(
-    time_s: FloatArray, tooth: IntArray, pulses_per_rev: int, teeth: int, flags: list[Remark]
-) -> npt.NDArray[np.bool_]:
-    """Which pulses are of a tooth beside the gap that stands off the line of the next three (a pickup bends there)."""
-    displaced = np.zeros(tooth.size, dtype=np.bool_)
-    if teeth < 8:
-        return displaced
-    off = {}
-    for place, way in ((0, 1), (teeth - 1, -1)):
-        at = np.flatnonzero(tooth % pulses_per_rev == place)
-        at = at[(at + 3 * way >= 0) & (at + 3 * way < tooth.size)]
-        at = at[tooth[at + 3 * way] == tooth[at] + 3 * way]
-        if at.size == 0:
-            continue
-        near, next_near, far = (time_s[at + k * way] for k in (1, 2, 3))
-        off[place] = float(np.median((time_s[at] - 3.0 * near + 3.0 * next_near - far) / np.abs(next_near - near)))
-        if abs(off[place]) > DISPLACED_SHARE:
-            displaced |= tooth % pulses_per_rev == place
-    if displaced.any():
-        detail = ", ".join(f"tooth {place + 1} by {share:+.2f} tooth" for place, share in off.items())
-        flags.append(("encoder_teeth_displaced", "info", f"edges beside the gap are displaced and left out: {detail}"))
-    return displaced
-
-
-def _at_index(
-    time_s: FloatArray, tooth: IntArray, index_time_s: FloatArray, wanted: tuple[float, float], flags: list[Remark]
-) -> tuple[IntArray, float]:
-    """Teeth renumbered by the index marks, and the tooth number of a mark; ``wanted`` counts per mark are allowed."""
-    marks = index_time_s[(index_time_s >= time_s[0]) & (index_time_s <= time_s[-1])]
-    if marks.size == 0:
-        flags.append(("no_index", "suspect", "no index mark within the pulses: the phase has no reference"))
-        return tooth, float("nan")
-    place = np.interp(marks, time_s, tooth)
-    between = np.round(np.diff(place))
-    period = wanted[0]
-    if between.size >= 2:
-        values, counts = np.unique(between, return_counts=True)
-        usual = float(values[np.argmax(counts)])
-        period = min(wanted, key=lambda count: abs(count - usual))
-        if usual != round(period) and counts.max() > 0.5 * between.size:
-            raise InputError(
-                f"{usual:.0f} pulses per index measured, {period:g} configured",
-                place="encoder.pulses_per_rev",
-                remedy="Mend pulses_per_rev (or ratio) in run.toml",
-            )
-    anchor, slip = _slips(place, period)
-    renumbered, n_slips, n_odd = _unslipped(tooth, np.searchsorted(time_s, marks), slip)
-    n_odd += int(np.sum((np.diff(place) < 0.25 * period) & (np.diff(slip) == 0)))
-    n_lost = int(np.sum(np.maximum(0, np.round(np.diff(place) / period) - 1)))
-    for count, flag, detail in (
-        (n_slips, "encoder_slip", f"pulse count put right at {n_slips} index marks"),
-        (n_odd, "index_extra", f"{n_odd} index marks out of place, left out"),
-        (n_lost, "index_lost", f"{n_lost} index marks missing, filled in"),
-    ):
-        if count:
-            flags.append((flag, "suspect", detail))
-    return renumbered, anchor
-
-
-def _lost_teeth(tooth: IntArray, pulses_per_rev: int, missing_teeth: int) -> IntArray:
-    """Numbers of the teeth without a pulse, those of the wheel's own gap left out."""
-    holes = np.flatnonzero(np.diff(tooth) > 1)
+def _lost_teeth(tooth: IntArray, wheel: Wheel) -> IntArray:
+    """Numbers of the teeth without a pulse, those that the wheel does not have left out."""
+    n = wheel.places.size
+    held = np.searchsorted(wheel.places, [tooth[0] % wheel.grid, tooth[-1] % wheel.grid])
+    if n * ((tooth[-1] // wheel.grid) - (tooth[0] // wheel.grid)) + held[1] - held[0] == tooth.size - 1:
+        return np.empty(0, dtype=np.int64)
+    steps = np.diff(tooth)
+    place_of = np.full(wheel.grid, -1)
+    place_of[wheel.places] = np.arange(wheel.places.size)
+    number = place_of[tooth % wheel.grid]
+    usual = wheel.spans[number[:-1]]
+    holes = np.flatnonzero(steps != usual)
     if holes.size == 0:
         return np.empty(0, dtype=np.int64)
-    lost = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
-    return lost[lost % pulses_per_rev < pulses_per_rev - missing_teeth] if missing_teeth else lost
+    lost: IntArray = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
+    return lost[place_of[lost % wheel.grid] >= 0]
 
 
-def _flag_lost(lost: IntArray, pulses_per_rev: int, index_tooth: float, revs: float, flags: list[Remark]) -> None:
-    """Remarks on lost teeth: how many, and those that are lost again and again at the same angle."""
+def _flag_lost(
+    lost: IntArray, time_s: FloatArray, tooth: IntArray, wheel: Wheel, index_tooth: float, flags: list[Remark]
+) -> None:
+    """Remarks on lost teeth: how many and when, and those that are lost again and again at the same angle."""
     if lost.size == 0:
         return
-    flags.append(("encoder_missing_pulse", "suspect", f"{lost.size} lost pulses filled in"))
-    places, counts = np.unique(lost % pulses_per_rev, return_counts=True)
+    when = listed_times(np.interp(lost, tooth, time_s))
+    flags.append(("encoder_missing_pulse", "suspect", f"{lost.size} lost pulses filled in, {when}"))
+    revs = (tooth[-1] - tooth[0]) / wheel.grid
+    places, counts = np.unique(lost % wheel.grid, return_counts=True)
     damaged = places[(counts >= 3) & (counts >= DAMAGE_SHARE * revs)]
-    if damaged.size and pulses_per_rev > 1:
+    if damaged.size and wheel.grid > 1:
         known = np.isfinite(index_tooth)
-        angle = (damaged - (index_tooth if known else 0.0)) * 360.0 / pulses_per_rev % 360.0
+        angle = (damaged - (index_tooth if known else 0.0)) * 360.0 / wheel.grid % 360.0
         listed = ", ".join(f"{value:.2f}" for value in angle[:5])
         after = "the index" if known else "the first pulse"
-        flags.append(
-            (
-                "encoder_damaged_line",
-                "suspect",
-                f"pulse lost in most revolutions at {listed} degrees after {after} (a wheel with missing teeth?)",
-            )
-        )
+        detail = f"pulse lost in most revolutions at {listed} degrees after {after} (a wheel with missing teeth?)"
+        flags.append(("encoder_damaged_line", "suspect", detail))

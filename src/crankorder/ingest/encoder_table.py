@@ -1,0 +1,155 @@
+"""The table ``[encoder]`` of a manifest: how the file tells the angle or the speed of the shaft, and on which wheel.
+
+Imports nothing heavy, as all that a manifest is checked with.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
+from pydantic import field_validator as field_check
+
+from crankorder.errors import RequestError
+from crankorder.shaft.pattern import angles_fault, pattern_of
+
+EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "none"]
+TRACE_KINDS = ("square", "analogue")
+TIME_KINDS = ("pulse_times", "edge_list")
+
+
+def _source(value: object) -> str | int:
+    if isinstance(value, str) and value:
+        return value
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+        return value
+    raise ValueError("a source is a dataset path, a column name, or a column number from 0")
+
+
+Source = Annotated[
+    str | int,
+    PlainValidator(_source),
+    WithJsonSchema({"anyOf": [{"type": "string", "minLength": 1}, {"type": "integer", "minimum": 0}]}),
+]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(gt=0)]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=1000)]
+
+
+class Table(BaseModel):
+    """Base of the tables of a manifest: unknown keys and wrong types are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Encoder(Table):
+    """``[encoder]``: how the file tells the angle or the speed of the shaft."""
+
+    kind: EncoderKind = "none"
+    source: Source | None = None
+    pulses_per_rev: Count | None = None
+    missing_teeth: Annotated[int, Field(ge=0)] = 0
+    pattern: Name | None = None
+    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = None
+    index: Source | None = None
+    cam: Source | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    ratio: Positive = 1.0
+    index_to_tdc_deg: float = 0.0
+    cam_to_tdc_deg: float | None = None
+    speed_rpm: Positive | None = None
+
+    @field_check("pattern")
+    @classmethod
+    def _pattern_is_known(cls, name: str | None) -> str | None:
+        return name if name is None else pattern_of(name).name
+
+    @field_check("tooth_angles_deg")
+    @classmethod
+    def _angles_are_a_wheel(cls, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        fault = "" if angles is None else angles_fault(angles)
+        if fault:
+            raise ValueError(fault)
+        return angles
+
+    @property
+    def wheel(self) -> dict[str, Any]:
+        """Attributes of a recording that say what wheel it is; none where the pulses themselves must tell."""
+        if self.tooth_angles_deg is not None:
+            return {"tooth_angles_deg": list(self.tooth_angles_deg)}
+        if self.pattern is not None:
+            even, angles = pattern_of(self.pattern).even, pattern_of(self.pattern).angles_deg
+            stated = {"tooth_angles_deg": list(angles)} if even is None else {}
+            return stated or dict(zip(("pulses_per_rev", "missing_teeth"), even or (), strict=True))
+        if self.pulses_per_rev is None:
+            return {}
+        return {"pulses_per_rev": self.pulses_per_rev, "missing_teeth": self.missing_teeth}
+
+
+def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: bool) -> list[RequestError]:
+    """Faults of ``encoder`` that show only when several keys are seen together.
+
+    ``cycle`` is that of the test; ``domain`` that of the samples; ``speeds_stated``: whether recordings have their own.
+    """
+    faults: list[RequestError] = []
+    needs: dict[str, object] = {}
+    if encoder.kind in (*TRACE_KINDS, *TIME_KINDS, "speed"):
+        needs = {"source": encoder.source}
+    elif encoder.kind == "constant" and not speeds_stated:
+        needs = {"speed_rpm": encoder.speed_rpm}
+    for key, value in needs.items():
+        if value is None:
+            faults.append(
+                RequestError(
+                    f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
+                )
+            )
+    if domain == "crank_angle" and encoder.kind not in ("none", "constant"):
+        faults.append(
+            RequestError(
+                "samples by crank angle have no use for an encoder",
+                place="encoder.kind",
+                found=encoder.kind,
+                allowed="none, constant",
+                remedy='Remove [encoder], or state domain = "time"',
+            )
+        )
+    return faults + _wheel_faults(encoder, cycle)
+
+
+def _wheel_faults(encoder: Encoder, cycle: str) -> list[RequestError]:
+    faults: list[RequestError] = []
+    stated = [key for key in ("pattern", "tooth_angles_deg", "pulses_per_rev") if getattr(encoder, key) is not None]
+    if len(stated) > 1:
+        faults.append(
+            RequestError(
+                f"the wheel is stated by {' and by '.join(stated)}",
+                place=f"encoder.{stated[0]}",
+                allowed="one of them",
+                remedy=f"Remove {' and '.join(stated[1:])}",
+            )
+        )
+    if encoder.missing_teeth and encoder.missing_teeth >= (encoder.pulses_per_rev or encoder.missing_teeth):
+        faults.append(
+            RequestError(
+                "more teeth are missing than the wheel has",
+                place="encoder.missing_teeth",
+                found=encoder.missing_teeth,
+                allowed="below pulses_per_rev, which counts the full wheel"
+                + (f" = {encoder.pulses_per_rev}" if encoder.pulses_per_rev else ""),
+            )
+        )
+    if encoder.cam is not None and cycle != "four-stroke":
+        faults.append(
+            RequestError(
+                "a cam mark tells the phase of a four-stroke cycle only",
+                place="encoder.cam",
+                found=f"cycle = {cycle!r}",
+                remedy="Remove cam, or mend test.cycle",
+            )
+        )
+    if encoder.cam_to_tdc_deg is not None and encoder.cam is None:
+        faults.append(
+            RequestError("cam_to_tdc_deg needs cam, its source", place="encoder.cam_to_tdc_deg", remedy="Add cam")
+        )
+    return faults

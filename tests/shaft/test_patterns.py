@@ -1,0 +1,302 @@
+"""Every wheel decodes from its pulses, wherever they start, and is found by itself; clean trains are never repaired."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from crankorder.errors import InputError, RequestError
+from crankorder.quantities import flags_of
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_at
+from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.pattern import angles_fault, grid_of, known_names, pattern_of
+from crankorder.shaft.pattern_search import find_pattern
+from crankorder.shaft.repair import running_part
+from crankorder.shaft.wheel import number_teeth
+
+SETTINGS = load_settings().shaft
+WHEELS = [*known_names(), "60-2", "36-1", "36-2", "24-2", "12-3", "4-1"]
+UNIQUE = [name for name in WHEELS if pattern_of(name).repeats == 1]
+REPAIRS = {"encoder_missing_pulse", "encoder_double_pulse", "encoder_glitch", "encoder_damaged_line", "encoder_slip"}
+
+
+def angle_function(*, start_rpm=900.0, end_rpm=900.0, irregularity=0.05, duration_s=4.0):
+    """Crank angle [rev] against time on a fine grid: a linear run-up with irregularity of orders 0.5 and 2."""
+    time_s = np.linspace(0.0, duration_s, 400_001)
+    mean = (start_rpm * time_s + 0.5 * (end_rpm - start_rpm) * time_s**2 / duration_s) / 60.0
+    swing = sum(
+        share * irregularity / (2 * np.pi * order) * np.sin(2 * np.pi * order * mean + order)
+        for order, share in ((0.5, 0.4), (2.0, 0.6))
+    )
+    return time_s, mean + swing
+
+
+def pulses_of(name, *, start_rev=0.37, **motion):
+    """Times of the pulses of a wheel that starts ``start_rev`` past tooth 1, and the true angle of each."""
+    time_s, angle = angle_function(**motion)
+    angle = angle + start_rev
+    places = np.array(pattern_of(name).angles_deg if isinstance(name, str) else name) / 360.0
+    wanted = (np.arange(int(angle[-1]) + 2)[:, None] + places).ravel()
+    wanted = wanted[(wanted > angle[0]) & (wanted < angle[-1])]
+    return np.interp(wanted, angle, time_s), wanted
+
+
+def numbered(name, pulse_s, **options):
+    angles = pattern_of(name).angles_deg if isinstance(name, str) else name
+    return number_teeth(pulse_s, pulses_per_rev=1, tooth_angles_deg=angles, settings=SETTINGS, **options)
+
+
+def assert_true_angles(teeth, true_time_s, true_rev, repeats=1, atol=1e-9):
+    """Each kept pulse has the tooth of its true angle, up to whole turns (or the part that the wheel repeats in)."""
+    mark = teeth.index_tooth if np.isfinite(teeth.index_tooth) else 0.0
+    angle = (teeth.tooth - mark) / teeth.teeth_per_rev
+    away = (angle - np.interp(teeth.time_s, true_time_s, true_rev)) * repeats
+    np.testing.assert_allclose(away, np.round(away[0]), atol=atol)
+
+
+@pytest.mark.parametrize("name", WHEELS)
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"irregularity": 0.0},
+        {"irregularity": 0.05},
+        {"start_rpm": 200.0, "end_rpm": 3000.0},
+        {"start_rpm": 3000.0, "end_rpm": 300.0},
+    ],
+    ids=["steady", "uneven", "run-up", "coast-down"],
+)
+def test_every_wheel_is_laid_on_its_pulses_without_a_repair(name, motion):
+    pulse_s, true_rev = pulses_of(name, **motion)
+    teeth = numbered(name, pulse_s)
+    assert teeth.n_repaired == 0
+    assert not REPAIRS & {flag for flag, _, _ in teeth.flags}
+    assert teeth.time_s.size >= 0.85 * pulse_s.size  # teeth that only tell the phase are left out
+    assert_true_angles(teeth, pulse_s, true_rev, pattern_of(name).repeats)
+    assert np.isfinite(teeth.index_tooth) == (name in UNIQUE)
+
+
+@pytest.mark.parametrize("name", UNIQUE)
+@pytest.mark.parametrize("start_rev", [0.0, 0.13, 0.5, 0.81, 0.999])
+def test_a_wheel_may_start_anywhere(name, start_rev):
+    pulse_s, true_rev = pulses_of(name, start_rev=start_rev, duration_s=1.0)
+    teeth = numbered(name, pulse_s)
+    assert teeth.n_repaired == 0
+    assert_true_angles(teeth, pulse_s, true_rev)
+
+
+@pytest.mark.parametrize("name", UNIQUE)
+def test_lost_and_false_pulses_of_every_wheel_are_repaired_and_counted(name):
+    pulse_s, true_rev = pulses_of(name, irregularity=0.03)
+    random = np.random.default_rng(7)
+    lost = random.choice(np.arange(40, pulse_s.size - 40, 17), size=3, replace=False)
+    at = lost[0] - 20
+    false = pulse_s[at] + 0.4 * (pulse_s[at + 1] - pulse_s[at])
+    teeth = numbered(name, np.sort(np.append(np.delete(pulse_s, lost), false)))
+    flags = {flag: detail for flag, _, detail in teeth.flags}
+    assert flags["encoder_missing_pulse"].startswith("3 lost pulses")
+    assert flags["encoder_double_pulse"] == f"1 false pulses removed, at {false:.6g} s"
+    assert teeth.n_repaired == 4
+    assert_true_angles(teeth, pulse_s, true_rev)
+
+
+@pytest.mark.parametrize(("name", "irregularity"), [("36-2-1", 0.01), ("gm-24x", 0.01), ("12+1", 0.002)])
+def test_the_angle_of_an_uneven_wheel_is_that_of_the_shaft(name, irregularity, recording_of):
+    pulse_s, true_rev = pulses_of(name, irregularity=irregularity)
+    recording = recording_of(pulse_s, tooth_angles_deg=list(pattern_of(name).angles_deg), pulse_noise_s=1e-8)
+    angle = shaft_angle(recording, settings=SETTINGS)
+    reached = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+    away = reached - true_rev
+    np.testing.assert_allclose(away[8:-8], np.round(away[8]), atol=3e-5)
+    assert angle.attrs["phase_reference"] == "index"
+
+
+def test_angles_off_every_grid_are_kept_exactly():
+    angles = (0.0, 31.07, 60.003, 88.9, 121.31, 149.5, 181.77, 240.29, 270.011, 301.3, 329.87)
+    assert any(grid_of(angles)[2])
+    pulse_s, true_rev = pulses_of(angles, irregularity=0.002)
+    teeth = numbered(angles, pulse_s)
+    time_s, angle = angle_function(irregularity=0.002)
+    assert_true_angles(teeth, time_s, angle + 0.37, atol=3e-6)
+    assert teeth.n_repaired == 0
+    assert true_rev.size == teeth.tooth.size
+
+
+def test_a_wheel_that_repeats_takes_its_phase_from_the_index(recording_of):
+    pulse_s, true_rev = pulses_of("miata-nb")
+    index_s = np.interp(np.arange(1.0, true_rev[-1]), true_rev, pulse_s)
+    angles = list(pattern_of("miata-nb").angles_deg)
+    alone = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles), settings=SETTINGS)
+    assert alone.attrs["phase_reference"] == "none"
+    both = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles, index_time_s=index_s), settings=SETTINGS)
+    assert both.attrs["phase_reference"] == "index"
+    reached = angle_at(index_s[1:-1], both["time"].values, both["crank_angle"].values, both["speed"].values)
+    np.testing.assert_allclose(reached, np.round(reached), atol=2e-3)
+
+
+@pytest.mark.parametrize(("configured", "real"), [("60-2", "36-2"), ("36-2-1", "36-2-2-2"), ("60-2", "58")])
+def test_another_wheel_is_refused_and_named(configured, real):
+    pulse_s, _ = pulses_of(real)
+    with pytest.raises(InputError) as error:
+        numbered(configured, pulse_s)
+    assert f"a {configured} wheel" in error.value.allowed
+    assert real == "58" or f"a wheel {real} " in str(error.value.found)
+
+
+@pytest.mark.parametrize("name", WHEELS)
+@pytest.mark.parametrize("motion", [{}, {"irregularity": 0.0}, {"start_rpm": 300.0, "end_rpm": 3600.0}])
+def test_every_wheel_is_found_by_itself(name, motion):
+    pulse_s, _ = pulses_of(name, **motion)
+    found = find_pattern(pulse_s)
+    assert found is not None
+    once = {"44-2-2": "22-2", "66-2-2-2": "22-2"}  # as they look where nothing tells a revolution
+    assert found.pattern.name == once.get(name, name)
+    assert found.agreement == 1.0
+
+
+def test_a_wheel_with_faults_is_found_with_less_confidence():
+    pulse_s, _ = pulses_of("60-2", irregularity=0.02)
+    found = find_pattern(np.delete(pulse_s, np.arange(100, pulse_s.size, 400)))
+    assert found is not None
+    assert found.pattern.name == "60-2"
+    assert 0.6 < found.agreement < 0.95
+
+
+def test_an_index_tells_how_often_a_wheel_repeats():
+    pulse_s, true_rev = pulses_of("44-2-2")
+    index_s = np.interp(np.arange(1.0, true_rev[-1]), true_rev, pulse_s)
+    found = find_pattern(pulse_s, index_time_s=index_s)
+    assert found is not None
+    np.testing.assert_allclose(found.pattern.angles_deg, pattern_of("44-2-2").angles_deg)
+
+
+@pytest.mark.parametrize("teeth", [1, 60, 360])
+def test_even_teeth_are_counted_by_the_index_and_not_told_without(teeth, recording_of):
+    pulse_s, true_rev = pulses_of(f"{teeth}")
+    assert find_pattern(pulse_s) is None
+    index_s = np.interp(np.arange(1.0, true_rev[-1]) + 0.3 / teeth, true_rev, pulse_s)
+    found = find_pattern(pulse_s, index_time_s=index_s)
+    assert found is not None
+    assert found.pattern.even == (teeth, 0)
+    unstated = recording_of(pulse_s)
+    del unstated.attrs["pulses_per_rev"], unstated.attrs["missing_teeth"]
+    with pytest.raises(InputError, match="nothing states the pulses per revolution"):
+        shaft_angle(unstated, settings=SETTINGS)
+
+
+def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_so(recording_of):
+    pulse_s, true_rev = pulses_of("36-2-1")
+    unstated = recording_of(pulse_s, pulse_noise_s=1e-8)
+    del unstated.attrs["pulses_per_rev"], unstated.attrs["missing_teeth"]
+    angle = shaft_angle(unstated, settings=SETTINGS)
+    (flag,) = [flag for flag in flags_of(angle) if flag["flag"] == "encoder_pattern_found"]
+    assert flag["severity"] == "suspect"
+    assert "36-2-1 (33 pulses), seen in 100% of" in flag["detail"]
+    reached = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+    np.testing.assert_allclose((reached - true_rev)[8:-8], np.round((reached - true_rev)[8]), atol=1e-3)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    name=st.sampled_from([*WHEELS, "60", "12", "1"]),
+    start_rev=st.floats(0.0, 1.0),
+    start_rpm=st.floats(150.0, 6000.0),
+    ratio=st.floats(0.3, 3.0),
+    irregularity=st.floats(0.0, 0.08),
+    jitter=st.floats(0.0, 0.02),
+    seed=st.integers(0, 2**31),
+)
+def test_clean_trains_are_never_repaired(name, start_rev, start_rpm, ratio, irregularity, jitter, seed):
+    """Jitter is a share of the shortest tooth; the speed changes threefold at most, over 60 revolutions or more."""
+    duration_s = 60.0 / (start_rpm * (1.0 + ratio) / 120.0)
+    pulse_s, true_rev = pulses_of(
+        name,
+        start_rev=start_rev,
+        start_rpm=start_rpm,
+        end_rpm=start_rpm * ratio,
+        irregularity=irregularity,
+        duration_s=duration_s,
+    )
+    noise = np.random.default_rng(seed).uniform(-1.0, 1.0, pulse_s.size)
+    teeth = numbered(name, pulse_s + jitter * np.diff(pulse_s).min() * noise)
+    assert teeth.n_repaired == 0
+    assert not REPAIRS & {flag for flag, _, _ in teeth.flags}
+    assert teeth.tooth[-1] - teeth.tooth[0] == pytest.approx(
+        (true_rev[-1] - true_rev[0]) * teeth.teeth_per_rev, abs=3.0
+    )
+
+
+def test_a_start_from_standstill_and_a_stop_are_left_out_and_located():
+    pulse_s, _ = pulses_of("60-2", start_rpm=60.0, end_rpm=1200.0)
+    stopped = np.concatenate([pulse_s - pulse_s[0] + 5.0, [12.0, 12.06, 12.1]])
+    train = np.concatenate([[0.0, 0.01], stopped])
+    part, flags = running_part(train, pulses_per_rev=58.0, gap=3.0)
+    assert (part.start, part.stop) == (2, 2 + pulse_s.size)
+    told = {flag: detail for flag, _, detail in flags}
+    assert "from 0.01 to 5 s" in told["standstill"]
+    assert "to 12 s" in told["standstill"]
+    assert told["direction_unknown"].startswith("5 pulses of less than a revolution beside a standstill")
+
+
+def test_a_kick_back_after_a_stop_takes_no_part(recording_of):
+    """The crank stops against compression and turns back by a third of a revolution: one track sees only pulses."""
+    time_s = np.linspace(0.0, 3.5, 700_001)
+    speed = np.where(time_s < 3.0, 10.0 * (1.0 - time_s / 3.0), -2.6 * np.sin((time_s - 3.0) / 0.5 * np.pi))
+    angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
+    crossed = np.flatnonzero(np.diff(np.floor(angle * 60)) != 0)
+    pulse_s = time_s[crossed]
+    shaft = shaft_angle(recording_of(pulse_s, pulses_per_rev=60, pulse_noise_s=1e-6), settings=SETTINGS)
+    flags = {flag["flag"]: flag["detail"] for flag in flags_of(shaft)}
+    assert "direction_unknown" in flags
+    assert shaft["time"].values[-1] < 3.0
+    ends = np.interp(shaft["time"].values[[1, -2]], time_s, angle)
+    assert np.diff(shaft["crank_angle"].values[[1, -2]]) == pytest.approx(np.diff(ends), abs=0.02)
+
+
+def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
+    pulse_s, true_rev = pulses_of("360", irregularity=0.0)
+    few = np.delete(pulse_s, np.arange(5000, 5200))
+    teeth = number_teeth(few, pulses_per_rev=360, settings=SETTINGS)
+    assert "standstill" not in {flag for flag, _, _ in teeth.flags}
+    assert teeth.n_repaired == 200
+    true = np.round(360 * np.interp(teeth.time_s, pulse_s, true_rev)).astype(int)
+    np.testing.assert_array_equal(teeth.tooth - teeth.tooth[0], true - true[0])
+
+
+def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
+    pulse_s, _ = pulses_of("60", start_rpm=600.0, end_rpm=3000.0)
+    hole = pulse_s[(pulse_s < 1.0) | (pulse_s > 1.6)]
+    teeth = number_teeth(hole, pulses_per_rev=60, settings=SETTINGS)
+    told = {flag: detail for flag, _, detail in teeth.flags}
+    assert "no pulses from 0.9" in told["encoder_gap"]
+    assert "encoder_part_unused" in told
+    assert teeth.time_s[0] > 1.6
+
+
+@pytest.mark.parametrize("name", ["36-2-l", "3-3", "gm", "", "60-2-", "-2", "$60-2"])
+def test_an_unknown_wheel_is_refused(name):
+    with pytest.raises(RequestError, match="unknown wheel"):
+        pattern_of(name)
+
+
+@pytest.mark.parametrize("name", WHEELS)
+def test_the_angles_of_every_named_wheel_are_a_wheel(name):
+    wheel = pattern_of(name)
+    assert angles_fault(wheel.angles_deg) == ""
+    grid, places, offsets = grid_of(wheel.angles_deg)
+    assert not any(offsets)
+    np.testing.assert_allclose(np.array(places) * 360.0 / grid, wheel.angles_deg, atol=1e-9)
+    assert all(later > earlier for earlier, later in pairwise(places))
+
+
+def test_the_gm_24x_wheel_codes_each_place_once():
+    """Its rising edges come 5 or 10 degrees after even falling ones, in a code whose parts are all different."""
+    rise = (np.array(pattern_of("gm-24x").angles_deg) + 10.0) % 15.0
+    early = (rise < 7.5).astype(int)
+    assert set(np.round(rise, 9)) == {5.0, 10.0}
+    parts = {tuple(np.roll(early, -at)[:6]) for at in range(24)}
+    assert len(parts) == 24
