@@ -12,6 +12,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from model_keys import tables_of
+
+from crankorder.engine.definition import Engine
+from crankorder.synth.scene import Scene
+
 ROOT = Path(__file__).resolve().parents[1]
 MARKER = "<!-- made by `python reports/make_readmes.py`: change the files that it describes, not this page -->"
 
@@ -83,8 +88,8 @@ def render_pipeline_readme(root: Path = ROOT) -> str:
         parts += [table(("setting", "value", "unit", "reason"), rows)]
     for kind, what in (
         ("recipes", "An analysis: the settings that differ."),
-        ("engines", "Engine data; a manifest names one."),
-        ("scenes", "Synthetic tests: an engine, its speeds, sensors and effects."),
+        ("engines", "Engine data; a manifest names one. [Every key](engines/README.md)."),
+        ("scenes", "Synthetic tests: an engine, its speeds, sensors and effects. [Every key](scenes/README.md)."),
     ):
         parts += [f"## {kind}", what, _shipped(folder / kind)]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -191,11 +196,36 @@ def _type(field: dict[str, Any], whole: dict[str, Any]) -> str:
     return text
 
 
+def render_keys(title: str, model: type[Scene] | type[Engine], skip: tuple[str, ...], notes: str) -> str:
+    """Page of every key that a file of ``model`` may hold but those in ``skip``; ``title`` and ``notes`` come first."""
+    parts = [MARKER, f"# {title}", notes]
+    for heading, about, rows in tables_of(model, skip):
+        parts += [f"## `{heading}`" if heading else "", about, table(("key", "value", "default"), rows)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+SCENE_NOTES = (
+    "A scene is a TOML file: `crankorder synth my-scene.toml --out FOLDER`. What it does not name is not there and "
+    "costs nothing. Short lists can be written in one line: `by_order = [{ order = 2.0, percent = 1.0 }]`. `engine` is "
+    'a shipped engine or the path of an engine file; it is required. With `based_on = "another-scene"` a scene has all '
+    "keys of that one but those that it states itself (a table or list replaces the whole table or list) and those it "
+    'lists in `without = ["encoder"]`. Where a table comes more than once below, it is one of several kinds.'
+)
+ENGINE_NOTES = (
+    "An engine is a TOML file; a manifest, a scene or `crankorder balance` names it. Lengths are in metres, masses in "
+    "kilograms, angles in degrees of crank. A table `[balance]` is for `crankorder balance` alone."
+)
+
+
 def pages(root: Path = ROOT) -> dict[Path, str]:
     """Path and text of every generated page of the tree at ``root``."""
     return {
         root / "pipeline" / "README.md": render_pipeline_readme(root),
         root / "data_schema" / "README.md": render_schema_readme(root),
+        root / "pipeline" / "scenes" / "README.md": render_keys(
+            "Scenes: every key", Scene, ("engine", "engine_file"), SCENE_NOTES
+        ),
+        root / "pipeline" / "engines" / "README.md": render_keys("Engines: every key", Engine, (), ENGINE_NOTES),
     }
 
 
