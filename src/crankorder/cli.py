@@ -35,7 +35,7 @@ class Guarded(click.Group):
         except CrankorderError as error:
             _fail(str(error), error.exit_status)
         except KeyboardInterrupt:
-            _fail("interrupted; finished tests are kept, run the same command again to go on", 130)
+            _fail("interrupted; run the same command again: an analysis keeps its finished tests", 130)
         except PermissionError as error:
             _fail(f"{error.filename}: no permission. Choose another folder or change its rights.", 5)
         except MemoryError:
@@ -279,15 +279,15 @@ def balance(engine: str, as_json: bool, out: Path | None, speeds: tuple[float, .
 @click.option("-q", "--quiet", is_flag=True, help="Only faults.")
 def synth(scene: str, out: Path, quick: bool, quiet: bool) -> None:
     """Write a test-run folder, with the truth in truth.json."""
-    _synthesise(scene, out, quick, quiet)
-    click.echo(str(out))
+    for folder in _synthesise(scene, out, quick, quiet):
+        click.echo(str(folder))
 
 
-def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> None:
+def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> list[Path]:
     from crankorder.synth.write import write_scene
 
     with _Progress(quiet, f"synthesise {scene}") as progress:
-        write_scene(scene, out, quick=quick, progress=lambda done, total: progress.update("", done, total))
+        return write_scene(scene, out, quick=quick, progress=lambda done, total: progress.update("", done, total))
 
 
 @main.command()

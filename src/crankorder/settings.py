@@ -57,6 +57,14 @@ class ShaftSettings(StageSettings):
     kept_order: Positive
     smoothing_margin: Annotated[float, Field(ge=1)]
     speed_lowpass_rev: Positive
+    vibration_range_rpm: tuple[Positive, Positive] = Field(strict=False)
+    vibration_revs: Annotated[float, Field(ge=3)]
+    vibration_slew_per_s: Positive
+    vibration_tie: Positive
+    reference_bias_limit: Fraction
+    reference_irregularity_percent: Annotated[float, Field(ge=0, lt=100)]
+    calibrate_encoder: bool
+    calibration_speed_ratio: Annotated[float, Field(gt=1)]
 
 
 class OrderSettings(StageSettings):
@@ -93,6 +101,7 @@ class IdentifySettings(StageSettings):
     mode_speed_ratio: Annotated[float, Field(ge=1)]
     mains_hz: tuple[Positive, ...] = Field(strict=False)
     mains_tolerance_hz: Positive
+    fold_search_hz: Positive
     crossing_band_rpm: Positive
 
 

@@ -40,9 +40,13 @@ from crankorder.quantities import (
     Recording,
     ShaftAngle,
     check_dataset,
+    with_flags,
 )
 from crankorder.settings import Settings
-from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.audit import reference_audit
+from crankorder.shaft.decode import encoder_pattern, flags_named, shaft_angle
+from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.line_pattern import LinePattern
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
@@ -93,9 +97,27 @@ def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recor
 
 
 @stage
-def shaft(recording: Recording, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed from the pulses of ``recording`` (``settings`` of shaft)."""
-    return ShaftAngle(shaft_angle(recording, settings=settings.shaft))
+def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShaftAngle:
+    """Crank angle and speed from the pulses of ``recording`` and ``knowledge`` of its shaft (``settings`` of shaft)."""
+    angle = shaft_angle(recording, settings=settings.shaft, knowledge=knowledge)
+    if recording.attrs.get("encoder_kind") == "vibration":
+        return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
+    asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
+    audit = reference_audit(
+        angle,
+        orders=asked,
+        revs_per_frame=settings.orders.revs_per_frame,
+        settings=settings.shaft,
+        # how well a model fills in what the pulses do not show is told by the angle's own error
+        irregularity={} if angle.attrs.get("in_cycle_filled") else None,
+    )
+    return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), audit.remarks)))
+
+
+@stage
+def pattern(recording: Recording, settings: Settings) -> LinePattern:
+    """How the lines of the encoder of ``recording`` come beside an even rotation (``settings`` of shaft)."""
+    return encoder_pattern(recording, settings=settings.shaft)
 
 
 @stage
@@ -146,6 +168,7 @@ def tracks(order_map: OrderMap, findings: Findings, settings: Settings) -> Order
     )
 
 
+OF_ENCODER = (ingest, pattern)
 OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency)
 OF_TEST = (map_by_order, map_by_frequency, findings, tracks)
 
@@ -171,12 +194,31 @@ class TestResult:
     findings: Findings
 
 
-def analyse_recording(file: Path, manifest: Manifest, settings: Settings) -> RecordingResult:
-    """Shaft angle and frames of the recording in ``file`` as ``manifest`` describes it, with ``settings``.
+def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LinePattern:
+    """Pattern of the encoder's lines in ``file`` as ``manifest`` describes it, with ``settings``: for its calibration.
 
     Raises InputError, naming the file, where the recording cannot be used.
     """
-    plan = sciline.Pipeline(OF_RECORDING, params={RecordingFile: file, Manifest: manifest, Settings: settings})
+    plan = sciline.Pipeline(OF_ENCODER, params={RecordingFile: file, Manifest: manifest, Settings: settings})
+    made: LinePattern = plan.compute(LinePattern, scheduler=NaiveScheduler())
+    return made
+
+
+def analyse_recording(
+    file: Path, manifest: Manifest, settings: Settings, knowledge: ShaftKnowledge | None = None
+) -> RecordingResult:
+    """Shaft angle and frames of the recording in ``file`` as ``manifest`` describes it, with ``settings``.
+
+    ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file, where the recording cannot be
+    used.
+    """
+    given = {
+        RecordingFile: file,
+        Manifest: manifest,
+        Settings: settings,
+        ShaftKnowledge: knowledge or ShaftKnowledge(),
+    }
+    plan = sciline.Pipeline(OF_RECORDING, params=given)
     made: dict[Any, Any] = plan.compute((ShaftAngle, OrderFrames, FrequencyFrames), scheduler=NaiveScheduler())
     return RecordingResult(made[ShaftAngle], made[OrderFrames], made[FrequencyFrames])
 

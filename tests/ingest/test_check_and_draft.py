@@ -183,3 +183,20 @@ def test_a_draft_leaves_even_pulses_without_an_index_to_be_stated(tmp_path):
     text, encoder = drafted(tmp_path, encoder=wheel_trace([3.0 * tooth for tooth in range(120)], width_deg=1.5))
     assert encoder.pulses_per_rev is None
     assert "# pulses_per_rev = " in text
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({}, "channel cam not in file"),
+        ({"cam": np.arange(9.0)}, "lengths differ: Z has 10 samples, the cam mark has 9"),
+    ],
+)
+def test_a_cam_mark_that_is_absent_or_of_another_length_is_found_without_reading(tmp_path, limits, columns, words):
+    (tmp_path / "run.toml").write_text(
+        MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5").replace("rotor", "four-stroke")
+        + '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\ncam = "cam"\n'
+    )
+    recorded(tmp_path / "good.h5", acc=np.arange(10.0), enc=np.arange(10.0), **columns)
+    (fault,) = check_folder(tmp_path, settings=limits)
+    assert words in str(fault)

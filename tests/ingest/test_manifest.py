@@ -136,7 +136,11 @@ def test_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
         ('source = "encoder"\n', "", "an encoder of kind 'square' needs source"),
         ("pulses_per_rev = 360", "pulses_per_rev = 2\nmissing_teeth = 2", "more teeth are missing than the wheel has"),
         ('domain = "time"', 'domain = "crank_angle"', "samples by crank angle need samples_per_rev"),
-        ("rolling_elements = 11\n", "", "a bearing needs rolling_elements and ball_over_pitch, or published orders"),
+        (
+            "rolling_elements = 11\n",
+            "",
+            "a bearing needs a designation, rolling_elements and ball_over_pitch, or published orders",
+        ),
         ("[encoder]", '[[channels]]\nname = "Z"\nunit = "V"\n[encoder]', "two channels have the same name"),
     ],
 )

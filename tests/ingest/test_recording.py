@@ -8,6 +8,8 @@ import xarray as xr
 from crankorder.errors import InputError
 from crankorder.ingest.recording import read_recording
 from crankorder.quantities import check_dataset, flags_of
+from crankorder.shaft.angle import angle_at
+from crankorder.shaft.decode import shaft_angle
 
 RATE = 10_000.0
 N = 20_000
@@ -327,3 +329,58 @@ def test_the_same_file_gives_the_same_recording(write, read):
     path = write(acc=np.random.default_rng(3).standard_normal(N), enc=turned(900, 36), idx=turned(900, 1))
     first, second = read(path, CHANNEL + ENCODER), read(path, CHANNEL + ENCODER)
     xr.testing.assert_identical(first, second)
+
+
+def test_a_square_index_beside_a_pickup_is_cut_half_way(write, read):
+    pickup = np.sin(2 * np.pi * 36 * (TIME * 1000 / 60 + 0.01)).astype(np.float32)
+    index = ((TIME * 1000 / 60) % 1.0 < 0.02).astype(np.float32)
+    tables = CHANNEL + ENCODER.replace("square", "analogue")
+    recording = read(write(acc=TIME, enc=pickup, idx=index), tables)
+    rises = np.flatnonzero(np.diff(index) > 0) + 0.5
+    np.testing.assert_allclose(recording["index_time"].values * RATE, rises)
+
+
+@pytest.mark.parametrize(("role", "flag"), [("index", "no_index"), ("cam", "no_cam")])
+@pytest.mark.parametrize("level", [0.0, 4.9, np.nan])
+def test_a_silent_index_or_cam_is_flagged_and_the_rest_is_read(write, read, role, flag, level):
+    tables = CHANNEL + ENCODER.replace("index =", f"{role} =")
+    recording = read(write(acc=TIME, enc=turned(1000, 36), idx=np.full(N, level)), tables)
+    assert (flag, "suspect") in flagged(recording)
+    assert recording[f"{role}_time"].size == 0
+    assert recording["pulse_time"].size > 1000
+
+
+def test_a_silent_encoder_is_refused_by_name(write, read):
+    with pytest.raises(InputError, match=r"a.h5.*no rising encoder edge found.*found a constant"):
+        read(write(acc=TIME, enc=np.zeros(N), idx=turned(1000, 1)), CHANNEL + ENCODER)
+
+
+TIMES = CHANNEL + '[encoder]\nkind = "pulse_times"\nsource = "enc"\npulses_per_rev = 36\nindex = "idx"\n'
+
+
+@pytest.mark.parametrize(("duration_s", "severity"), [(2.0, "info"), (200.0, "suspect")])
+def test_pulse_times_in_float32_say_how_coarse_they_are(write, read, duration_s, severity):
+    times = (np.arange(1, 700) * duration_s / 700).astype(np.float32)
+    recording = read(write(acc=TIME, enc=times, idx=times[::36].astype(np.float64)), TIMES)
+    assert flagged(recording) == [("pulse_times_single_precision", severity)]
+    assert recording.attrs["pulse_noise_s"] == pytest.approx(np.spacing(times[-1]) / np.sqrt(12.0))
+    fine = read(write(name="b.h5", acc=TIME, enc=times.astype(np.float64), idx=times[::36].astype(np.float64)), TIMES)
+    assert (flagged(fine), fine.attrs["pulse_noise_s"]) == ([], 0.0)
+
+
+def test_a_clock_at_a_billion_seconds_leaves_times_from_the_first_sample_on(write, read, settings):
+    exact = np.arange(1, 700) * 60 / 1000 / 36
+    exact += 2e-4 * np.sin(np.arange(1, 700) * 2 * np.pi / 36)
+    near = read(write(acc=TIME, enc=exact, idx=exact[::36]), TIMES)
+    path = write(name="far.h5", acc=TIME, enc=exact + 1e9, idx=exact[::36] + 1e9)
+    with h5py.File(path, "a") as file:
+        for name in file:
+            file[name].attrs["start_s"] = 1e9
+    far = read(path, TIMES)
+    half_spacing_s = 0.5 * np.spacing(1e9)
+    np.testing.assert_allclose(far["pulse_time"], near["pulse_time"], rtol=0, atol=1.01 * half_spacing_s)
+    angles = [shaft_angle(recording, settings=settings.shaft) for recording in (near, far)]
+    at = np.linspace(0.05, 1.1, 5001)
+    found = [angle_at(at, *(angle[name].values for name in ("time", "crank_angle", "speed"))) for angle in angles]
+    # a pulse is rounded by half a spacing, and so is the angle: no more is lost behind it
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1.5 * half_spacing_s * 1000 / 60)

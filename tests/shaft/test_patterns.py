@@ -252,6 +252,7 @@ def test_a_kick_back_after_a_stop_takes_no_part(recording_of):
     shaft = shaft_angle(recording_of(pulse_s, pulses_per_rev=60, pulse_noise_s=1e-6), settings=SETTINGS)
     flags = {flag["flag"]: flag["detail"] for flag in flags_of(shaft)}
     assert "direction_unknown" in flags
+    assert flags["standstill"].count("from") == 1
     assert shaft["time"].values[-1] < 3.0
     ends = np.interp(shaft["time"].values[[1, -2]], time_s, angle)
     assert np.diff(shaft["crank_angle"].values[[1, -2]]) == pytest.approx(np.diff(ends), abs=0.02)

@@ -141,3 +141,35 @@ def test_a_real_pickup_gives_58_teeth_between_gaps_at_every_load(genset_pickup, 
     behind = np.intersect1d(gap, local) if "OFF" in name.upper() else gap
     assert behind.size >= 7
     assert set(np.diff(behind)) == {58}
+
+
+@pytest.mark.parametrize("duty", [0.5, 0.01, 1 / 360])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_mark_of_two_levels_is_read_as_a_square_wave_beside_a_pickup(known_shaft, duty, noise):
+    shaft = known_shaft(300.0, duration_s=6.0)
+    trace = 5.0 * (shaft.angle_rev() % 1.0 < duty) + noise * np.random.default_rng(9).standard_normal(shaft.time_s.size)
+    found = pulses(trace, kind="analogue", pulses_per_rev=1)
+    np.testing.assert_array_equal(found.time_s, pulses(trace, pulses_per_rev=1).time_s)
+    exact = shaft.pulse_time_s(1)
+    np.testing.assert_allclose(found.time_s, exact[exact > 0], atol=1.0 / 50_000.0)
+
+
+@pytest.mark.parametrize("duty", [0.05, 0.01, 0.002])
+@pytest.mark.parametrize("shape", ["bump", "bipolar"])
+def test_a_narrow_mark_of_a_pickup_is_found_once_per_revolution_and_always_alike(known_shaft, duty, shape):
+    shaft = known_shaft(300.0, duration_s=6.0)
+    place = ((shaft.angle_rev() + 0.5) % 1.0 - 0.5) / (0.5 * duty)
+    wave = np.exp(-0.5 * place**2) * (place if shape == "bipolar" else 1.0)
+    trace = wave + 0.003 * np.random.default_rng(3).standard_normal(place.size)
+    found = pulses(trace, kind="analogue", pulses_per_rev=1)
+    assert found.time_s.size == pytest.approx(np.sum(np.diff(np.floor(shaft.angle_rev())) > 0), abs=1)
+    where = (shaft.angle_rev(found.time_s) + 0.5) % 1.0 - 0.5
+    assert np.std(where) < 0.1 * duty
+    assert abs(np.mean(where)) < 1.5 * duty
+
+
+def test_rare_marks_of_a_long_trace_are_seen_wherever_they_are():
+    trace = np.zeros(1_000_000, dtype=np.float32)
+    trace[20_000::111_111] = 1.0
+    found = pulses(trace, pulses_per_rev=1)
+    np.testing.assert_allclose(found.time_s * 50_000.0, np.arange(20_000, 1_000_000, 111_111) - 0.5)

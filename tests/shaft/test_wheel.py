@@ -248,3 +248,26 @@ def test_a_count_that_slips_for_good_is_put_right_at_the_index_and_located(known
     off = (true - (teeth.tooth - round(teeth.index_tooth))) % 60
     assert set(off[teeth.time_s < pulse_s[1500]]) == set(off[teeth.time_s > index_s[index_s > pulse_s[1512]][0]])
     assert (np.diff(teeth.tooth) > 0).all()
+
+
+@pytest.mark.parametrize("missing", [0, 2])
+@pytest.mark.parametrize("marks", ["none", "anywhere"])
+def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, recording_of, missing, marks):
+    shaft = known_shaft(900.0)
+    pulse_s = wheel_with_gap(shaft, 60, missing)
+    index_s = np.sort(np.random.default_rng(4).uniform(0.0, 3.0, 40)) if marks == "anywhere" else np.empty(0)
+    angle = shaft_angle(
+        recording_of(
+            pulse_s,
+            index_time_s=index_s,
+            pulses_per_rev=60,
+            missing_teeth=missing,
+            pulse_noise_s=1e-7,
+            index_to_tdc_deg=10.0,
+        ),
+        settings=SETTINGS,
+    )
+    assert angle.attrs["phase_reference"] == "none"
+    assert "no reference" in detail_of(angle, "no_index")
+    reached = angle_of(angle, pulse_s[[0, -1]])
+    assert np.diff(reached) == pytest.approx(np.diff(shaft.angle_rev(pulse_s[[0, -1]])), abs=1e-4)

@@ -1,4 +1,4 @@
-"""Clock, delays, converter and number types, and what ingest makes of the files."""
+"""Clock, converter and number types, and what ingest makes of the files."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import pytest
 from crankorder.ingest.hdf5 import read_hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
-from crankorder.synth.acquisition import delay_margin, delayed, recorded, true_rate_hz
+from crankorder.synth.acquisition import recorded, true_rate_hz
 from crankorder.synth.effects import Acquisition
 
 RNG = np.random.default_rng(5)
@@ -24,39 +24,6 @@ def sine(peak: float, *, n: int = 20_000) -> np.ndarray:
 def test_a_clock_that_runs_fast_takes_more_samples_per_second_than_its_label_says() -> None:
     assert true_rate_hz(Acquisition(clock_error_ppm=100.0), 50_000.0) == pytest.approx(50_005.0, rel=1e-15)
     assert true_rate_hz(Acquisition(), 51_200.0) == 51_200.0
-
-
-@pytest.mark.parametrize("delay", [0.37, -12.5, 1e-3, 240.123, -0.9999])
-def test_a_delayed_tone_is_the_tone_earlier_up_to_0_4_of_the_rate(delay: float) -> None:
-    margin = delay_margin(delay)
-    k = np.arange(-margin, 5000 + margin)
-    for share in (0.001, 0.1, 0.25, 0.4):
-        late = delayed(np.cos(2 * np.pi * share * k + 0.3), delay)
-        exact = np.cos(2 * np.pi * share * (np.arange(5000) - delay) + 0.3)
-        assert np.sqrt(np.mean((late - exact) ** 2)) < 2e-7
-
-
-@pytest.mark.parametrize("delay", [0.0, 3.0, -7.0])
-def test_a_delay_of_whole_samples_changes_no_sample(delay: int) -> None:
-    margin = 60
-    signal = RNG.normal(size=500 + 2 * margin)
-    late = delayed(signal, delay, margin_samples=margin)
-    assert (late == signal[margin - int(delay) : margin - int(delay) + 500]).all()
-
-
-def test_channels_of_different_delays_share_one_margin() -> None:
-    margin = delay_margin(30.25)
-    signal = np.sin(0.05 * np.arange(-margin, 1000 + margin))
-    for delay in (0.0, 2.5, 30.25):
-        late = delayed(signal, delay, margin_samples=margin)
-        assert late == pytest.approx(np.sin(0.05 * (np.arange(1000) - delay)), abs=1e-6)
-
-
-def test_a_margin_that_is_too_small_is_refused() -> None:
-    with pytest.raises(ValueError, match="at either end"):
-        delayed(np.zeros(1000), 40.5, margin_samples=delay_margin(40.5) - 1)
-    with pytest.raises(ValueError, match="at either end"):
-        delayed(np.zeros(2 * delay_margin(0.5)), 0.5)
 
 
 def test_nothing_between_sensor_and_file_leaves_the_signal_as_float32() -> None:

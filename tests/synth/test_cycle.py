@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
 from crankorder.synth.cycle import lines_in_angle, lines_in_time
-from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines
 
 ORDERS = np.array([0.0, 0.5, 1.0, 2.0, 2.0, 4.0, 5.3])

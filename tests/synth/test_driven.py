@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
 from crankorder.synth.analogue import in_series, low_pass
 from crankorder.synth.driven import driven_signal
-from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines
 from crankorder.synth.poles import poles_of
 from crankorder.synth.response import Structure, accelerance

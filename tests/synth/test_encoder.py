@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from crankorder.engine.in_cycle import Lag
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
 from crankorder.synth.effects import Encoder
 from crankorder.synth.encoder import EncoderSignals, encoder_signals, sampled_encoder
-from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.motion import Motion
 from crankorder.synth.wheel import encoder_turn, wheel_of
 
 RATE_HZ = 50_000.0
@@ -133,6 +134,13 @@ def test_a_perfect_encoder_at_constant_speed_is_the_fast_path() -> None:
     before = signals(steady(0.25, 2000.0), Encoder(pulses_per_rev=360, index_to_tdc_deg=-180.0, index=False))
     np.testing.assert_array_equal(before.trace, sampled(0.75, 2000.0)[0])
     assert before.index is None
+
+
+def test_an_index_many_turns_from_top_dead_centre_is_one_within_a_turn() -> None:
+    near, far = (Encoder(pulses_per_rev=360, index_to_tdc_deg=90.0 + 360.0 * turns) for turns in (0, 1 << 24))
+    made = [signals(steady(0.3, 2000.0), encoder) for encoder in (near, far)]
+    assert np.mean(made[0].trace != made[1].trace) < 1e-4  # an angle of 6e9 degrees is good to a millionth of one
+    assert np.mean(made[0].index != made[1].index) < 1e-4
 
 
 @pytest.mark.parametrize("motion", [THERE_AND_BACK, UNEVEN], ids=["reversal", "in-cycle"])

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.motion import Lag, Motion, wander_wobbles
+from crankorder.synth.motion import Motion, wander_wobbles
 
 EPS = np.finfo(float).eps
 PROFILE = ((0.5, 900.0), (2.0, 1500.0), (3.0, 1500.0), (4.5, -600.0), (6.0, -600.0))
@@ -295,21 +296,6 @@ def test_a_lag_that_nearly_stops_the_shaft_is_followed() -> None:
 def test_a_motion_that_is_none_is_refused(corners: tuple, wobbles: tuple) -> None:
     with pytest.raises(RequestError):
         Motion(start_rev=0.0, corners=corners, wobbles=wobbles)
-
-
-@pytest.mark.parametrize("orders", [(-1.0, 2.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0, 3.0)])
-def test_a_lag_whose_orders_do_not_ascend_from_zero_is_refused(orders: tuple[float, ...]) -> None:
-    with pytest.raises(RequestError, match="lag"):
-        Lag(order=np.array(orders), inertia=np.zeros(2, dtype=complex), gas=np.zeros(2, dtype=complex))
-
-
-@pytest.mark.parametrize(
-    ("orders", "step"),
-    [((0.5, 2.0), 0.5), ((2.0, 4.0, 6.0), 2.0), ((1.0, 5.3), 0.1), ((1 / 3, 2.0), 1 / 3), ((1.0, 2**0.5), 0.0)],
-)
-def test_orders_of_a_lag_share_a_step(orders: tuple[float, ...], step: float) -> None:
-    zero = np.zeros(len(orders), dtype=complex)
-    assert Lag(order=np.array(orders), inertia=zero, gas=zero).step == pytest.approx(step, rel=1e-15)
 
 
 def test_wander_has_its_deviation_and_stays_below_its_corner() -> None:

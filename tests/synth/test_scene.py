@@ -7,6 +7,7 @@ import pytest
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
+from synth.conftest import EFFECTS, SMALL
 
 
 def faults_of(path: Path, text: str) -> list[str]:
@@ -197,3 +198,101 @@ def test_what_no_part_alone_shows_is_told_of_every_effect(small_scene: Path) -> 
         "wrong_labels.swapped: no such channel; found V",
     ):
         assert any(words in fault for fault in faults), (words, faults)
+
+
+PROFILE = "[speed_profile]\nrpm = [{}]\ntime_s = [{}]\n"
+FALLS = "speed_exponent = -1.0\n"
+BEARING = '[[bearing_impacts]]\nbearing = "jack shaft"\nline = "BPFO"\npeak_m_s2 = {{ Y = 1.0 }}\n{}'
+LATE = "[acquisition]\ndelay_s = { Y = 1e9 }\n"
+GAS_ON_FLYWHEEL = "[gas_torque]\nhighest_order = 8.0\n[in_cycle_speed]\nflywheel_inertia_kg_m2 = 0.3\n"
+STEPS = "first_rpm = 1e-9\nlast_rpm = 600.0\nstep_rpm = 1e-29"
+BY_ANGLE = 'domain = "crank_angle"\nsamples_per_rev = 64\nrevs = 40'
+
+
+@pytest.mark.parametrize(
+    ("speeds", "added", "words"),
+    [
+        (None, "[acquisition]\nfull_scale = 1e-320\n", "acquisition.full_scale: out of all proportion"),
+        (None, LATE, "acquisition.delay_s: a channel is later than the recording is long"),
+        ("list_rpm = [1e300]", "", "speeds.list_rpm.0: out of all proportion"),
+        (STEPS, "", "1 to 10 000 speeds"),
+        (PROFILE.format("600.0, -900.0", "0.0, 1.0"), "FALLS", "injected_orders.0.speed_exponent: a force that falls"),
+        (PROFILE.format("600.0, 0.0", "0.0, 1.0"), "FALLS", "injected_orders.0.speed_exponent: a force that falls"),
+        (PROFILE.format("600.0, 700.0, 800.0", "0.0, 1.0, 1.000001"), "", "speed_profile: no such speed profile"),
+        (None, "[[speed_wobbles]]\nfrequency_hz = 1.0\namplitude_rpm = 650.0\nFALLS", "a force that falls"),
+        (None, "[[speed_wobbles]]\nfrequency_hz = 5000.0\namplitude_rpm = 1.0\n", "changes above Nyquist"),
+        (None, "[[speed_wobbles]]\nfrequency_hz = 1.0\namplitude_rpm = 37000.0\n", "order above Nyquist; found 6.5"),
+        (None, "[encoder]\npulses_per_rev = 60\nratio = 7.0\n", "speeds that the rate cannot carry"),
+        (None, "[encoder]\npulses_per_rev = 3\ntooth_angles_deg = [0.0, 0.01]\n", "speeds that the rate cannot carry"),
+        (None, '[encoder]\npulses_per_rev = 99999\nratio = 9.0\ndelivered_as = "pulse_times"\n', "too many pulses"),
+        (None, BEARING.format("resonance_hz = 1500.0\ndamping_ratio = 1e-9\n"), "it rings on too long"),
+        (None, BEARING.format("resonance_hz = 900.0\ndamping_ratio = 0.1\ngrowth = 10.0\n"), "out of all proportion"),
+        (None, "[wrong_labels]\npulses_per_rev = 7\n", "there is no encoder to be labelled"),
+        (None, "[wrong_labels]\nspeed_factor = 2.0\n", "no speeds are stated"),
+        (None, '[wrong_labels]\nswapped = ["Y", "Y"]\n', "swapped with itself"),
+        ("list_rpm = [2000.0, 60.0, 2000.0]", GAS_ON_FLYWHEEL, "in_cycle_speed: the shaft would stop"),
+        (
+            None,
+            "[in_cycle_speed]\nby_order = [{ order = 0.333, percent = 1.0 }, { order = 0.5, percent = 1.0 }]\n",
+            "cycle",
+        ),
+    ],
+)
+def test_what_cannot_be_made_is_told_before_anything_is_written(
+    tmp_path: Path, speeds: str | None, added: str, words: str
+) -> None:
+    head, rest = SMALL.split("[speeds]\nlist_rpm = [600.0, 612.5, 600.0]\n")
+    rest = rest.split("duration_s = 0.5\n")[1]  # no first look
+    asked = speeds if speeds is not None and speeds.startswith("[") else f"[speeds]\n{speeds or 'list_rpm = [600.0]'}\n"
+    force = EFFECTS["injected_orders"] + (FALLS if "FALLS" in added else "")
+    engine = "msu-optical-second-firing" if "gas_torque" in added else "msu-optical-second"
+    text = head.replace("msu-optical-second", engine) + asked + rest + force + added.replace("FALLS", "")
+    if "growth" in added:
+        text = text.replace("seed = 7", "seed = 7\nrepeats = 100")
+    faults = faults_of(tmp_path / "scene.toml", text)
+    assert len(faults) == 1, faults
+    assert words in faults[0]
+
+
+def test_a_mode_that_would_have_to_be_followed_for_days_is_refused(tmp_path: Path) -> None:
+    text = SMALL.replace("damping_ratio = 0.02", "damping_ratio = 1e-8") + EFFECTS["injected_orders"]
+    faults = faults_of(tmp_path / "scene.toml", text + "[speed_wander]\nstd_rpm = 1.0\ncorner_hz = 1.0\n")
+    assert len(faults) == 1
+    assert "modes.0.damping_ratio: it rings on too long" in faults[0]
+    (tmp_path / "scene.toml").write_text(text)
+    assert load_scene("scene.toml", tmp_path).modes[0].damping_ratio == 1e-8  # a steady speed needs no past
+
+
+def test_by_crank_angle_a_profile_is_refused_whatever_its_speeds(tmp_path: Path) -> None:
+    text = SMALL.replace('domain = "time"\nrate_hz = 8000.0\nduration_s = 3.0', BY_ANGLE)
+    text = text.replace("[speeds]\nlist_rpm = [600.0, 612.5, 600.0]\n", PROFILE.format("-1.0, 0.0", "0.0, 1.0"))
+    text = text.replace("speeds = { list_rpm = [600.0] }\nduration_s = 0.5", "revs = 20")
+    faults = faults_of(tmp_path / "scene.toml", text)
+    assert len(faults) == 1
+    assert "speed_profile: samples by crank angle need a steady mean speed" in faults[0]
+
+
+def test_encoder_faults_beyond_the_end_and_of_an_index_that_is_not_there_are_told(tmp_path: Path) -> None:
+    faulty = '[[encoder_faults]]\nkind = "encoder_dropout"\nat_s = 0.7\nduration_s = 0.1\n'
+    faulty += '[[encoder_faults]]\nkind = "lost_index"\n'
+    faults = faults_of(tmp_path / "scene.toml", SMALL + "[encoder]\npulses_per_rev = 60\nindex = false\n" + faulty)
+    assert any("encoder_faults.0.at_s: begins after the end; found 0.7 s" in fault for fault in faults)  # first look
+    assert any("encoder_faults.1: the encoder has no index" in fault for fault in faults)
+    assert len(faults) == 2
+
+
+def test_what_is_left_out_must_be_names(small_scene: Path) -> None:
+    derived = small_scene.with_name("derived.toml")
+    text = 'schema_version = 1\nbased_on = "small.toml"\nwithout = [["encoder"], { a = 1 }]\n'
+    faults = faults_of(derived, text)
+    assert [fault.split("without: ")[1][:20] for fault in faults] == ["nothing to leave out"] * 2
+
+
+@pytest.mark.parametrize("from_folder", [False, True])
+def test_a_scene_may_be_based_on_its_neighbour_wherever_both_are(tmp_path: Path, from_folder: bool) -> None:
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    (folder / "base.toml").write_text(SMALL)
+    (folder / "derived.toml").write_text('schema_version = 1\nbased_on = "base.toml"\ntitle = "derived"\n')
+    scene = load_scene("scenes/derived.toml", tmp_path) if from_folder else load_scene(str(folder / "derived.toml"))
+    assert (scene.title, scene.seed) == ("derived", 7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ class Analysed:
     """A scene's first look, its truth, and what the analysis says of it."""
 
     def __init__(self, name: str, folder: Path) -> None:
-        self.said, self.status = [], []
+        self.said, self.status, self.folder = [], [], folder / name
         written = CliRunner().invoke(main, ["synth", name, "--out", str(folder / name), "--quick", "-q"])
         assert written.exit_code == 0, written.output
         tests = sorted((folder / name).glob("run_*")) or [folder / name]
@@ -125,10 +126,32 @@ def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
     assert f"{lost['count']} false pulses" in json.dumps(scene.findings[0]["quality"])
 
 
-def test_an_eccentric_encoder_leaves_the_strong_lines_alone(analysed: Any) -> None:
+def test_an_eccentric_encoder_is_told_and_taken_out_where_that_is_asked_for(analysed: Any, tmp_path: Path) -> None:
     scene = analysed("hard-eccentric-encoder")
     put_in, found = scene.line("X", 5.5)
     assert found["amplitude_ci95"][0] < put_in["amplitude"] < found["amplitude_ci95"][1]
+    assert not any("calibrat" in flag["flag"] for flag in scene.findings[0]["quality"])
+    arguments = ["run", str(scene.folder), "--out", str(tmp_path), "--recipe", "calibrated-encoder"]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    findings = json.loads(next(tmp_path.glob("*/findings.json")).read_bytes())
+    told = {flag["flag"]: flag["detail"] for flag in findings["quality"]}["encoder_calibrated"]
+    size, low, high, phase = map(float, re.findall(r"([\d.]+)° \(([\d.]+) to ([\d.]+)°\) at (\d+)°", told)[0])
+    assert low < 0.1 < high
+    assert high - low < 0.05
+    assert size == pytest.approx(0.1, abs=0.02)
+    assert phase == pytest.approx(40.0, abs=15.0)
+
+
+def test_one_pulse_per_revolution_is_filled_in_from_the_engine(analysed: Any) -> None:
+    scene = analysed("one-pulse-per-rev")
+    assert scene.status == [0]
+    for recording in ("rpm_1000.h5", "rpm_1500.h5", "rpm_2000.h5"):
+        assert {"in_cycle_from_model", "cycle_phase_from_model"} <= scene.flags(recording)
+    for order in (1.5, 2.5, 3.5):  # the phase of half orders too: the pulses tell which dead centre fires
+        put_in, found = scene.line("Z", order)
+        assert found["amplitude"] == pytest.approx(put_in["amplitude"], rel=0.03)
+        turn = (found["phase_deg"] - put_in["phase_deg"]) % 360
+        assert min(turn, 360 - turn) < 5
 
 
 def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(analysed: Any) -> None:

@@ -194,6 +194,17 @@ def test_dropped_samples_move_the_records_of_what_they_move() -> None:
     assert mine[0]["n_samples"] < 300
 
 
+def test_a_missing_end_that_fills_dropped_samples_is_missing_and_told_there_too() -> None:
+    missing = NotANumber(kind="not_a_number", at_s=7.999, duration_s=1.0, instead=-1.0)
+    signal, records = faulty(missing, DroppedSamples(kind="dropped_samples", at_s=2.0, count=100))
+    told_missing = records[0]["first_sample"], records[0]["n_samples"]
+    assert told_missing == (N - 105, 105)
+    assert np.flatnonzero(np.isnan(signal[0])).tolist() == list(range(N - 105, N))
+    places = stand_ins(records, names=NAMES)
+    samples = recorded(signal, Acquisition(full_scale=20.0, stored_as="int16"), stand_ins=places).samples
+    assert np.ptp(samples[:, -105:]) == 0  # one number in place of all of them
+
+
 def test_faults_act_in_the_sequence_of_the_scene() -> None:
     clip, drift = Clipping(kind="clipping", of_peak=0.5), Drift(kind="drift", offset_m_s2=100.0)
     clipped_last, _ = faulty(drift, clip)

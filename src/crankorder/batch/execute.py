@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from crankorder.batch.calibrate import knowledge_of
 from crankorder.batch.plan import TestPlan
 from crankorder.batch.publish import files_of_test
 from crankorder.batch.store import (
@@ -26,7 +27,7 @@ from crankorder.batch.store import (
     text_sha256,
     write_atomically,
 )
-from crankorder.engine.definition import load_engine
+from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.explain import Sources
@@ -179,9 +180,11 @@ def _analyse(
         for path in plan.recordings
         if path not in wanted
     ]
+    knowledge, flags = knowledge_of(plan, _engine(plan), wanted, jobs)
+    outcome.flags += flags
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         futures: dict[Future[RecordingResult], Path] = {
-            pool.submit(analyse_recording, path, plan.manifest, plan.settings): path for path in wanted
+            pool.submit(analyse_recording, path, plan.manifest, plan.settings, knowledge): path for path in wanted
         }
         try:
             for count, future in enumerate(as_completed(futures), start=1):
@@ -227,12 +230,18 @@ KINEMATIC_SHARE = 1e-3
 """An order with less than this share of the largest inertia force is not called engine kinematics."""
 
 
+def _engine(plan: TestPlan) -> Engine | None:
+    """The engine that the manifest names, if any."""
+    name = plan.manifest.test.engine
+    return None if name is None else load_engine(name, beside=plan.folder)
+
+
 def _sources(plan: TestPlan) -> Sources:
     """What the manifest and the engine say of the machine."""
     orders: tuple[float, ...] = ()
     bearings = plan.manifest.bearings
-    if plan.manifest.test.engine is not None:
-        engine = load_engine(plan.manifest.test.engine, beside=plan.folder)
+    engine = _engine(plan)
+    if engine is not None:
         orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(plan.settings.orders.max_order))
         named = {bearing.name for bearing in bearings}
         bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)

@@ -151,6 +151,7 @@ class Engine(EngineData):
     Masses are those of each cylinder. ``reciprocating_mass_kg`` includes the rod's share. ``rotating_unbalance_kg_m``
     includes the rod's other share and the counterweights: what is left of a throw, its angle counted from the pin.
     ``main_bearings_m``: along the crankshaft, ascending; between two of them the shaft is a beam on two supports.
+    ``flywheel_inertia_kg_m2``: of all that turns with the crank; needed for its speed within the cycle only.
     """
 
     title: str = ""
@@ -166,6 +167,7 @@ class Engine(EngineData):
     main_bearings_m: tuple[float, ...] = Field(default=(), strict=False)
     bore_m: Positive | None = None
     gas: GasCurve | None = None
+    flywheel_inertia_kg_m2: Positive | None = None
     shafts: BalanceShafts = BalanceShafts()
     bearings: tuple[Bearing, ...] = Field(default=(), strict=False)
 

@@ -11,6 +11,7 @@ from scipy.special import ndtri, stdtrit
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Sources, explain_fixed, explain_order
+from crankorder.identify.folds import fold_flags
 from crankorder.identify.modes import Mode, find_modes
 from crankorder.identify.order_lines import Z95, OrderLine, order_lines, orders_agreed
 from crankorder.quantities import QualityFlag, flags_of
@@ -55,7 +56,7 @@ def find(
         "balance": None,
         "balance_reason": NO_BALANCE,
         "false_alarm_probability": settings.identify.false_alarm_probability,
-        "quality": _flags(order_map, campbell),
+        "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings),
     }
 
 

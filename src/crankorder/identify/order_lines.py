@@ -93,6 +93,27 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
     ``orders`` gives the floor's width.
     """
     axis, speed = order_map["order"].values, order_map["speed"].values
+    excess, ratio, floor = excess_over_noise(order_map, settings=settings, orders=orders)
+    needed = min(len(speed), max(settings.min_speeds, round(settings.min_speed_fraction * len(speed))))
+    lines = []
+    for channel in range(len(excess)):
+        for peak in _peaks(excess[channel], axis, needed):
+            seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
+            evidence = _evidence(order_map, ratio[channel], channel, int(peak), seen, settings.false_alarm_probability)
+            if evidence is not None:
+                lines.append(_line(order_map, channel, int(peak), seen, ratio, floor, evidence))
+    return lines
+
+
+def excess_over_noise(
+    order_map: xr.Dataset, *, settings: IdentifySettings, orders: OrderSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Energy over the level that noise alone reaches, energy over its floor, and the floor: (channel, speed, order).
+
+    The first is zero where a bin of ``order_map`` is not the highest of three, and at its first bins. ``settings``
+    give the chance of a false alarm, ``orders`` the floor's width.
+    """
+    axis = order_map["order"].values
     energy = order_map["amplitude"].values ** 2
     n_independent = order_map["n_independent"].values
     bins = floor_bins(
@@ -107,15 +128,7 @@ def order_lines(order_map: xr.Dataset, *, settings: IdentifySettings, orders: Or
         ratio = np.nan_to_num(np.where(floor > 0.0, energy / floor, 0.0), nan=0.0, posinf=0.0)
     excess = np.where(_highest_of_three(energy), ratio / threshold[None, :, None], 0.0)
     excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
-    needed = min(len(speed), max(settings.min_speeds, round(settings.min_speed_fraction * len(speed))))
-    lines = []
-    for channel in range(len(excess)):
-        for peak in _peaks(excess[channel], axis, needed):
-            seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
-            evidence = _evidence(order_map, ratio[channel], channel, int(peak), seen, settings.false_alarm_probability)
-            if evidence is not None:
-                lines.append(_line(order_map, channel, int(peak), seen, ratio, floor, evidence))
-    return lines
+    return excess, ratio, floor
 
 
 def _highest_of_three(energy: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ import difflib
 from pathlib import Path
 
 from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
+from crankorder.ingest.encoder_table import SOURCELESS_KINDS
 from crankorder.ingest.manifest import MANIFEST_NAME, TRACE_KINDS, Manifest, load_manifest
 from crankorder.settings import IngestSettings
 
@@ -87,15 +88,16 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
 def _roles(manifest: Manifest) -> dict[str, str | int]:
     """Sources that the manifest asks for, by what they are for."""
     roles: dict[str, str | int | None] = {channel.name: channel.file_source for channel in manifest.channels}
-    if manifest.encoder.kind not in ("none", "constant"):
-        roles |= {"the encoder": manifest.encoder.source, "the index": manifest.encoder.index}
+    encoder = manifest.encoder
+    if encoder.kind not in SOURCELESS_KINDS:
+        roles |= {"the encoder": encoder.source, "the index": encoder.index, "the cam mark": encoder.cam}
     if manifest.sampling.domain == "time":
         roles["the time"] = manifest.sampling.time_source
     return {role: source for role, source in roles.items() if source is not None}
 
 
 def _is_sampled(role: str, manifest: Manifest) -> bool:
-    if role in ("the encoder", "the index"):
+    if role in ("the encoder", "the index", "the cam mark"):
         return manifest.encoder.kind in (*TRACE_KINDS, "speed")
     return True
 

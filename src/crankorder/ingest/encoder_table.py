@@ -13,7 +13,9 @@ from pydantic import field_validator as field_check
 from crankorder.errors import RequestError
 from crankorder.shaft.pattern import angles_fault, pattern_of
 
-EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "none"]
+EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "vibration", "none"]
+SOURCELESS_KINDS = ("constant", "vibration", "none")
+"""Kinds that read nothing from the file but the channels."""
 TRACE_KINDS = ("square", "analogue")
 TIME_KINDS = ("pulse_times", "edge_list")
 
@@ -58,6 +60,14 @@ class Encoder(Table):
     index_to_tdc_deg: float = 0.0
     cam_to_tdc_deg: float | None = None
     speed_rpm: Positive | None = None
+    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = None
+
+    @field_check("expected_rpm")
+    @classmethod
+    def _range_is_one(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and value[0] >= value[1]:
+            raise ValueError("expected_rpm must be the lowest and the highest speed")
+        return value
 
     @field_check("pattern")
     @classmethod
@@ -104,6 +114,8 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
                     f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
                 )
             )
+    if encoder.expected_rpm is not None and encoder.kind != "vibration":
+        faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))
     if domain == "crank_angle" and encoder.kind not in ("none", "constant"):
         faults.append(
             RequestError(

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, Field, ValidationError
 from pydantic import field_validator as field_check
 
-from crankorder.engine.bearings import Bearing
+from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
 from crankorder.ingest.encoder_table import Count, Encoder, Name, Positive, Source, Table, encoder_faults
@@ -248,11 +248,11 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
         seen[channel.name] = number
         faults += _channel_faults(channel, f"channels.{number}")
     for number, bearing in enumerate(manifest.bearings):
-        orders = (bearing.bpfo, bearing.bpfi, bearing.bsf, bearing.ftf)
-        if all(order is None for order in orders) and None in (bearing.rolling_elements, bearing.ball_over_pitch):
+        if bearing_orders(bearing).keys() <= {"N*fs"}:
             faults.append(
                 RequestError(
-                    "a bearing needs rolling_elements and ball_over_pitch, or published orders (bpfo, bpfi, bsf, ftf)",
+                    "a bearing needs a designation, rolling_elements and ball_over_pitch, or published orders "
+                    "(bpfo, bpfi, bsf, ftf)",
                     place=f"bearings.{number}",
                 )
             )

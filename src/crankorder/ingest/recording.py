@@ -12,18 +12,20 @@ import xarray as xr
 
 from crankorder.errors import CrankorderError, InputError
 from crankorder.ingest.channel_units import STATES_NO_UNIT, file_to_analysed
-from crankorder.ingest.encoder_table import TIME_KINDS, TRACE_KINDS, Encoder
+from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.manifest import Channel, Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
 from crankorder.ingest.sampling import agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import conversion_factor, known_unit, unit_of
-from crankorder.quantities import QualityFlag, Recording, with_flags
+from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
-from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
 _MIN_SAMPLES = 3
+# Pulse times that are told more finely than this are as good as those of a counter.
+_FINE_STEP_S = 1e-6
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:
@@ -50,7 +52,7 @@ def _wanted(manifest: Manifest) -> list[Source]:
     """Sources to read, each once: channels first, so that they are neighbours in memory."""
     encoder = manifest.encoder
     sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
-    if encoder.kind not in ("none", "constant"):
+    if encoder.kind not in SOURCELESS_KINDS:
         sources += [encoder.source, encoder.index, encoder.cam]
     if manifest.sampling.domain == "time":
         sources.append(manifest.sampling.time_source)
@@ -128,7 +130,9 @@ def _add_encoder(
     encoder, attrs = manifest.encoder, recording.attrs
     attrs["encoder_kind"] = encoder.kind
     _add_stated_speed(recording, manifest, path)
-    if encoder.kind in ("none", "constant"):
+    if encoder.expected_rpm is not None:
+        attrs["expected_rpm"] = list(encoder.expected_rpm)
+    if encoder.kind in SOURCELESS_KINDS:
         return
     attrs["ratio"] = encoder.ratio
     if encoder.kind == "speed":
@@ -149,12 +153,17 @@ def _add_encoder(
         encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
-    if encoder.index is not None:
-        index_s, _ = pulses(encoder.index, 1)
-        recording["index_time"] = ("revolution", index_s, {"units": "s", "long_name": "time of index"})
-    if encoder.cam is not None:
-        cam_s, _ = pulses(encoder.cam, 1)
-        recording["cam_time"] = ("cycle", cam_s, {"units": "s", "long_name": "time of cam mark"})
+    marks = (("index", encoder.index, "revolution", "no_index"), ("cam mark", encoder.cam, "cycle", "no_cam"))
+    for role, source, axis, silent in marks:
+        if source is None:
+            continue
+        try:
+            mark_s, _ = pulses(source, 1)
+        except NoPulsesError as error:
+            flags.append(flag(path, silent, "suspect", f"{source}: the {role} has no mark: {error.found}"))
+            mark_s = np.empty(0)
+        name = f"{role.split()[0]}_time"
+        recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role}"})
 
 
 def _add_stated_speed(recording: xr.Dataset, manifest: Manifest, path: Path) -> None:
@@ -168,7 +177,7 @@ def _add_stated_speed(recording: xr.Dataset, manifest: Manifest, path: Path) -> 
             allowed=", ".join(manifest.recordings.speed_rpm),
             remedy="Add the file and its speed in rpm",
         )
-    if stated_rpm is not None or kind in ("none", "constant"):
+    if stated_rpm is not None or kind in SOURCELESS_KINDS:
         recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
 
 
@@ -219,12 +228,13 @@ def _pulses_of_times(
     assert source is not None  # the manifest was checked for it
     time_source = manifest.sampling.time_source
     if manifest.encoder.kind == "edge_list" and time_source is not None and time_source != source:
-        level, times = raw.columns[source], _in_seconds(raw, time_source).astype(np.float64)
+        level, stamps = raw.columns[source], _in_seconds(raw, time_source)
         high = level > 0.5 * (float(level.min()) + float(level.max()))
         turned = high[1:] & ~high[:-1] if manifest.encoder.edge == "rising" else ~high[1:] & high[:-1]
-        times = times[1:][turned]
+        stamps = stamps[1:][turned]
     else:
-        times = _in_seconds(raw, source).astype(np.float64)
+        stamps = _in_seconds(raw, source)
+    times = stamps.astype(np.float64)
     if not np.isfinite(times).all() or (times.size > 1 and float(np.diff(times).min()) < 0):
         raise InputError(
             "pulse times must be finite and must not go back",
@@ -234,7 +244,13 @@ def _pulses_of_times(
         )
     if times.size < 2:
         flags.append(flag(path, "few_pulses", "bad", f"{source}: {times.size} pulses"))
-    return times - start_s, 0.0
+    if stamps.dtype != np.float32 or times.size == 0:
+        return times - start_s, 0.0
+    step_s = float(np.spacing(np.float32(np.abs(times).max())))
+    detail = f"{source}: times in float32 tell no more than {step_s:.2g} s: keep them in float64"
+    how: Severity = "suspect" if step_s > _FINE_STEP_S else "info"
+    flags.append(flag(path, "pulse_times_single_precision", how, detail))
+    return times - start_s, step_s / math.sqrt(12.0)
 
 
 def _speed(raw: RawFile, encoder: Encoder, path: Path) -> npt.NDArray[np.float64]:

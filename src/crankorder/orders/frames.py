@@ -141,7 +141,7 @@ def _dataset(
             "crank_angle": ("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
         },
     )
-    kept = ("recording", "history", "quality")
+    kept = ("recording", "history", "quality", "samples_per_rev")
     frames.attrs = {key: band.attrs[key] for key in kept if key in band.attrs}
     frames.attrs |= {
         "amplitude_scaling": "peak",

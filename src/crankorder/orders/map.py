@@ -203,7 +203,7 @@ def _dataset(
         }
     )
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
-    result.attrs = {key: first.attrs[key] for key in kept}
+    result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
     result.attrs |= {"phase_reference": first.attrs["phase_reference"], "speed_bin_rpm": settings.speed_bin_rpm}
     return result
 

@@ -31,7 +31,7 @@ MEDIAN_TEETH, SOME_TIMES = 4096, 256
 SETTLED_PIVOTS, LOOKED_AT = 32, 16
 # Wanted angles in one knot interval that are not worth a bound on the error of a common guess.
 SHORT_RUN = 12
-# Cycles per tooth that no wheel carries well: motion above this share is never promised.
+# Cycles per pulse that no wheel carries well: motion above this share is never promised.
 CARRIED_CUT_OFF = 0.05
 
 
@@ -78,18 +78,19 @@ def angle_knots(
     start, resolution_s = float(time_s[0]), _resolution_s(time_s)
     grid, weight = _on_grid(time_s.astype(np.float64, copy=False) - start, tooth)
     noise = max(noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s, resolution_s)
-    floor = max(LOWEST_CUT_OFF, min(settings.kept_order / teeth_per_rev, CARRIED_CUT_OFF))
+    spacing = weight.size / tooth.size
+    kept = min(settings.kept_order * spacing / teeth_per_rev, CARRIED_CUT_OFF)
+    floor = max(LOWEST_CUT_OFF * spacing ** (5 / 6), kept)
     cut_off, noise = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
-    smoother = Smoother(weight, penalty_of(cut_off))
-    smooth, slope = _with_slopes(smoother.smoothed(grid))
-    leverage = smoother.leverage()
-    step = 1 + leverage.size // MEDIAN_TEETH
-    usual = noise * float(np.median(np.sqrt(leverage[::step]) / slope[1:-1:step]))
-    at = _sparse(smooth, slope, max(KNOT_ERROR_SHARE * usual, ROUND_OFF_REV * teeth_per_rev), cut_off)
+    smooth, leverage = _smoothed(grid, weight, cut_off, noise)
+    smooth, slope = _with_slopes(smooth)
+    pulse = tooth[:: 1 + tooth.size // MEDIAN_TEETH] - tooth[0]
+    usual = noise * float(np.median(np.sqrt(leverage[pulse]) / slope[pulse + 1]))
+    at = _sparse(smooth, slope, max(KNOT_ERROR_SHARE * usual, ROUND_OFF_REV * teeth_per_rev), cut_off / spacing)
     rate = 1.0 / (teeth_per_rev * slope[at])
     error_s = noise * np.sqrt(leverage[np.clip(at - 1, 0, leverage.size - 1)])
     error_s[[0, -1]] *= 2.0
-    order = cut_off * teeth_per_rev if cut_off <= HIGHEST_CUT_OFF else float("inf")
+    order = cut_off * teeth_per_rev / spacing if cut_off <= HIGHEST_CUT_OFF else float("inf")
     angle = (tooth[0] - 1 + at) / teeth_per_rev
     return AngleKnots(smooth[at] + start, angle, rate * 60.0, error_s * rate, order, noise)
 
@@ -114,8 +115,26 @@ def _on_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, FloatArra
     return np.interp(np.arange(n), place, time_s), weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _with_slopes(value):  # type: ignore[no-untyped-def]
+def _smoothed(grid: FloatArray, weight: FloatArray, cut_off: float, noise_s: float) -> tuple[FloatArray, FloatArray]:
+    """Smoothed times of all teeth, and their variances over that of one pulse.
+
+    A tooth without a pulse follows a motion as rough as the smoothed times show it, not one as rough as may be: then
+    the penalty is the variance of a pulse over the power density of the third differences.
+    """
+    spacing = float(weight.size / weight.sum())
+    smoother = Smoother(weight, penalty_of(cut_off, spacing))
+    smooth, leverage = smoother.smoothed(grid), smoother.leverage()
+    if spacing == 1.0:
+        return smooth, leverage
+    rough = spacing * float(np.mean(np.diff(smooth, n=3) ** 2))
+    shown = noise_s**2 / rough if rough > 0.0 else np.inf
+    smoother = Smoother(weight, max(smoother.penalty, min(shown, penalty_of(LOWEST_CUT_OFF))))
+    if cut_off > HIGHEST_CUT_OFF:
+        return smoother.smoothed(grid), smoother.leverage()
+    return smooth, np.where(weight > 0.0, leverage, smoother.leverage())
+
+
+def _with_slopes(value: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Evenly spaced values and the slopes per step of their cubic spline, both with one step more at either end.
 
     The end slopes of the spline are those of the cubic through the four outermost values; beyond it goes on straight. A
@@ -123,35 +142,41 @@ def _with_slopes(value):  # type: ignore[no-untyped-def]
     grows (Fritsch and Carlson 1980, their box); one that is not above 0 becomes infinite.
     """
     n = value.size
-    out, slope, share = np.empty(n + 2), np.empty(n + 2), np.empty(min(n, SETTLED_PIVOTS))
+    out, slope = np.empty(n + 2), np.empty(n + 2)
+    out[1:-1] = value
     if n < 4:
-        for i in range(n):
-            low, high = max(i - 1, 0), min(i + 1, n - 1)
-            slope[i + 1] = (value[high] - value[low]) / (high - low)
+        slope[1:-1] = np.gradient(value)
     else:
-        slope[1] = (-11.0 * value[0] + 18.0 * value[1] - 9.0 * value[2] + 2.0 * value[3]) / 6.0
-        slope[n] = (11.0 * value[n - 1] - 18.0 * value[n - 2] + 9.0 * value[n - 3] - 2.0 * value[n - 4]) / 6.0
-        before, after, share[0], last = slope[1], slope[n], 0.0, share.size - 1
-        for i in range(1, share.size):
+        ends = np.array([-11.0, 18.0, -9.0, 2.0]) / 6.0
+        slope[1], slope[n] = ends @ value[:4], -ends @ value[:-5:-1]
+        share = np.zeros(SETTLED_PIVOTS)
+        for i in range(1, SETTLED_PIVOTS):
             share[i] = 1.0 / (4.0 - share[i - 1])
-        for i in range(1, n - 1):
-            slope[i + 1] = 3.0 * share[min(i, last)] * (value[i + 1] - value[i - 1])
-        for i in range(1, n - 1):
-            before = slope[i + 1] - share[min(i, last)] * before
-            slope[i + 1] = before
-        for i in range(n - 2, 0, -1):
-            after = slope[i + 1] - share[min(i, last)] * after
-            slope[i + 1] = after
-    out[0], out[n + 1] = value[0] - slope[1], value[n - 1] + slope[n]
-    for i in range(n):
-        out[i + 1] = value[i]
-    slope[0], slope[n + 1] = slope[1], slope[n]
-    step = slope[0]
-    for i in range(n + 2):
-        previous = step
-        step = out[min(i + 1, n + 1)] - out[min(i, n)]
-        slope[i] = max(slope[i], max(step, previous) / 3.0) if slope[i] > 0.0 else np.inf
+        _spline_slopes(value, share, slope)
+    for end, beside, way in ((0, 1, -1.0), (n + 1, n, 1.0)):
+        out[end], slope[end] = out[beside] + way * slope[beside], slope[beside]
+    for end in (0, 1, n, n + 1):
+        longest = np.max(np.diff(out[max(end - 1, 0) : end + 2]))
+        slope[end] = max(slope[end], longest / 3.0) if slope[end] > 0.0 else np.inf
     return out, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _spline_slopes(value, share, slope):  # type: ignore[no-untyped-def]
+    """Fill in ``slope`` between its outermost two, limited; ``share`` holds the pivots until they settle."""
+    n, last = value.size, share.size - 1
+    now = slope[1]
+    for i in range(1, n - 1):
+        pivot = share[i if i < last else last]
+        now = 3.0 * pivot * (value[i + 1] - value[i - 1]) - pivot * now
+        slope[i + 1] = now
+    now = slope[n]
+    for i in range(n - 2, 0, -1):
+        now = slope[i + 1] - share[i if i < last else last] * now
+        before, after = value[i] - value[i - 1], value[i + 1] - value[i]
+        least = (before if before > after else after) / 3.0
+        least = now if now > least else least
+        slope[i + 1] = least if now > 0.0 else np.inf
 
 
 def _sparse(time_s: FloatArray, slope_s: FloatArray, allowed_teeth: float, cut_off: float) -> IntArray:
@@ -165,7 +190,7 @@ def _sparse(time_s: FloatArray, slope_s: FloatArray, allowed_teeth: float, cut_o
     return np.append(np.arange(0, last, stride), last)
 
 
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz"})
 def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untyped-def]
     """Whether cubics over every ``stride``-th knot pass within ``allowed`` teeth of all, and grow.
 
@@ -173,17 +198,18 @@ def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untype
     """
     last = time.size - 1
     for k in range(0, last, stride * every):
-        end = min(k + stride, last)
+        end = k + stride if k + stride < last else last
         step, start, first, second = time[end] - time[k], time[k], 1.0 / slope[k], 1.0 / slope[end]
         rise = (end - k) / step
-        if max(first, second) > 3.0 * rise:
+        if first > 3.0 * rise or second > 3.0 * rise:
             return False
         c2 = (3.0 * rise - 2.0 * first - second) / step
         c3 = (first + second - 2.0 * rise) / (step * step)
         worst = 0.0
         for i in range(1, end - k):
             x = time[k + i] - start
-            worst = max(worst, abs(x * (first + x * (c2 + x * c3)) - i))
+            off = abs(x * (first + x * (c2 + x * c3)) - i)
+            worst = off if off > worst else worst
         if worst > allowed:
             return False
     return True
@@ -210,9 +236,7 @@ def angle_at(
     knot_angle_rev : (knots,), rev, increasing
     knot_speed_rpm : (knots,), rpm, 0 or more: the slopes of the cubics
     """
-    wanted = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
-    result: FloatArray = _hermite(wanted, knot_time_s, knot_angle_rev, knot_speed_rpm / 60.0)
-    return result
+    return _interpolated(time_s, knot_time_s, knot_angle_rev, knot_speed_rpm, inverse=False)
 
 
 def time_at(
@@ -227,103 +251,79 @@ def time_at(
     knot_angle_rev : (knots,), rev, increasing
     knot_speed_rpm : (knots,), rpm, 0 or more: the slopes of the cubics
     """
-    wanted = np.atleast_1d(np.asarray(crank_angle_rev, dtype=np.float64))
-    result: FloatArray = _hermite_inverse(wanted, knot_time_s, knot_angle_rev, knot_speed_rpm / 60.0)
-    return result
+    return _interpolated(crank_angle_rev, knot_angle_rev, knot_time_s, knot_speed_rpm, inverse=True)
 
 
-@njit(cache=True, nogil=True)
-def _interval(knots, wanted, k):  # type: ignore[no-untyped-def]
-    """Number of the knot interval that holds ``wanted``, sought from ``k`` upwards, then by bisection."""
-    if knots[k] < wanted:
-        for near in range(k, min(k + 4, knots.size - 1)):
-            if wanted <= knots[near + 1]:
-                return near
-    low, high = 0, knots.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if knots[middle] < wanted:
-            low = middle
+def _interpolated(
+    given: npt.ArrayLike, knots: FloatArray, value: FloatArray, speed_rpm: FloatArray, *, inverse: bool
+) -> FloatArray:
+    """``value`` where ``knots`` take the ``given`` values, whose slopes are speeds; with ``inverse`` one over these."""
+    wanted = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    out = np.empty(wanted.size)
+    if wanted.size == 0:
+        return out
+    first, last = np.searchsorted(knots, (wanted[0], wanted[-1]))
+    part = slice(max(int(first) - 1, 0), max(int(last), int(first)) + 1)
+    done = _cubics(wanted, knots[part], value[part], speed_rpm[part] / 60.0, inverse, out)
+    if done < wanted.size:
+        order = np.argsort(wanted, kind="stable")
+        order = order[np.isfinite(wanted[order])]
+        out[:] = np.nan
+        if order.size == wanted.size and np.array_equal(order, np.arange(order.size)):
+            return out  # they grow, so it is the knots that are not known
+        out[order] = _interpolated(wanted[order], knots, value, speed_rpm, inverse=inverse)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cubics(wanted, knots, value, rate, inverse, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` by the cubics between knots; how many of ``wanted`` were seen: all, if they grow.
+
+    The share of the angle is a cubic of the share of the time in an interval. Its inverse takes a guess, the cubic with
+    the inverse slopes, and two steps of Newton's method where they are sure to do for a whole interval, else one angle
+    after the other.
+    """
+    end = 0
+    while end < wanted.size and wanted[end] < knots[0]:
+        out[end] = np.nan
+        end += 1
+    for k in range(knots.size - 1):
+        first, low, high = end, knots[k], knots[k + 1]
+        while end < wanted.size and low <= wanted[end] <= high:
+            end += 1
+        if first == end:
+            continue
+        run, reached = wanted[first:end], out[first:end]
+        base, rise, share = value[k], value[k + 1] - value[k], 1.0 / (high - low)
+        scale = rise * share if inverse else (high - low) / rise
+        c1, c4 = rate[k] * scale, rate[k + 1] * scale
+        c2, c3 = 3.0 - 2.0 * c1 - c4, c1 + c4 - 2.0
+        g1, g2, g3 = 1.0 / c1, 3.0 - 2.0 / c1 - 1.0 / c4, 1.0 / c1 + 1.0 / c4 - 2.0
+        if not inverse:
+            for i in range(run.size):
+                x = (run[i] - low) * share
+                y = x * (c1 + x * (c2 + x * c3))
+                y = y if y > 0.0 else 0.0
+                reached[i] = base + rise * (y if y < 1.0 else 1.0)
+        elif run.size < SHORT_RUN or not _newton_is_sure(c1, c2, c3):
+            for i in range(run.size):
+                reached[i] = base + rise * _share_of_step((run[i] - low) * share, c1, c2, c3)
         else:
-            high = middle
-    return low
-
-
-@njit(cache=True, nogil=True)
-def _run_end(knots, wanted, i, k):  # type: ignore[no-untyped-def]
-    """End of the run of ``wanted`` from ``i`` on that lies in knot interval ``k``, as that of ``i`` does."""
-    low, high = knots[k], knots[k + 1]
-    i += 1
-    while i < wanted.size and low < wanted[i] <= high:
-        i += 1
-    return i
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _hermite(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
-    out = np.empty(wanted.size)
-    k, end = 0, 0
-    while end < wanted.size:
-        first = end
-        t = wanted[first]
-        if not (time[0] <= t <= time[-1]):
-            out[first] = np.nan
-            end += 1
-            continue
-        k = _interval(time, t, k)
-        end = _run_end(time, wanted, first, k)
-        start, step = time[k], time[k + 1] - time[k]
-        rise = (angle[k + 1] - angle[k]) / step
-        c0, c1, top = angle[k], rate[k], angle[k + 1]
-        c2 = (3.0 * rise - 2.0 * rate[k] - rate[k + 1]) / step
-        c3 = (rate[k] + rate[k + 1] - 2.0 * rise) / (step * step)
-        run, reached = wanted[first:end], out[first:end]
-        for i in range(run.size):
-            x = run[i] - start
-            value = c0 + x * (c1 + x * (c2 + x * c3))
-            value = value if value > c0 else c0
-            reached[i] = value if value < top else top
-    return out
+            for i in range(run.size):
+                y = (run[i] - low) * share
+                x = y * (g1 + y * (g2 + y * g3))
+                each = 1.0 / (c1 + x * (2.0 * c2 + 3.0 * x * c3))
+                x -= (x * (c1 + x * (c2 + x * c3)) - y) * each
+                x -= (x * (c1 + x * (c2 + x * c3)) - y) * each
+                x = x if x > 0.0 else 0.0
+                reached[i] = base + rise * (x if x < 1.0 else 1.0)
+    while end < wanted.size and wanted[end] > knots[-1]:
+        out[end] = np.nan
+        end += 1
+    return end
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _hermite_inverse(wanted, time, angle, rate):  # type: ignore[no-untyped-def]
-    """A guess and two steps of Newton's method where they are sure to do for a whole interval, else one by one."""
-    out = np.empty(wanted.size)
-    k, end = 0, 0
-    while end < wanted.size:
-        first = end
-        if not (angle[0] <= wanted[first] <= angle[-1]):
-            out[first] = np.nan
-            end += 1
-            continue
-        k = _interval(angle, wanted[first], k)
-        end = _run_end(angle, wanted, first, k)
-        start, step, base, rise = time[k], time[k + 1] - time[k], angle[k], angle[k + 1] - angle[k]
-        # on the unit interval: share of the rise as a cubic of the share of the step
-        c1, at_end = rate[k] * step / rise, rate[k + 1] * step / rise
-        c2, c3 = 3.0 - 2.0 * c1 - at_end, c1 + at_end - 2.0
-        share = 1.0 / rise
-        if end - first < SHORT_RUN or not _newton_is_sure(c1, c2, c3):
-            for i in range(first, end):
-                out[i] = start + step * _share_of_step((wanted[i] - base) * share, c1, c2, c3)
-            continue
-        # the guess is the cubic whose slopes are those of the inverse
-        g1, g2, g3 = 1.0 / c1, 3.0 - 2.0 / c1 - 1.0 / at_end, 1.0 / c1 + 1.0 / at_end - 2.0
-        run, reached = wanted[first:end], out[first:end]
-        for i in range(run.size):
-            y = (run[i] - base) * share
-            x = y * (g1 + y * (g2 + y * g3))
-            each = 1.0 / (c1 + x * (2.0 * c2 + 3.0 * x * c3))
-            x -= (x * (c1 + x * (c2 + x * c3)) - y) * each
-            x -= (x * (c1 + x * (c2 + x * c3)) - y) * each
-            x = x if x > 0.0 else 0.0
-            x = x if x < 1.0 else 1.0
-            reached[i] = start + step * x
-    return out
-
-
-@njit(cache=True, nogil=True)
 def _newton_is_sure(c1, c2, c3):  # type: ignore[no-untyped-def]
     """Whether two steps of Newton's method, the second with the slope of the first, end at round-off from the guess.
 
@@ -331,13 +331,12 @@ def _newton_is_sure(c1, c2, c3):  # type: ignore[no-untyped-def]
     """
     bend, twist = 2.0 * abs(c2) + 6.0 * abs(c3), 6.0 * abs(c3)
     swing = abs(c1 - 1.0) + bend
-    if swing > 0.3:
-        return False
-    guess = (10.0 * (1.0 + swing) * bend * twist + 15.0 * bend**3) / (384.0 * (1.0 - swing) ** 7)
-    return bend * bend * guess**3 < 1e-17
+    calm = (1.0 - swing) * (1.0 - swing)
+    guess = bend * (10.0 * (1.0 + swing) * twist + 15.0 * bend * bend) / (384.0 * calm * calm * calm * (1.0 - swing))
+    return swing < 0.3 and bend * bend * guess * guess * guess < 1e-17
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _share_of_step(y, c1, c2, c3):  # type: ignore[no-untyped-def]
     """Where the cubic reaches ``y``: Newton's method from a fixed-point step, kept in the interval by bisection."""
     bend = abs(c2) + 3.0 * abs(c3)
@@ -359,4 +358,5 @@ def _share_of_step(y, c1, c2, c3):  # type: ignore[no-untyped-def]
             x = x if slope == 0.0 else x - change
             break
         x -= change
-    return min(max(x, low), high)
+    x = x if x > low else low
+    return x if x < high else high

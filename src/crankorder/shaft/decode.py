@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from crankorder.engine.definition import Engine
 from crankorder.errors import InputError
 from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots
 from crankorder.shaft.cycle import cam_mark, firing_tdc
+from crankorder.shaft.in_cycle import knots_with_model
+from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.line_pattern import LinePattern, even_line_times, line_pattern
 from crankorder.shaft.pattern_search import find_pattern
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import IntArray
@@ -26,10 +32,14 @@ FEWEST_SAMPLES_PER_TOOTH = 2.5
 JITTER_RATIO = 1.5
 # Pulses that are enough to tell their noise.
 MOST_NOISE_TEETH = 20_000
+QUANTISED_SAMPLES = 0.2
+"""Pulse noise from which it is that of whole samples (0.29 of one)."""
 PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
 
 
-def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle:
+def shaft_angle(
+    recording: xr.Dataset, *, settings: ShaftSettings, knowledge: ShaftKnowledge | None = None
+) -> ShaftAngle:
     """Crank angle and speed of one recording on time knots, with the standard error of the angle and quality flags.
 
     Parameters
@@ -37,6 +47,8 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
     recording : Recording (see ``data_schema/recording.json``), sampled by time or by crank angle; the knots are on the
         clock of its samples, the first of which is at ``start_s``
     settings : how pulses become angle
+    knowledge : of the engine, whose model fills in the in-cycle motion that few pulses cannot show, and of the errors
+        of the encoder's lines
 
     Raises
     ------
@@ -48,11 +60,13 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
             return _dataset(recording, _sampled_by_angle(recording), "tdc", 0, [])
         kind = str(recording.attrs["encoder_kind"])
         if kind in PULSE_KINDS:
-            return _from_pulses(recording, settings)
+            return _from_pulses(recording, settings, knowledge or ShaftKnowledge())
         if kind == "speed":
             return _from_speed(recording, settings)
         if kind == "constant":
             return _from_constant(recording)
+        if kind == "vibration":
+            return _from_vibration(recording, settings)
     except InputError as error:
         if error.file:
             raise
@@ -64,39 +78,96 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
         file=name,
         place="encoder.kind",
         found=kind,
-        allowed=", ".join((*PULSE_KINDS, "speed", "constant")),
+        allowed=", ".join((*PULSE_KINDS, "speed", "constant", "vibration")),
         remedy="Name the encoder, a speed channel or a constant speed_rpm in run.toml",
     )
 
 
-def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
+def encoder_pattern(recording: xr.Dataset, *, settings: ShaftSettings) -> LinePattern:
+    """How the lines of the encoder of ``recording`` come beside an even rotation, for its calibration.
+
+    ``settings``: how pulses become angle. Raises InputError where the recording has no pulses or none that can be
+    numbered.
+    """
+    teeth, _ = _numbered(recording, settings)
+    return line_pattern(
+        teeth.time_s,
+        teeth.tooth,
+        teeth_per_encoder_rev=teeth.teeth_per_rev,
+        index_tooth=teeth.index_tooth,
+        index_period=teeth.index_period,
+        ratio=float(recording.attrs.get("ratio", 1.0)),
+        revs_per_cycle=int(recording.attrs["revs_per_cycle"]),
+        noise_s=float(recording.attrs.get("pulse_noise_s", 0.0)),
+    )
+
+
+def flags_named(recording: str, remarks: Iterable[Remark]) -> list[QualityFlag]:
+    """Quality flags of the ``recording`` of that name from ``remarks``: (flag, severity, detail)."""
+    return [QualityFlag(recording=recording, flag=flag, severity=how, detail=text) for flag, how, text in remarks]
+
+
+def _numbered(recording: xr.Dataset, settings: ShaftSettings) -> tuple[NumberedTeeth, list[Remark]]:
+    """Pulses of the recording as numbered teeth, and remarks on how the wheel was found."""
     attrs = recording.attrs
     if "pulse_time" not in recording.variables:
         raise InputError(
             "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
         )
-    ratio = float(attrs.get("ratio", 1.0))
-    stated = float(attrs.get("pulse_noise_s", 0.0))
-    noise = stated if stated > 0.0 else None
     pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), _times(recording, "index_time")
     wheel, found = _wheel_of(attrs, pulse_s, index_s)
-    teeth = number_teeth(pulse_s, **wheel, settings=settings, index_time_s=index_s, ratio=ratio, noise_s=noise or 0.0)
+    stated = float(attrs.get("pulse_noise_s", 0.0))
+    ratio = float(attrs.get("ratio", 1.0))
+    teeth = number_teeth(pulse_s, **wheel, settings=settings, index_time_s=index_s, ratio=ratio, noise_s=stated)
+    return teeth, found
+
+
+def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: ShaftKnowledge) -> ShaftAngle:
+    attrs = recording.attrs
+    stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
+    teeth, remarks = _numbered(recording, settings)
+    if knowledge.calibration is not None:
+        errors = knowledge.calibration.line_error_rev
+        even_s = even_line_times(teeth.time_s, teeth.tooth, errors, index_tooth=teeth.index_tooth)
+        teeth = replace(teeth, time_s=even_s)
     teeth_per_rev = teeth.teeth_per_rev * ratio
-    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
-        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
-    knots = angle_knots(teeth.time_s, teeth.tooth, teeth_per_rev=teeth_per_rev, noise_s=noise, settings=settings)
-    tdc, cycle_known, reference, flags = _tdc(teeth, teeth_per_rev, recording)
+    knots, tdc, cycle_known, reference, flags = _knots(recording, teeth, teeth_per_rev, settings, knowledge.engine)
+    filled = any(flag == "in_cycle_from_model" for flag, _, _ in flags)
+    if knowledge.calibration is not None:
+        left_rev = float(np.sqrt(np.mean(knowledge.calibration.standard_error_rev**2))) / ratio
+        knots = replace(knots, standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
+    remarks += [*teeth.flags, *flags]
     if stated > 0.0 and knots.noise_s > JITTER_RATIO * stated:
         share = knots.noise_s / float(np.median(np.diff(teeth.time_s)))
-        flags.append(
-            ("encoder_jitter", "info", f"pulses jitter by {share:.2g} of their distance, more than their sampling")
-        )
-    flags += _undersampled(recording, teeth)
+        detail = f"pulses jitter by {share:.2g} of their distance, more than their sampling"
+        remarks.append(("encoder_jitter", "info", detail))
+    remarks += _undersampled(recording, teeth)
     period = int(attrs["revs_per_cycle"]) if cycle_known else 1
     turns = period * np.ceil((teeth.tooth[0] / teeth_per_rev - tdc) / period - 1e-9)
     knots = replace(knots, angle_rev=knots.angle_rev - tdc - turns)
-    remarks = [*found, *teeth.flags, *flags]
-    return _dataset(recording, knots, reference, teeth.time_s.size, remarks, cycle_known=cycle_known)
+    shaft = _dataset(recording, knots, reference, teeth.time_s.size, remarks, cycle_known=cycle_known)
+    rounded = stated > QUANTISED_SAMPLES / float(attrs.get("rate_hz", np.inf))
+    shaft.attrs["teeth_per_rev"], shaft.attrs["cut_off_order"] = teeth_per_rev, knots.cut_off_order
+    shaft.attrs["edge_step_s"] = math.sqrt(12.0) * stated if rounded else 0.0
+    shaft.attrs["in_cycle_filled"] = int(filled)
+    return shaft
+
+
+def _knots(
+    recording: xr.Dataset, teeth: NumberedTeeth, teeth_per_rev: float, settings: ShaftSettings, engine: Engine | None
+) -> tuple[AngleKnots, float, bool, str, list[Remark]]:
+    """Knots with angle 0 at tooth 0; the angle of a top dead centre; whether it fires; what it rests on; remarks."""
+    noise = float(recording.attrs.get("pulse_noise_s", 0.0)) or None
+    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
+        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
+    tdc, cycle_known, reference, flags = _tdc(teeth, teeth_per_rev, recording)
+    known: dict[str, Any] = {"teeth_per_rev": teeth_per_rev, "noise_s": noise, "settings": settings}
+    if engine is None or reference != "tdc":
+        return angle_knots(teeth.time_s, teeth.tooth, **known), tdc, cycle_known, reference, flags
+    knots, model = knots_with_model(engine, teeth.time_s, teeth.tooth, tdc_rev=tdc, cycle_known=cycle_known, **known)
+    if model.cycle_known:
+        flags = [flag for flag in flags if flag[0] != "cycle_phase_unknown"]
+    return knots, tdc + model.turns, model.cycle_known, reference, flags + model.flags
 
 
 def _times(recording: xr.Dataset, name: str) -> FloatArray | None:
@@ -213,6 +284,22 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     return _dataset(recording, knots, "none", 0, [*flags, _NO_PHASE])
 
 
+def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
+    """Angle from the orders that the vibration itself shows: for a machine without any other reference."""
+    from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, angle_from_vibration
+
+    attrs = recording.attrs
+    expected = attrs.get("expected_rpm")
+    knots, remarks = angle_from_vibration(
+        recording["signal"].values,
+        float(attrs["rate_hz"]),
+        settings=settings,
+        expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
+        order_weights=FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None,
+    )
+    return _dataset(recording, knots, "none", 0, [*remarks, _NO_PHASE])
+
+
 def _from_constant(recording: xr.Dataset) -> ShaftAngle:
     speed = float(recording.attrs.get("speed_rpm", np.nan))
     if not speed > 0.0:
@@ -270,8 +357,6 @@ def _dataset(
             "history": f"{recording.attrs.get('history', '')}\n{signed}".lstrip(),
         },
     )
-    shaft = with_flags(
-        shaft, [QualityFlag(recording=name, flag=flag, severity=how, detail=text) for flag, how, text in remarks]
-    )
+    shaft = with_flags(shaft, flags_named(name, remarks))
     check_dataset(shaft, "shaft_angle")
     return ShaftAngle(shaft)

@@ -46,6 +46,10 @@ def at_index(
     anchor, slip = _slips(place, period)
     renumbered, slipped, odd = _unslipped(tooth, np.searchsorted(time_s, marks), slip)
     odd |= np.append((np.diff(place) < 0.25 * period) & (np.diff(slip) == 0), False)
+    if 2 * odd.sum() > marks.size > 2:
+        detail = f"{odd.sum()} of {marks.size} index marks are out of place: the phase has no reference"
+        flags.append(("no_index", "suspect", detail))
+        return tooth, float("nan"), period
     lost = np.maximum(0, np.round(np.diff(place) / period) - 1).astype(np.int64)
     if renumber and slipped.any():
         detail = f"pulse count put right at {slipped.sum()} index marks, {listed_times(marks[slipped])}"

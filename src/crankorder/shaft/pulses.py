@@ -1,6 +1,6 @@
 """Pulse times from a sampled encoder trace, with the noise of one pulse time.
 
-A square trace is cut half-way between its two levels. A magnetic pickup that swings to both sides alike is cut at zero
+A trace of two levels is cut half-way between them, whatever it is said to be. A magnetic pickup that swings to both sides alike is cut at zero
 (there the flux through the coil is at its extreme, whatever the speed), with a hysteresis that follows the local pulse
 height, for that grows with speed. A pickup clipped on one side rests on a flat baseline, and the tooth behind a gap may
 rise from it by a tenth of its neighbours' height: such a trace is cut a small share of the local height off it.
@@ -8,6 +8,7 @@ rise from it by a tenth of its neighbours' height: such a trace is cut a small s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -40,8 +41,17 @@ MIN_SURE_SHARE, MAX_SURE_SHARE = 0.0025, 0.02
 FIRST_BLOCK = 512
 # A square wave whose levels scatter by more than this share of their distance may be noise.
 OVERLAP_SHARE = 0.3
+# Blocks of a trace with one pulse per revolution whose extremes tell how high it is.
+MARK_BLOCKS = 16
 # Samples that are enough to find the two levels of a trace.
 LEVEL_SAMPLES = 1 << 17
+# A trace has two levels where this share of the samples on either side of the middle lies within LEVEL_WIDTH of the
+# height of its level; of a sine, 0.2 do.
+LEVEL_SHARE, LEVEL_WIDTH = 0.8, 0.1
+
+
+class NoPulsesError(InputError):
+    """The trace holds no pulse: it is constant, not finite, or never crosses its own middle."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,8 @@ def find_pulses(
     ----------
     trace : (samples,), volts or counts of any level; float32 and float64 are taken as they are, others are converted
     rate_hz : samples per second
-    kind : "square" for a two-level trace, "analogue" for a magnetic pickup
+    kind : "square" for a two-level trace, "analogue" for a magnetic pickup; a pickup's trace that rests on two levels
+        all the same, as an index beside it may, is taken for square
     edge : the edge that marks a pulse; wheels with missing teeth decode well on one edge only
     pulses_per_rev : pulses of the full wheel per revolution, 1 or more; named in the error where there are none
     settings : ``hysteresis_fraction`` guards against noise (more) or loses small teeth (less); ``envelope_teeth`` is
@@ -84,34 +95,41 @@ def find_pulses(
 
     Raises
     ------
-    InputError where the trace is constant, not finite, or holds no pulse.
+    InputError where the trace has no samples; NoPulsesError where it is constant, not finite, or holds no pulse.
     """
     samples = np.ascontiguousarray(trace, dtype=trace.dtype if trace.dtype in (np.float32, np.float64) else np.float64)
     if samples.ndim != 1 or samples.size < 2:
         raise InputError("the encoder trace has no samples", found=samples.shape, allowed="one axis, 2 samples or more")
     sign = 1.0 if edge == "rising" else -1.0
     some = _some(samples)
-    levels = _levels(some)
+    levels = _levels(some, float(samples.min()), float(samples.max()))
     low, high = sorted(sign * level for level in levels)
     if not levels[1] > levels[0]:
         raise _no_pulses(edge, pulses_per_rev, "a constant" if np.isfinite(low) else "no finite sample")
-    if kind == "square":
+    square = kind == "square" or _is_two_level(some, *levels)
+    if square:
         half = 0.5 * settings.hysteresis_fraction * (high - low)
-        fired, n_missing = _fired(samples, sign, 0.5 * (low + high) - half, 0.5 * (low + high) + half)
-        level = np.array([0.5 * (low + high)])
+        fired = np.empty(samples.size // 2 + 2, dtype=np.int64)
+        n, n_missing = _fire(samples, sign, 0.5 * (low + high) - half, 0.5 * (low + high) + half, fired)
+        fired, level = fired[:n], np.full(n, 0.5 * (low + high))
     else:
-        low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction)
+        extremes = sorted(sign * level for level in _mark_levels(samples)) if pulses_per_rev == 1 else None
+        low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction, extremes)
         fired, level, n_missing = _fired_pickup(
             samples, sign, low, high, rest, share, settings.hysteresis_fraction, sure, settings.envelope_teeth
         )
-    position, settled, variance = _crossings(samples, sign, fired, level, low, high)
-    if position.size == 0:
+    settled_at = (low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low))
+    position = np.empty(fired.size)
+    n, settled = _cross(samples, sign, fired, level, *settled_at, position)
+    position = position[:n]
+    if n == 0:
         raise _no_pulses(edge, pulses_per_rev, f"levels {levels[0]:g} and {levels[1]:g}")
-    noise_samples = float(np.sqrt(variance))
+    variance = settled * QUANTISED_EDGE_SAMPLES**2 + (n - settled) * INTERPOLATED_EDGE_SAMPLES**2
+    noise_samples = math.sqrt(variance / n)
     how = "quantised" if 2 * settled > position.size else "interpolated"
     detail = f"{settled} of {position.size} edges lie between settled samples: pulse noise {noise_samples:.3g} samples"
     flags: list[Remark] = [(f"encoder_edge_{how}", "info", detail)]
-    spread = _spread(some, *levels) if kind == "square" else 0.0
+    spread = _spread(some, *levels) if square else 0.0
     if spread > OVERLAP_SHARE:
         detail = f"not a square wave: its two levels scatter by {spread:.2f} of their distance"
         flags.append(("encoder_unclear", "suspect", detail))
@@ -120,8 +138,8 @@ def find_pulses(
     return Pulses(time_s=position / rate_hz, noise_s=noise_samples / rate_hz, flags=flags)
 
 
-def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> InputError:
-    return InputError(
+def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> NoPulsesError:
+    return NoPulsesError(
         f"no {edge} encoder edge found",
         place="encoder",
         found=found,
@@ -137,62 +155,51 @@ def _spread(some: npt.NDArray[Any], low: float, high: float) -> float:
     return float(np.std(np.abs(finite - 0.5 * (low + high)))) / (high - low)
 
 
-def _levels(trace: npt.NDArray[Any]) -> tuple[float, float]:
-    """Lower and upper level: means below and above the middle of the range, taken twice to shed spikes."""
-    low, high = float(trace.min()), float(trace.max())
+def _is_two_level(some: npt.NDArray[Any], low: float, high: float) -> bool:
+    """Whether the samples on both sides of the middle rest on a level."""
+    finite = some[np.isfinite(some)]
+    above = finite > 0.5 * (low + high)
+    n_above, width = int(np.count_nonzero(above)), LEVEL_WIDTH * (high - low)
+    near_low, near_high = np.abs(finite - low) < width, np.abs(finite - high) < width
+    at_high = int(np.count_nonzero(near_high & above))
+    at_low = int(np.count_nonzero(near_low & ~above))
+    return at_high >= LEVEL_SHARE * n_above and at_low >= LEVEL_SHARE * (finite.size - n_above)
+
+
+def _levels(trace: npt.NDArray[Any], low: float, high: float) -> tuple[float, float]:
+    """Lower and upper level: means below and above the middle of the range, taken twice to shed spikes.
+
+    ``low`` and ``high`` are the extremes of all samples, of which ``trace`` holds enough.
+    """
     if not np.isfinite(high - low):
         trace = trace[np.isfinite(trace)]
         if trace.size == 0:
             return np.inf, -np.inf
         low, high = float(trace.min()), float(trace.max())
+    if ((trace == low) | (trace == high)).all():
+        return low, high
+    total = float(np.sum(trace, dtype=np.float64))
     for _ in range(2):
-        middle = 0.5 * (low + high)
-        below, above, n_above = _sums(trace, middle)
+        middle = trace.dtype.type(0.5 * (low + high))
+        n_above = int(np.count_nonzero(trace > middle))
         if not 0 < n_above < trace.size:
             break
-        low, high = below / (trace.size - n_above), above / n_above
+        above = float(np.sum(np.maximum(trace, middle), dtype=np.float64)) - float(middle) * (trace.size - n_above)
+        low, high = (total - above) / (trace.size - n_above), above / n_above
         if 0.5 * (low + high) == middle:
             break
     return low, high
 
 
 @njit(cache=True, nogil=True)
-def _sums(trace, middle):  # type: ignore[no-untyped-def]
-    """Sum of the samples up to ``middle``, sum of those above, and how many these are."""
-    n_above, b0, b1, b2, b3, a0, a1, a2, a3 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = trace.size // 4 * 4
-    for i in range(0, whole, 4):
-        v0, v1, v2, v3 = trace[i], trace[i + 1], trace[i + 2], trace[i + 3]
-        h0, h1, h2, h3 = v0 > middle, v1 > middle, v2 > middle, v3 > middle
-        n_above += h0 + h1 + h2 + h3
-        a0, a1, a2, a3 = (
-            a0 + (v0 if h0 else 0.0),
-            a1 + (v1 if h1 else 0.0),
-            a2 + (v2 if h2 else 0.0),
-            a3 + (v3 if h3 else 0.0),
-        )
-        b0, b1, b2, b3 = (
-            b0 + (0.0 if h0 else v0),
-            b1 + (0.0 if h1 else v1),
-            b2 + (0.0 if h2 else v2),
-            b3 + (0.0 if h3 else v3),
-        )
-    for i in range(whole, trace.size):
-        if trace[i] > middle:
-            a0, n_above = a0 + trace[i], n_above + 1
-        else:
-            b0 += trace[i]
-    return (b0 + b1) + (b2 + b3), (a0 + a1) + (a2 + a3), n_above
+def _fire(trace, sign, arm, fire, at):  # type: ignore[no-untyped-def]
+    """Fill ``at`` with the first samples of ``sign * trace`` above ``fire`` since it was below ``arm``.
 
-
-@njit(cache=True, nogil=True)
-def _fired(trace, sign, arm, fire):  # type: ignore[no-untyped-def]
-    """First samples of ``sign * trace`` above ``fire`` since it was below ``arm``, and the count of NaN.
+    Returns how many there are, and how many samples are NaN.
 
     64 samples at a time, one bit each. A sample above ``fire`` sets the state, one below ``arm`` clears it, any other
     hands it on: so does the carry in the sum of the bits that do not clear and those that set.
     """
-    at = np.empty(trace.size // 2 + 2, dtype=np.int64)
     one, carry = np.uint64(1), np.uint64(1)
     n, missing = 0, 0
     for first in range(0, trace.size, 64):
@@ -212,7 +219,7 @@ def _fired(trace, sign, arm, fire):  # type: ignore[no-untyped-def]
             at[n] = first + _bits(lowest - one)
             n += 1
             fires ^= lowest
-    return at[:n], missing
+    return n, missing
 
 
 @njit(cache=True, nogil=True)
@@ -231,14 +238,26 @@ def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return samples[: samples.size // 64 * 64].reshape(64, -1)[:, : LEVEL_SAMPLES // 64].ravel()
 
 
-def _pickup_levels(some: npt.NDArray[Any], share: float) -> tuple[float, float, int, float, float]:
+def _mark_levels(samples: npt.NDArray[Any]) -> list[float]:
+    """Extremes that three quarters of the blocks do not pass: a mark fills too little of its turn for quantiles."""
+    blocks = samples[: samples.size // MARK_BLOCKS * MARK_BLOCKS].reshape(MARK_BLOCKS, -1)
+    if blocks.size == 0:
+        blocks = samples[None]
+    lows, highs = np.sort(np.fmin.reduce(blocks, axis=1)), np.sort(np.fmax.reduce(blocks, axis=1))
+    return [float(lows[lows.size // 4]), float(highs[-1 - highs.size // 4])]
+
+
+def _pickup_levels(
+    some: npt.NDArray[Any], share: float, extremes: list[float] | None
+) -> tuple[float, float, int, float, float]:
     """Extremes of a pickup trace, where it rests (-1 low, 1 high, 0 neither), where to cut it, and how far from noise.
 
-    The cut is a share of the height; the least distance from it that makes a pulse sure is in the trace's unit.
+    The cut is a share of the height; the least distance from it that makes a pulse sure is in the trace's unit. The
+    ``extremes`` are quantiles where they are not given.
     """
     finite = some[np.isfinite(some)]
     ordered = np.sort(finite[:: max(1, finite.size >> 13)])
-    low, high = float(ordered[ordered.size // 50]), float(ordered[-1 - ordered.size // 50])
+    low, high = extremes or (float(ordered[ordered.size // 50]), float(ordered[-1 - ordered.size // 50]))
     height, width = high - low, REST_WIDTH * (high - low)
     rows = finite[: finite.size // 8 * 8].reshape(-1, 8)
     bend = np.sort(np.sqrt(np.mean(np.diff(rows, n=2, axis=1) ** 2, axis=1) / 6.0))
@@ -299,21 +318,19 @@ def _followed(level, seen, envelope_teeth):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _crossings(trace, sign, fired, level, low, high):  # type: ignore[no-untyped-def]
-    """Positions [samples] of the crossings before ``fired``, how many lie between settled samples, their variance.
+def _cross(trace, sign, fired, level, bottom, top, position):  # type: ignore[no-untyped-def]
+    """Fill ``position`` [samples] with the crossings of ``level`` before ``fired``.
 
-    ``level`` holds the cut of each, or one for all.
+    Returns how many there are, and how many of them lie between samples below ``bottom`` and above ``top``.
     """
-    position, n, settled = np.empty(fired.size), 0, 0
-    bottom, top = low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low)
+    n, settled = 0, 0
     for k in range(fired.size):
-        i, cut = fired[k], level[min(k, level.size - 1)]
+        i, cut = fired[k], level[k]
         while i > 0 and sign * trace[i - 1] > cut:
             i -= 1
-        before, after = sign * trace[max(i - 1, 0)], sign * trace[i]
-        position[n] = i - 1 + (cut - before) / (after - before)
-        crossed = i > 0 and before <= cut
-        n += crossed
-        settled += crossed & (before < bottom) & (after > top)
-    variance = settled * QUANTISED_EDGE_SAMPLES**2 + (n - settled) * INTERPOLATED_EDGE_SAMPLES**2
-    return position[:n], settled, variance / max(n, 1)
+        if i > 0 and sign * trace[i - 1] <= cut:
+            before, after = sign * trace[i - 1], sign * trace[i]
+            position[n] = i - 1 + (cut - before) / (after - before)
+            n += 1
+            settled += before < bottom and after > top
+    return n, settled

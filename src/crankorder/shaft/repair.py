@@ -70,20 +70,19 @@ def running_part(time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0)
     edges = [0, *(at + 1 for at in stops), time_s.size]
     parts = [slice(first, end) for first, end in pairwise(edges)]
     longest = max(parts, key=lambda part: part.stop - part.start)
+    stray = [part for part in parts if part.stop - part.start < max(2.0, pulses_per_rev) and part != longest]
     flags: list[Remark] = []
     still = [at for at in stops if _speed_is_low(step, at, limit)]
     if still:
-        flags.append(("standstill", "info", f"the shaft stands still {_spans(time_s, still)}: left out"))
+        flags.append(("standstill", "info", f"the shaft stands still {_spans(time_s, still, stray)}: left out"))
     lost = [at for at in stops if at not in still]
     if lost:
-        flags.append(("encoder_gap", "suspect", f"no pulses {_spans(time_s, lost)}: the count is lost there"))
-    others = [part for part in parts if part != longest]
-    stray = [part for part in others if part.stop - part.start < max(2.0, pulses_per_rev)]
+        flags.append(("encoder_gap", "suspect", f"no pulses {_spans(time_s, lost, stray)}: the count is lost there"))
     if stray:
         n = sum(part.stop - part.start for part in stray)
         detail = f"{n} pulses of less than a revolution beside a standstill, {_times(time_s, stray)}: left out"
         flags.append(("direction_unknown", "suspect", detail))
-    runs = [part for part in others if part not in stray]
+    runs = [part for part in parts if part not in stray and part != longest]
     if runs:
         flags.append(("encoder_part_unused", "suspect", f"shorter runs of the shaft left out, {_times(time_s, runs)}"))
     return longest, flags
@@ -105,14 +104,22 @@ def _speed_is_low(step: FloatArray, at: int, limit: float) -> bool:
     return max(_beside(step, at)) > min(limit / 5.0, 3.0 * float(np.median(step)))
 
 
-def _spans(time_s: FloatArray, holes: list[int]) -> str:
-    spans = [f"from {time_s[at]:.6g} to {time_s[at + 1]:.6g} s" for at in holes[:4]]
-    return ", ".join(spans) + (f" and {len(holes) - 4} times more" if len(holes) > 4 else "")
+def _spans(time_s: FloatArray, holes: list[int], stray: list[slice]) -> str:
+    """Words for the times of ``holes``; those with nothing but a ``stray`` part between them are one."""
+    spans = [[holes[0], holes[0]]]
+    for at in holes[1:]:
+        if any(part.start == spans[-1][1] + 1 and part.stop == at + 1 for part in stray):
+            spans[-1][1] = at
+        else:
+            spans.append([at, at])
+    words = [f"from {time_s[first]:.6g} to {time_s[last + 1]:.6g} s" for first, last in spans]
+    return ", ".join(words[:4]) + (f" and {len(words) - 4} times more" if len(words) > 4 else "")
 
 
 def _times(time_s: FloatArray, parts: list[slice]) -> str:
-    spans = [f"{time_s[part.start]:.6g} to {time_s[part.stop - 1]:.6g} s" for part in parts[:4]]
-    return ", ".join(spans) + (f" and {len(parts) - 4} more" if len(parts) > 4 else "")
+    if len(parts) > 4:
+        return f"in {len(parts)} parts from {time_s[parts[0].start]:.6g} to {time_s[parts[-1].stop - 1]:.6g} s"
+    return ", ".join(f"{time_s[part.start]:.6g} to {time_s[part.stop - 1]:.6g} s" for part in parts)
 
 
 def listed_times(time_s: FloatArray) -> str:

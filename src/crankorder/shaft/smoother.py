@@ -3,9 +3,10 @@
 Teeth are evenly spaced in angle, so the noise of the pulse times is even too, and time as a function of tooth number is
 smoothed by penalised least squares on the third difference: minimise sum w (z - t)^2 + penalty sum (third difference
 of z)^2 (Whittaker 1923; Eilers 2003). Its gain at ``f`` cycles per tooth is 1 / (1 + (sin(pi f) / sin(pi cut_off))^6).
-The cut-off follows from the pulse noise by the discrepancy principle (Morozov 1966): the residual may be no larger
-than the noise explains, in the roughest block of the record. Jitter beyond the stated noise is told from motion by its
-lack of correlation from tooth to tooth.
+Where only one in ``spacing`` teeth has a pulse, that holds per pulse, with spacing^5 times the penalty. The cut-off
+follows from the pulse noise by the discrepancy principle (Morozov 1966): the residual may be no larger than the noise
+explains, in the roughest block of the record. Jitter beyond the stated noise is told from motion by its lack of
+correlation from tooth to tooth.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from numba import njit
 
 from crankorder.shaft.pulses import FloatArray
 
-# Teeth in a block on which the cut-off is sought, and the most blocks that are looked at.
-BLOCK_TEETH, MAX_BLOCKS = 2048, 12
-# Cut-offs, in cycles per tooth: below the first the normal equations are too stiff; above the second smoothing does
-# nothing worth having and the pulses are interpolated.
+# Pulses in a block on which the cut-off is sought, and the most blocks that are looked at.
+BLOCK_PULSES, MAX_BLOCKS = 2048, 12
+# Cut-offs: below the first, in cycles per tooth, the normal equations are too stiff; above the second, in cycles per
+# pulse, smoothing does nothing worth having and the pulses are interpolated.
 LOWEST_CUT_OFF, HIGHEST_CUT_OFF = 0.003, 0.35
 # Lags at which a residual is tested for being white.
 WHITE_LAGS = 8
@@ -36,15 +37,18 @@ def noise_from_differences(time_s: FloatArray) -> float:
     """Standard deviation of pulse times ``time_s`` (pulses,) [s] from their fourth differences, by the median."""
     if time_s.size < 8:
         return 0.0
-    if time_s.size > MAX_BLOCKS * BLOCK_TEETH:
-        starts = np.linspace(0, time_s.size - BLOCK_TEETH, MAX_BLOCKS).astype(int)
-        time_s = time_s[starts[:, None] + np.arange(BLOCK_TEETH)]
+    if time_s.size > MAX_BLOCKS * BLOCK_PULSES:
+        starts = np.linspace(0, time_s.size - BLOCK_PULSES, MAX_BLOCKS).astype(int)
+        time_s = time_s[starts[:, None] + np.arange(BLOCK_PULSES)]
     return float(np.median(np.abs(np.diff(time_s, n=4)))) / (0.6745 * math.sqrt(70.0))
 
 
-def penalty_of(cut_off: float) -> float:
-    """Penalty on squared third differences for a half-gain frequency of ``cut_off`` cycles per tooth."""
-    return 1e-9 if cut_off > HIGHEST_CUT_OFF else float((2.0 * math.sin(math.pi * cut_off)) ** -6)
+def penalty_of(cut_off: float, spacing: float = 1.0) -> float:
+    """Penalty on squared third differences for a half-gain frequency of ``cut_off`` cycles per pulse.
+
+    ``spacing``: teeth per pulse, 1 where every tooth has one.
+    """
+    return spacing**5 * (1e-9 if cut_off > HIGHEST_CUT_OFF else (2.0 * math.sin(math.pi * cut_off)) ** -6)
 
 
 @functools.lru_cache(maxsize=64)
@@ -60,7 +64,7 @@ def _residual_moments(penalty: float) -> FloatArray:
 def cut_off_of(
     grid: FloatArray, weight: FloatArray, *, noise_s: float, floor: float, margin: float
 ) -> tuple[float, float]:
-    """Cut-off [cycles per tooth] at which the residual of every block is noise, and the noise [s] of a pulse.
+    """Cut-off [cycles per pulse] at which the residual of every block is noise, and the noise [s] of a pulse.
 
     A residual is noise when it is no larger than ``noise_s`` explains or, whatever its size, uncorrelated: then it is
     jitter of the pulses, whose measured size takes the place of ``noise_s``.
@@ -70,23 +74,23 @@ def cut_off_of(
     grid : (teeth,), s, pulse times by tooth
     weight : (teeth,), 1 where a tooth has a pulse, else 0
     noise_s : standard deviation of one pulse time, s
-    floor : lowest cut-off to return, cycles per tooth; kept as it is where the residual there is noise
+    floor : lowest cut-off to return, cycles per pulse; kept as it is where the residual there is noise
     margin : 1 or more, on a cut-off above the floor; bias falls with its sixth power, noise grows with its square root
     """
-    n_blocks = min(MAX_BLOCKS, max(1, grid.size // BLOCK_TEETH))
-    length = min(grid.size, BLOCK_TEETH)
+    spacing = float(weight.size / weight.sum())
+    n_blocks = min(MAX_BLOCKS, max(1, int(grid.size / (BLOCK_PULSES * spacing))))
+    length = min(grid.size, round(BLOCK_PULSES * spacing))
     starts = np.linspace(0, grid.size - length, n_blocks).astype(int)
     cut_off, noise = floor, noise_s
     smoother: Smoother | None = None
     for start in starts:
         times, weights = grid[start : start + length] - grid[start], weight[start : start + length]
-        count = weights.sum()
+        count, pulse = weights.sum(), weights > 0.0
         while cut_off <= HIGHEST_CUT_OFF:
-            penalty = penalty_of(cut_off)
-            white = _residual_moments(penalty)
+            penalty, white = penalty_of(cut_off, spacing), _residual_moments(penalty_of(cut_off))
             if smoother is None or not smoother.is_of(weights, penalty):
                 smoother = Smoother(weights, penalty)
-            residual = weights * (times - smoother.smoothed(times))
+            residual = (times - smoother.smoothed(times))[pulse]
             variance = float(residual @ residual) / (count * max(white[0], 1.0 / count))
             if variance <= noise_s**2 * (1.0 + 3.0 / np.sqrt(count)):
                 break
@@ -136,7 +140,9 @@ class Smoother:
 
     def __init__(self, weight: FloatArray, penalty: float) -> None:
         self.weight, self.penalty = weight, penalty
-        table, self.row, used = _factors(weight, penalty)
+        table, self.row = np.empty((weight.size, 4)), np.empty(weight.size, dtype=np.int32)
+        settled = max(2e-16, min(SETTLED_SHARE, SETTLED / penalty))
+        used = _factors(weight, penalty, _penalty_rows(min(weight.size, 8)), settled, table, self.row)
         self.table = table[:used]
 
     def is_of(self, weight: FloatArray, penalty: float) -> bool:
@@ -145,32 +151,43 @@ class Smoother:
 
     def smoothed(self, value: FloatArray) -> FloatArray:
         """Smoothed ``value`` (teeth,), see :func:`smoothed`."""
-        result: FloatArray = _solved(value, self.penalty, self.table, self.row)
+        result = np.empty(value.size)
+        _solve(value, self.penalty, self.table, self.row, result)
         return result
 
     def leverage(self) -> FloatArray:
         """Variance of each smoothed time over that of one pulse time, see :func:`leverage`."""
-        result: FloatArray = _inverse_diagonal(self.table, self.row)
+        result = np.empty(self.row.size)
+        _inverse_diagonal(self.table, self.row, result)
         return result
 
 
-@njit(cache=True, nogil=True)
-def _factors(weight, penalty):  # type: ignore[no-untyped-def]
-    """Rows d, a, b, c of the factors of W + penalty D'D, settled ones kept once; the row of each tooth; their count."""
-    n = weight.size
-    table, row = np.empty((n, 4)), np.empty(n, dtype=np.int32)
+@functools.cache
+def _penalty_rows(n: int) -> FloatArray:
+    """Entries (i, i) to (i, i + 3) of each row i of D'D for the third difference of ``n`` values, 0 beyond its edge."""
+    third = np.diff(np.eye(n), n=3, axis=0)
+    product = np.pad(third.T @ third, ((0, 0), (0, 3)))
+    return np.array([product[i, i : i + 4] for i in range(n)])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _factors(weight, penalty, rows, settled, table, row):  # type: ignore[no-untyped-def]
+    """Fill ``table`` with rows d, a, b, c of the factors of W + penalty D'D, settled ones once; how many there are.
+
+    ``row`` takes the row of each tooth; ``rows`` holds those of D'D for 8 teeth, or all if there are fewer.
+    """
+    n, used, steady = weight.size, 0, 0
     d1 = d2 = d3 = a1 = b1 = b2 = c1 = c2 = c3 = 0.0
-    steady, used, settled = 0, 0, max(2e-16, min(SETTLED_SHARE, SETTLED / penalty))
     for i in range(n):
         inside = 3 < i < n - 3
         if inside and steady > 3 and weight[i] == weight[i - 1]:
             row[i] = used - 1
             continue
-        p0, p1, p2, p3 = (20.0, -15.0, 6.0, -1.0) if inside else _penalty_row(i, n)
-        pivot = weight[i] + penalty * p0 - a1 * a1 * d1 - b2 * b2 * d2 - c3 * c3 * d3
-        low1 = penalty * p1 - a1 * b1 * d1 - b2 * c2 * d2
-        low2 = penalty * p2 - a1 * c1 * d1
-        low3 = penalty * p3
+        p = 3 if inside else (i if i < 4 else i - n + rows.shape[0])
+        pivot = weight[i] + penalty * rows[p, 0] - a1 * a1 * d1 - b2 * b2 * d2 - c3 * c3 * d3
+        low1 = penalty * rows[p, 1] - a1 * b1 * d1 - b2 * c2 * d2
+        low2 = penalty * rows[p, 2] - a1 * c1 * d1
+        low3 = penalty * rows[p, 3]
         same = i > 0 and weight[i] == weight[i - 1] and abs(pivot - d1) <= settled * pivot
         steady = steady + 1 if same else 0
         d3, c3 = d2, c2
@@ -183,14 +200,16 @@ def _factors(weight, penalty):  # type: ignore[no-untyped-def]
             # the rows that follow find these above them
             d2 = d3 = d1
             b2, c2, c3 = b1, c1, c1
-    return table, row, used
+    return used
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _solved(value, penalty, table, row):  # type: ignore[no-untyped-def]
-    """``value`` less the solution u of (W + penalty D'D) u = penalty D'D value, which is small: so is its round-off."""
+def _solve(value, penalty, table, row, z):  # type: ignore[no-untyped-def]
+    """Fill ``z`` with ``value`` less the solution u of (W + penalty D'D) u = penalty D'D value.
+
+    That is small, and so is its round-off.
+    """
     n = value.size
-    z = np.empty(n)
     z1 = z2 = z3 = a1 = b1 = b2 = c1 = c2 = c3 = t1 = t2 = t3 = 0.0
     for i in range(n):
         t0 = 0.0
@@ -208,14 +227,15 @@ def _solved(value, penalty, table, row):  # type: ignore[no-untyped-def]
         now = ((z[i] / table[k, 0] - table[k, 3] * z3) - table[k, 2] * z2) - table[k, 1] * z1
         z1, z2, z3 = now, z1, z2
         z[i] = value[i] - now
-    return z
 
 
-@njit(cache=True, nogil=True)
-def _inverse_diagonal(table, row):  # type: ignore[no-untyped-def]
-    """Diagonal of (L diag(d) L')^-1 from the last row up (Takahashi, Fagan and Chin 1973); settled rows are copied."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inverse_diagonal(table, row, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` with the diagonal of (L diag(d) L')^-1 from the last row up; settled rows are copied.
+
+    Source: Takahashi, Fagan and Chin 1973.
+    """
     n = row.size
-    out = np.empty(n)
     # the inverse at (i+1, i+1) ... (i+3, i+3)
     s11 = s12 = s13 = s22 = s23 = s33 = 0.0
     steady = 0
@@ -233,17 +253,3 @@ def _inverse_diagonal(table, row):  # type: ignore[no-untyped-def]
         steady = steady + 1 if same and abs(s00 - s11) <= SETTLED_VARIANCE * s00 else 0
         out[i] = s00
         s33, s23, s22, s13, s12, s11 = s22, s12, s11, s02, s01, s00
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _penalty_row(i, n):  # type: ignore[no-untyped-def]
-    """Entries (i, i) to (i, i + 3) of D'D for the third difference of ``n`` values."""
-    stencil = (-1.0, 3.0, -3.0, 1.0)
-    row = np.zeros(4)
-    for first in range(max(0, i - 3), min(i, n - 4) + 1):
-        for k in range(4):
-            j = i + k - first
-            if j < 4:
-                row[k] += stencil[i - first] * stencil[j]
-    return row[0], row[1], row[2], row[3]

@@ -12,8 +12,6 @@ from crankorder.shaft.pattern import ToothPattern, grid_of, known_names, pattern
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import IntArray
 
-# Teeth off the even grid of this share of all are there for the phase, and say little more of the angle.
-MAIN_SHARE = 0.85
 # A gap that is longer than a tooth by less than this share of what is missing there is none.
 ABSENT_SHARE = 0.25
 # A tooth beside a gap that sits this share of a tooth off the line of its neighbours says nothing of the angle.
@@ -36,6 +34,11 @@ class Wheel:
         return self.places.size == self.grid and not self.offsets.any()
 
     @property
+    def mostly_even(self) -> bool:
+        """Whether it has many teeth, all of an even wheel but for some gaps: then most intervals are alike."""
+        return self.places.size >= 8 and float(np.median(self.spans)) == 1.0 and not self.offsets.any()
+
+    @property
     def spans(self) -> IntArray:
         """Steps from each tooth to the next."""
         return np.diff(self.places, append=self.grid)
@@ -54,25 +57,13 @@ def wheel_of(pulses_per_rev: int, missing_teeth: int, tooth_angles_deg: Sequence
     return Wheel(grid, np.array(places), np.array(offsets), pattern.repeats, name)
 
 
-def coarsest_grid(wheel: Wheel) -> tuple[int, int]:
-    """Step and first place of the coarsest even grid that holds nearly all teeth of ``wheel``."""
-    if wheel.even:
-        return 1, 0
-    for step in range(wheel.grid // 2, 1, -1):
-        rest, counts = np.unique(wheel.places % step, return_counts=True)
-        if wheel.grid % step == 0 and counts.max() >= MAIN_SHARE * wheel.places.size:
-            return step, int(rest[np.argmax(counts)])
-    return 1, 0
-
-
-def gap_is_absent(time_s: FloatArray, kept: IntArray, count: IntArray, wheel: Wheel) -> bool:
+def gap_is_absent(time_s: FloatArray, kept: IntArray, tooth: IntArray, wheel: Wheel) -> bool:
     """Whether the longest interval in a gap of the wheel is mostly no longer than a tooth.
 
-    ``time_s``: (pulses,), s. ``kept``: which of them are true. ``count``: the tooth of each of these on ``wheel``,
-    counted on from turn to turn.
+    ``time_s``: (pulses,), s. ``kept``: which of them are true. ``tooth``: their numbers on the grid of ``wheel``.
     """
-    number, span = count % wheel.places.size, wheel.spans
-    gaps = 2 + np.flatnonzero((span[number[2:-3]] > 1) & (np.diff(count)[2:-2] == 1))
+    number, span = np.searchsorted(wheel.places, tooth % wheel.grid), wheel.spans
+    gaps = 2 + np.flatnonzero((span[number[2:-3]] > 1) & (np.diff(tooth)[2:-2] == span[number[2:-3]]))
     if gaps.size < 3 or span.min() > 1:
         return False
     longest = np.maximum.reduceat(np.diff(time_s), kept[:-1])[gaps]
@@ -88,7 +79,7 @@ def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: li
     """
     displaced = np.zeros(tooth.size, dtype=np.bool_)
     spans = wheel.spans
-    if wheel.places.size < 8 or spans.max() == 1 or np.median(spans) > 1 or wheel.offsets.any():
+    if not wheel.mostly_even or spans.max() == 1:
         return displaced
     off, place = {}, tooth % wheel.grid
     for number in range(spans.size):

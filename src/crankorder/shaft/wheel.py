@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,8 +15,9 @@ from crankorder.shaft.index_marks import at_index
 from crankorder.shaft.pattern_search import find_pattern
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import IntArray as IntArray
-from crankorder.shaft.repair import followed_wheel, listed_times, running_part
-from crankorder.shaft.uneven import Wheel, coarsest_grid, displaced_teeth, gap_is_absent, times_on_grid, wheel_of
+from crankorder.shaft.repair import listed_times, running_part
+from crankorder.shaft.train_ends import ends_put_right, followed_from_steady
+from crankorder.shaft.uneven import Wheel, displaced_teeth, gap_is_absent, times_on_grid, wheel_of
 
 # A short interval that completes one tooth with its neighbour, within this share of it, was cut by a false pulse.
 SPLIT_SHARE = 0.25
@@ -99,7 +101,7 @@ def number_teeth(
     index_tooth, index_period = 0.0 if certain else np.nan, float(wheel.grid)
     if not (certain or wheel.even):
         flags.append(_no_phase(wheel))
-    if index_time_s is not None and index_time_s.size:
+    if index_time_s is not None:
         periods = (wheel.grid, wheel.grid * ratio)
         tooth, index_tooth, index_period = at_index(kept_time, tooth, index_time_s, periods, flags, renumber=wheel.even)
         kept_time, tooth = _growing(kept_time, tooth)
@@ -112,11 +114,8 @@ def number_teeth(
         if not true.all():
             kept_time, tooth = kept_time[true], tooth[true]
         kept_time = times_on_grid(kept_time, tooth, wheel)
-    n_repaired, (step, first) = n_false + int(lost.size), coarsest_grid(wheel)
-    if step > 1:
-        main = (tooth - first) % step == 0
-        kept_time, tooth, index_tooth = kept_time[main], (tooth[main] - first) // step, (index_tooth - first) / step
-    return NumberedTeeth(kept_time, tooth, index_tooth, n_repaired, flags, wheel.grid // step, index_period / step)
+    n_repaired = n_false + int(lost.size)
+    return NumberedTeeth(kept_time, tooth, index_tooth, n_repaired, flags, wheel.grid, index_period)
 
 
 def _followed_even(
@@ -124,28 +123,23 @@ def _followed_even(
 ) -> tuple[IntArray, IntArray]:
     """Pulses that are true and the number of the tooth of each, on a wheel of even teeth."""
     window = max(2, min(8, teeth // 8))
-    kept, tooth = _counted(
-        time_s,
-        np.full(window, np.median(np.diff(time_s[: 4 * window + 8]))),
-        settings.double_pulse_ratio,
-        settings.lost_pulse_ratio,
-        noise_s * np.sqrt(12.0),
-    )
-    return kept, tooth
+    recent = np.full(window, np.median(np.diff(time_s[: 4 * window + 8])))
+    kept, tooth = np.zeros(time_s.size, dtype=np.int64), np.zeros(time_s.size, dtype=np.int64)
+    slack_s = noise_s * math.sqrt(12.0)
+    n = _count(time_s, recent, settings.double_pulse_ratio, settings.lost_pulse_ratio, slack_s, kept, tooth)
+    return kept[:n], tooth[:n]
 
 
 def _followed_uneven(time_s: FloatArray, wheel: Wheel, settings: ShaftSettings) -> tuple[IntArray, IntArray, bool]:
     """Pulses that are true, the number of the tooth of each, and whether the wheel tells which tooth is the first."""
-    places = (wheel.places + wheel.offsets) / wheel.grid
-    followed = followed_wheel(time_s, places, repeats=wheel.repeats)
-    count, n = followed.count, wheel.places.size
+    followed, kept, tooth = followed_from_steady(time_s, wheel)
     if followed.misfit > MOST_MISFIT:
         raise _uncertain(time_s, 0, 0, wheel, settings)
-    if gap_is_absent(time_s, followed.kept, count, wheel):
+    if gap_is_absent(time_s, kept, tooth, wheel):
         raise _other_wheel("no gap found in the pulse train", time_s, wheel)
     certain = wheel.repeats == 1 and followed.margin >= CERTAIN_MARGIN
-    turn = count // n
-    return followed.kept, turn * wheel.grid + wheel.places[count - turn * n], certain
+    kept, tooth = ends_put_right(time_s, kept, tooth, wheel)
+    return kept, tooth, certain
 
 
 def _no_phase(wheel: Wheel) -> Remark:
@@ -194,21 +188,20 @@ def _check_times(time_s: FloatArray) -> None:
         )
 
 
-@njit(cache=True, nogil=True)
-def _counted(time_s, recent, double_ratio, lost_ratio, slack_s):  # type: ignore[no-untyped-def]
-    """Which pulses are true, and the number of the tooth of each one of them.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count(time_s, recent, double_ratio, lost_ratio, slack_s, kept, tooth):  # type: ignore[no-untyped-def]
+    """Fill in which pulses are ``kept`` and the number of the ``tooth`` of each one of them; how many they are.
 
     The time of one tooth is followed as the mean over ``recent``, the last few intervals.
     """
-    n, window = time_s.size, recent.size
-    kept, tooth = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    kept[0], tooth[0], m, share, slot = 0, 0, 1, 1.0 / window, 0
-    total, last, count = recent.sum(), time_s[0], 0
+    n, window, m, slot, count, last = time_s.size, recent.size, 1, 0, 0, time_s[0]
+    share, total = 1.0 / window, recent[0] * window
     for i in range(1, n):
         tooth_s, interval = total * share, time_s[i] - last
         teeth = 1
         if interval > lost_ratio * tooth_s + slack_s:
-            teeth = max(1, int(interval / tooth_s + 0.5))
+            teeth = int(interval / tooth_s + 0.5)
+            teeth = teeth if teeth > 1 else 1
             interval /= teeth
         elif interval < (1.0 - SPLIT_SHARE) * tooth_s - slack_s:
             if interval < double_ratio * tooth_s - slack_s or interval <= 0.0:
@@ -230,7 +223,7 @@ def _counted(time_s, recent, double_ratio, lost_ratio, slack_s):  # type: ignore
         slot += 1
         if slot == window:
             slot = 0
-    return kept[:m], tooth[:m]
+    return m
 
 
 def _growing(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, IntArray]:

@@ -1,4 +1,4 @@
-"""What a data-acquisition system makes of a signal: its clock, its delays, its converter and its number type."""
+"""What a data-acquisition system makes of a signal: its clock, its converter and its number type."""
 
 from __future__ import annotations
 
@@ -37,40 +37,6 @@ def true_rate_hz(acquisition: Acquisition, rate_hz: float) -> float:
     ``rate_hz``: what the label says, > 0.
     """
     return rate_hz * (1 + acquisition.clock_error_ppm * 1e-6)
-
-
-def delay_margin(delay_samples: float) -> int:
-    """Samples that :func:`delayed` needs before the first and behind the last one: ``delay_samples`` of either sign."""
-    from crankorder.fft.resampling import margin
-
-    return margin() + math.ceil(abs(delay_samples))
-
-
-def delayed(
-    signal: NDArray[np.float64], delay_samples: float, *, margin_samples: int | None = None
-) -> NDArray[np.float64]:
-    """``signal`` as it is ``delay_samples`` earlier, without its margins: shape (n,).
-
-    A delay of whole samples is exact; otherwise the error is 1e-7 (RMS, relative) for content up to 0.4 of the rate,
-    beyond which it grows fast.
-
-    ``signal``: shape (margin + n + margin,). ``delay_samples``: > 0 comes later, < 0 earlier. ``margin_samples``: the
-    margin, at least that of :func:`delay_margin`, which it is where it is not stated.
-    Raises ValueError for a smaller margin or a signal that is all margin.
-    """
-    from crankorder.fft.resampling import values_at
-
-    margin = delay_margin(delay_samples) if margin_samples is None else margin_samples
-    n_samples = signal.size - 2 * margin
-    if margin < delay_margin(delay_samples) or n_samples < 1:
-        raise ValueError(f"a delay of {delay_samples} samples needs {delay_margin(delay_samples)} at either end")
-    if delay_samples == round(delay_samples):
-        first = margin - round(delay_samples)
-        return signal[first : first + n_samples]
-    shifted: NDArray[np.float64] = values_at(
-        signal[None, :], margin - delay_samples + np.arange(n_samples, dtype=np.float64)
-    )[0]
-    return shifted
 
 
 def recorded(

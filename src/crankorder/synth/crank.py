@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.synth.in_cycle import lag_by_order, lag_from_torque
-from crankorder.synth.motion import Lag, Motion, wander_wobbles
+from crankorder.engine.in_cycle import TORQUE_ORDERS, Lag, lag_from_torque
+from crankorder.errors import RequestError
+from crankorder.synth.in_cycle import lag_by_order
+from crankorder.synth.motion import Motion, wander_wobbles
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import OtherShaft, TimeSampling
 from crankorder.synth.scene import Run, Scene
-
-TORQUE_ORDERS = 20
-"""Highest order of the torque that moves the flywheel: what is above turns it by less than a millionth of these."""
 
 
 def start_angle_rev(scene: Scene, run: Run) -> float:
@@ -43,7 +42,7 @@ def crank_motion(scene: Scene, run: Run) -> Motion:
         start_rev=start_angle_rev(scene, run),
         corners=_on_samples(scene, scene.speed_profile.corners) if scene.speed_profile else ((0.0, run.speed_rpm),),
         wobbles=wobbles,
-        lag=_lag(scene, run.speed_rpm) if scene.in_cycle_speed is not None else None,
+        lag=_lag(scene, _steady_rpm(scene, run)) if scene.in_cycle_speed is not None else None,
     )
 
 
@@ -60,13 +59,25 @@ def _on_samples(scene: Scene, corners: tuple[tuple[float, float], ...]) -> tuple
     return tuple((round(time_s * rate_hz) / rate_hz, rpm) for time_s, rpm in corners)
 
 
+def _steady_rpm(scene: Scene, run: Run) -> float:
+    """Speed at which the in-cycle motion is exact: of a profile the highest, either way."""
+    return run.speed_rpm if scene.speed_profile is None else max(map(abs, scene.speed_range_rpm)) or 1.0
+
+
 def _lag(scene: Scene, speed_rpm: float) -> Lag:
     assert scene.in_cycle_speed is not None
-    if scene.in_cycle_speed.flywheel_inertia_kg_m2 is None:
+    if scene.in_cycle_speed.by_order:
         return lag_by_order(scene.in_cycle_speed.by_order)
+    inertia = scene.in_cycle_speed.flywheel_inertia_kg_m2 or scene.engine.flywheel_inertia_kg_m2
+    if inertia is None:
+        raise RequestError(
+            "neither the scene nor its engine says how large the flywheel is",
+            place="in_cycle_speed",
+            allowed="by_order, or flywheel_inertia_kg_m2 here or in the engine",
+        )
     return lag_from_torque(
         scene.engine,
-        flywheel_inertia_kg_m2=scene.in_cycle_speed.flywheel_inertia_kg_m2,
+        flywheel_inertia_kg_m2=inertia,
         speed_rpm=speed_rpm,
         highest_order=TORQUE_ORDERS,
         with_gas=scene.gas_torque is not None and scene.engine.gas is not None,
@@ -74,7 +85,7 @@ def _lag(scene: Scene, speed_rpm: float) -> Lag:
 
 
 def begun_earlier(motion: Motion, seconds: float) -> Motion:
-    """The same ``motion`` on a clock that starts ``seconds`` before the first sample."""
+    """The same ``motion`` on a clock that starts ``seconds`` before the first sample, or after it where negative."""
     if seconds == 0:
         return motion
     return replace(

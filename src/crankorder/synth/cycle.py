@@ -13,8 +13,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.motion import Lag, Motion
+from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines
 
 Floats = NDArray[np.float64]
@@ -55,6 +56,8 @@ def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Flo
         if lines.inertia[line]:
             masses: Complex = ratio**2 * (rise**2 - 1j / (2 * np.pi * lines.order[line]) * bend)
             return masses
+        if lines.accelerates[line]:
+            return ratio**2 / (2 * np.pi) * bend
         powers: Floats = (ratio * rise) ** float(exponent[line])
         return powers
 

@@ -37,14 +37,17 @@ class SpeedOrder(Part):
 
 
 class InCycleSpeed(Part):
-    """Speed within the cycle: given by order, or from the torque of masses (and gas) on a flywheel."""
+    """Speed within the cycle: given by order, or from the torque of masses (and gas) on a flywheel.
+
+    With neither key the flywheel is the engine's.
+    """
 
     by_order: tuple[SpeedOrder, ...] = Field(default=(), strict=False)
     flywheel_inertia_kg_m2: Positive | None = None
 
     @model_validator(mode="after")
     def _one_way_of_saying_it(self) -> Self:
-        if bool(self.by_order) == (self.flywheel_inertia_kg_m2 is not None):
+        if self.by_order and self.flywheel_inertia_kg_m2 is not None:
             raise ValueError("give either by_order or flywheel_inertia_kg_m2")
         if sum(part.percent for part in self.by_order) >= 90:
             raise ValueError("by_order adds up to a shaft that nearly stands still within the cycle")
@@ -81,7 +84,7 @@ class InjectedOrder(Part):
     direction: Axis
     force_n: NonNegative
     at_speed_rpm: Positive
-    speed_exponent: float = 2.0
+    speed_exponent: Annotated[float, Field(ge=-10, le=10)] = 2.0
     phase_deg: float = 0.0
     shaft: Name | None = None
     cause: Cause = "injected"

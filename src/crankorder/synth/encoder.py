@@ -147,7 +147,7 @@ def _is_plain(motion: Motion, encoder: Encoder) -> bool:
 
 def _plain_signals(motion: Motion, encoder: Encoder, *, rate_hz: float, n_samples: int) -> EncoderSignals:
     start_turn = float(encoder_turn(np.array([motion.start_rev]), encoder)[0])
-    if start_turn < 0:
+    if not 0 <= start_turn < 1e3:  # whole turns would only cost digits, or not fit the counter
         start_turn -= math.floor(start_turn)
     trace, index = sampled_encoder(
         start_turn,

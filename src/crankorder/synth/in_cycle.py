@@ -1,29 +1,17 @@
-"""How unevenly a shaft turns within its cycle: from shares of its speed by order, or from torques on a flywheel."""
+"""How unevenly a shaft turns within its cycle, from shares of its speed by order."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crankorder.engine.definition import Engine
-from crankorder.engine.forces import inertia_torque_by_order
-from crankorder.engine.gas import gas_torque_by_order
-from crankorder.engine.slider_crank import sine_cosine
+from crankorder.engine.in_cycle import Lag, lag_of_speed
 from crankorder.errors import RequestError
 from crankorder.synth.effects import SpeedOrder
-from crankorder.synth.motion import SHORTEST_STEP, Lag
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-SLOWEST_SHARE = 0.1
-"""Of the mean speed: a shaft that falls below it within the cycle counts as one that stops."""
-NOTHING = 1e-15
-"""Of the mean speed: lines of the uneven speed below it are left out."""
-MOST_ANGLES = 1 << 22
+LEAST_STEP, MOST_STEPS = 0.01, 10_000
+"""Finest step that the orders of a speed may share, and how many: a line of a force becomes one at every step."""
 
 
 def lag_by_order(parts: Sequence[SpeedOrder]) -> Lag:
@@ -34,138 +22,16 @@ def lag_by_order(parts: Sequence[SpeedOrder]) -> Lag:
     multiples and combinations too, down to round-off.
 
     ``parts``: order, percent and phase of each, at least one. Raises RequestError for orders that no cycle of up to
-    10 000 revolutions holds, and where the speed falls below a tenth of its mean.
+    100 revolutions holds or above 10 000 cycles, and where the speed falls below a tenth of its mean.
     """
     zero = np.zeros(len(parts), dtype=np.complex128)
     order = np.array([part.order for part in parts])
     step = Lag(order=np.unique(order), inertia=zero[: np.unique(order).size], gas=zero[: np.unique(order).size]).step
-    if not step:
-        allowed = f"multiples of one step of at least {SHORTEST_STEP:g}"
+    if step < LEAST_STEP or order.max() > MOST_STEPS * step:
+        allowed = f"up to {MOST_STEPS} multiples of one step of at least {LEAST_STEP:g}"
         raise RequestError("orders of the in-cycle speed have no common cycle", place="by_order", allowed=allowed)
     line = np.rint(order / step).astype(int)
     speed = np.zeros(line.max() + 1, dtype=np.complex128)
     share = np.array([part.percent / 100 for part in parts])
     np.add.at(speed, line, share * np.exp(2j * np.pi * np.array([part.phase_deg for part in parts]) / 360))
-    n_angles = _enough_angles(line.max())
-    while True:
-        even = _over_a_cycle(speed, n_angles)
-        if even.min() <= SLOWEST_SHARE - 1:
-            raise _stops(1 + float(even.min()), "by_order")
-        rise = 1 / (1 + even)
-        lines = _lines(rise / rise.mean())
-        if _is_resolved(lines) or n_angles >= MOST_ANGLES:
-            return _lag(lines, np.zeros_like(lines), step, 1.0)
-        n_angles *= 2
-
-
-def lag_from_torque(
-    engine: Engine, *, flywheel_inertia_kg_m2: float, speed_rpm: float, highest_order: float, with_gas: bool
-) -> Lag:
-    """Lag of the crank of ``engine`` whose masses, and gas, work on a flywheel: ½ I ω² = constant + ∫ torque dφ.
-
-    The torque is that at the steady ``speed_rpm``: ω_mean² times the masses' torque over ω² of all cylinders, plus the
-    gas torque less its mean, which the load takes. The constant is such that a cycle takes as long as at the mean
-    speed: the mean is over time. The lag follows from 1/ω as it is, not from its linear part.
-
-    At ``speed_rpm``, the lag's ``reference_rpm``, inertia and gas parts together are exact. The inertia part is exact
-    without gas, so at any speed where ``with_gas`` is false; the gas part is the rest. At another mean speed n the gas
-    part goes with (speed_rpm / n)², as its work over ω² does: exact to first order of the irregularity.
-
-    ``engine``: lengths, masses, cylinders and gas. ``flywheel_inertia_kg_m2``: I, of all that turns with the crank,
-    > 0. ``speed_rpm``: > 0. ``highest_order``: of the torque, ≥ 1. ``with_gas``: whether the gas works too.
-    Raises RequestError where the shaft would stop, that is fall below a tenth of its mean speed, within the cycle,
-    and where there is no gas to work.
-    Source: energy, T dφ = d(½ I ω²), with the torque of :func:`crankorder.engine.forces.inertia_torque_by_order`.
-    """
-    if with_gas and engine.gas is None:
-        raise RequestError(
-            "the engine has no gas", place="gas", remedy="Give the engine a [gas] or leave out gas_torque"
-        )
-    omega = speed_rpm * math.pi / 30
-    cycle = engine.revs_per_cycle if with_gas else 1
-    masses = np.zeros(math.floor(highest_order * cycle) + 1, dtype=np.complex128)
-    of_masses = _inertia_torque(engine, max(1, math.floor(highest_order)))
-    masses[::cycle] = of_masses[: masses[::cycle].size]
-    gas = np.zeros_like(masses)
-    if with_gas:
-        gas = gas_torque_by_order(engine, math.ceil(highest_order))[1][: masses.size] / omega**2
-    orders = np.arange(masses.size) / cycle
-    work = [_work(torque, orders) * 2 / flywheel_inertia_kg_m2 for torque in (masses, masses + gas)]
-    n_angles = _enough_angles(masses.size - 1)
-    while True:
-        inertia, both = (_lines(_rise(_over_a_cycle(energy, n_angles))) for energy in work)
-        if (_is_resolved(inertia) and _is_resolved(both)) or n_angles >= MOST_ANGLES:
-            return _lag(inertia, both - inertia if with_gas else np.zeros_like(both), 1 / cycle, speed_rpm)
-        n_angles *= 2
-
-
-def _inertia_torque(engine: Engine, max_order: int) -> Complex:
-    """Torque over ω² (kg·m²) of the masses of all cylinders on the crank, orders 0 … ``max_order`` of its angle."""
-    lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
-    sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(max_order + 1))
-    torque: Complex = inertia_torque_by_order(engine, max_order) * (cosine + 1j * sine).sum(axis=0)
-    return torque
-
-
-def _work(torque: Complex, orders: Floats) -> Complex:
-    """∫ torque dφ by order, without its mean."""
-    work = np.zeros_like(torque)
-    work[1:] = torque[1:] / (1j * orders[1:])
-    return work
-
-
-def _rise(energy: Floats) -> Floats:
-    """Mean speed over speed at the angles of a cycle, from the change of ω²/ω_mean² without its mean; its mean is 1."""
-    level = max(1.0, SLOWEST_SHARE**2 - float(energy.min()))
-    if np.mean(1 / np.sqrt(level + energy)) < 1 - 1e-9 and level > 1:
-        raise _stops(SLOWEST_SHARE, "flywheel_inertia_kg_m2")
-    for _ in range(100):  # Newton from the left of a falling convex curve: never beyond its zero
-        squared = level + energy
-        missing = float(np.mean(squared**-0.5)) - 1
-        move = 2 * missing / float(np.mean(squared**-1.5))
-        level += move
-        if abs(move) <= 1e-16 * level:
-            break
-    rise: Floats = 1 / np.sqrt(level + energy)
-    return rise
-
-
-def _enough_angles(highest_line: int) -> int:
-    return 1 << max(10, math.ceil(math.log2(16 * (highest_line + 1))))
-
-
-def _over_a_cycle(lines: Complex, n_angles: int) -> Floats:
-    """Re Σ lines_k · exp(2πi k j / n) for j = 0 … n − 1."""
-    padded = np.zeros(n_angles // 2 + 1, dtype=np.complex128)
-    padded[: lines.size] = lines
-    padded[1:] /= 2
-    return np.fft.irfft(padded, n_angles) * n_angles
-
-
-def _lines(values: Floats) -> Complex:
-    lines: Complex = np.fft.rfft(values) * (2 / values.size)
-    lines[0] /= 2
-    return lines
-
-
-def _is_resolved(lines: Complex) -> bool:
-    return bool(np.abs(lines[lines.size // 2 :]).max() <= NOTHING)
-
-
-def _lag(inertia: Complex, gas: Complex, step: float, reference_rpm: float) -> Lag:
-    """Lag from the lines of mean speed over speed: their integral over the crank angle."""
-    kept = np.flatnonzero(np.maximum(np.abs(inertia), np.abs(gas)) > NOTHING)
-    kept = kept[kept > 0]
-    order = kept.astype(np.float64) * step
-    turned = 2j * np.pi * order
-    return Lag(order=order, inertia=inertia[kept] / turned, gas=gas[kept] / turned, reference_rpm=reference_rpm)
-
-
-def _stops(share: float, place: str) -> RequestError:
-    return RequestError(
-        "the shaft would stop within the cycle",
-        place=place,
-        found=f"a slowest speed at or below {100 * share:.3g} % of the mean",
-        allowed=f"above {100 * SLOWEST_SHARE:g} %",
-        remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
-    )
+    return lag_of_speed(speed, step=step)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.in_cycle import Lag
+from crankorder.engine.rod import two_masses
+from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosine
 from crankorder.synth.crank import crank_motion
 from crankorder.synth.cycle import lines_in_angle, lines_in_time
 from crankorder.synth.impacts import slipping_line
-from crankorder.synth.motion import Lag
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.order_forces import ForceLines
 from crankorder.synth.parts import AXES, OtherShaft
@@ -21,6 +23,8 @@ from crankorder.synth.response import accelerance
 from crankorder.synth.scene import Run, Scene
 
 Complex = NDArray[np.complex128]
+ANGLES = 1 << 14
+"""Of a revolution, at which the inertia of the masses about the crank is looked at: as many as for a gas torque."""
 SIDEBAND = "in-cycle speed"
 """Cause of a line that no force has: the shaft's uneven turning makes it of those that have one."""
 
@@ -48,6 +52,7 @@ class _Force:
     exponent: float = 2.0
     inertia: bool = False
     gas: bool = False
+    acceleration: bool = False
 
 
 def crank_forces(scene: Scene) -> ForceLines:
@@ -70,7 +75,8 @@ def driven_lines(scene: Scene, forces: ForceLines, speed_rpm: float, lag: Lag | 
 
     ``scene``: structure and filter. ``lag``: in-cycle motion of the shaft, which gives every line sidebands.
     """
-    order, force, cause = forces.order, forces.at_speed(speed_rpm), forces.cause
+    steady = forces.only(~forces.accelerates) if lag is None else forces
+    order, force, cause = steady.order, steady.at_speed(speed_rpm), steady.cause
     if lag is not None and order.size:
         known = dict(zip(order.tolist(), cause, strict=True))
         order, force = lines_in_time(forces, lag, speed_rpm=speed_rpm)
@@ -106,11 +112,13 @@ def strikes_per_rev(orders: dict[str, float], line: str) -> float:
 def order_lines(scene: Scene, run: Run, speed_rpm: float | None = None) -> OrderLines:
     """What a perfect order analysis of ``run`` finds at a steady ``speed_rpm`` (the run's own unless stated).
 
-    ``scene``: engine, structure and effects. A line that two effects make is there twice; the lines add up.
+    ``scene``: engine, structure, effects and what stands behind the sensors, a channel's delay included (for bearing
+    lines that of the mean rotation). A line that two effects make is there twice; the lines add up.
     """
     speed = run.speed_rpm if speed_rpm is None else speed_rpm
     lag = crank_motion(scene, run).lag if scene.in_cycle_speed is not None else None
-    driven, fixed = driven_lines(scene, crank_forces(scene), speed, lag), fixed_lines(scene, run)
+    driven = _late(scene, driven_lines(scene, crank_forces(scene), speed, lag), speed)
+    fixed = _late(scene, fixed_lines(scene, run), speed)
     if lag is not None and driven.order.size:
         known = dict(zip(driven.order.tolist(), driven.cause, strict=True))
         order, amplitude = lines_in_angle(driven.order, driven.amplitude, lag, speed_rpm=speed)
@@ -124,6 +132,12 @@ def order_lines(scene: Scene, run: Run, speed_rpm: float | None = None) -> Order
     )
 
 
+def _late(scene: Scene, lines: OrderLines, speed_rpm: float) -> OrderLines:
+    """``lines`` of the mean rotation at ``speed_rpm`` as channels with a delay have them."""
+    delay_rev = scene.by_channel(scene.acquisition.delay_s) * speed_rpm / 60
+    return replace(lines, amplitude=lines.amplitude * np.exp(-2j * np.pi * np.outer(delay_rev, lines.order)))
+
+
 def _masses(scene: Scene) -> list[_Force]:
     """Inertia forces of the engine's masses, with their moments where the scene asks for these."""
     if scene.engine_forces is None:
@@ -134,11 +148,42 @@ def _masses(scene: Scene) -> list[_Force]:
     if scene.engine_forces.moments:
         acts[3:] = crankcase_moments(scene.engine, at_rpm, max_order=top)
     cause = "rotating" if scene.engine.reciprocating_mass_kg == 0 else "reciprocating"
-    return [
+    forces = [
         _Force(float(k), acts[:, k], cause, at_speed_rpm=at_rpm, inertia=True)
         for k in range(1, top + 1)
         if acts[:, k].any()
     ]
+    if scene.engine_forces.moments and _accelerates(scene):
+        rolls = _acceleration_moment(scene, top) * (at_rpm * np.pi / 30) ** 2
+        forces += [
+            _Force(float(k), rolls[:, k], cause, at_speed_rpm=at_rpm, acceleration=True)
+            for k in range(top + 1)
+            if rolls[:, k].any()
+        ]
+    return forces
+
+
+def _accelerates(scene: Scene) -> bool:
+    """Whether the crank ever has an angular acceleration."""
+    return any((scene.speed_profile, scene.speed_wobbles, scene.speed_wander, scene.in_cycle_speed))
+
+
+def _acceleration_moment(scene: Scene, top: int) -> Complex:
+    """Rolling moment per angular acceleration (kg·m²) that inertia lines lack, by axis and order 0 … ``top``.
+
+    The masses' torque on the crank is −(½ I′ω² + I α), I(φ) their inertia about it, and rolls the crankcase the other
+    way. Inertia lines, right for what moves in proportion to ω, make ½ I α of it, without the mean: this is the rest.
+    Source: energy, T = −d/dt (½ I ω²) / ω, as for :func:`crankorder.engine.forces.inertia_torque_by_order`.
+    """
+    engine, angle_rev = scene.engine, np.arange(ANGLES) / ANGLES
+    inertia = engine.reciprocating_mass_kg * piston_velocity(angle_rev, engine.mechanism) ** 2
+    inertia += two_masses(engine).missing_inertia_kg_m2 * rod_angle(angle_rev, engine.mechanism)[1] ** 2
+    lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
+    sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(top + 1))
+    moment = np.zeros((len(AXES), top + 1), dtype=np.complex128)
+    # half of the lines' peaks, and the whole of the mean
+    moment[AXES.index("RY")] = np.fft.rfft(inertia)[: top + 1] / ANGLES * (cosine + 1j * sine).sum(axis=0)
+    return moment
 
 
 def _gas(scene: Scene) -> list[_Force]:
@@ -177,5 +222,6 @@ def _stacked(forces: list[_Force]) -> ForceLines:
         exponent=np.array([force.exponent for force in forces]),
         inertia=np.array([force.inertia for force in forces], dtype=bool),
         gas=np.array([force.gas for force in forces], dtype=bool),
+        acceleration=np.array([force.acceleration for force in forces], dtype=bool),
         cause=tuple(force.cause for force in forces),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,19 +11,23 @@ from pydantic import ValidationError
 
 from crankorder.engine.definition import load_engine
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
-from crankorder.settings import toml_table, validation_fault
+from crankorder.settings import shipped, toml_table, validation_fault
 from crankorder.synth.demands import unmet_demands
 from crankorder.synth.scene import Scene
 
+OF_QUICK = {"sampling", "speeds", "speed_profile", "repeats"}
+"""Keys of a scene of which a table [quick] states less."""
 MAX_DEPTH = 4
 """Scenes that may be based on one another in a row."""
+LEAST, MOST = 1e-30, 1e12
+"""Size of a number other than 0: beyond these nothing is physical, and products leave the range of the numbers."""
 
 
 def load_scene(name: str, beside: Path | None = None) -> Scene:
     """Scene from a shipped file of ``pipeline/scenes`` or a user's TOML file, its engine loaded and everything checked.
 
     A scene may name another with ``based_on``: it then has all of that scene's keys but those that it states itself and
-    those that it lists as ``without``.
+    those that it lists as ``without``. Scenes and engines that a file names are tried beside that file first.
 
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which paths are tried first.
     Raises RequestError where there is no such file, ManyErrors with every fault: unknown effects and keys, values out
@@ -29,12 +35,16 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     """
     faults: list[CrankorderError] = []
     table, source = _whole_table(name, beside, faults)
+    if extremes := list(_extremes(table, source)):
+        raise ManyErrors([*faults, *extremes])
     if "engine_file" in table:
         faults.append(RequestError("unknown key", file=source, place="engine_file", remedy="Name the engine as engine"))
-    folder = beside if beside is not None else Path(name).parent if name.endswith(".toml") else None
     table["engine_file"] = table.get("engine", "")
+    if "engine" not in table:
+        known = f"{', '.join(shipped('engines'))}, or a path of a .toml file"
+        faults.append(RequestError("the scene names no engine", file=source, place="engine", allowed=known))
     try:
-        table["engine"] = load_engine(str(table["engine_file"]), folder)
+        table["engine"] = "engine" in table and load_engine(str(table["engine_file"]), _folder_of(name, beside))
     except ManyErrors as errors:
         faults += errors.faults
     except RequestError as error:
@@ -51,6 +61,11 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     return scene
 
 
+def _folder_of(name: str, beside: Path | None) -> Path | None:
+    """Folder of the scene ``name``, in which what it names is tried first; ``beside`` where it is a shipped one."""
+    return (beside or Path()).joinpath(name).parent if name.endswith(".toml") else beside
+
+
 def _whole_table(
     name: str, beside: Path | None, faults: list[CrankorderError], derived: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], str]:
@@ -64,13 +79,28 @@ def _whole_table(
     if not isinstance(based_on, str) or based_on in (*derived, name) or len(derived) >= MAX_DEPTH:
         allowed = f"the name of another scene, no circle, at most {MAX_DEPTH} deep"
         raise RequestError("no scene to be based on", file=source, place="based_on", found=based_on, allowed=allowed)
-    base, _ = _whole_table(based_on, beside, faults, (*derived, name))
-    left_out = without if isinstance(without, list) else [without]
+    base, _ = _whole_table(based_on, _folder_of(name, beside), faults, (*derived, name))
+    left_out = [str(key) for key in without] if isinstance(without, list) else [str(without)]
     for key in left_out:
         if key not in base:
             known = ", ".join(key for key in base if key in Scene.model_fields)
             faults.append(RequestError("nothing to leave out", file=source, place="without", found=key, allowed=known))
+    if table.keys() & OF_QUICK:
+        left_out = [*left_out, "quick"]  # its differences are from what this scene no longer has
     return {key: value for key, value in base.items() if key not in left_out} | table, source
+
+
+def _extremes(value: Any, source: str, place: str = "") -> Iterator[RequestError]:
+    """A fault for each number in ``value`` that is too large or too small for any scene."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, inner in items:
+            yield from _extremes(inner, source, f"{place}.{key}".lstrip("."))
+        return
+    number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
+    if number and value and not LEAST <= abs(value) <= MOST and place != "seed":
+        allowed = f"0, or {LEAST:g} … {MOST:g} either way"
+        yield RequestError("out of all proportion", file=source, place=place, found=value, allowed=allowed)
 
 
 def _validated(

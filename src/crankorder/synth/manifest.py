@@ -78,7 +78,7 @@ def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, Any]:
         table["tooth_angles_deg"] = list(encoder.tooth_angles_deg)
     if encoder.index:
         table["index"] = INDEX_TIME if counted else INDEX
-    if encoder.index or encoder.missing_teeth or encoder.tooth_angles_deg:
+    if encoder.index or encoder.missing_teeth or encoder.tooth_angles_deg or encoder.pulses_per_rev == 1:
         table["index_to_tdc_deg"] = encoder.index_to_tdc_deg
     return table if counted else table | {"edge": "rising"}
 

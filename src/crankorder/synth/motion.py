@@ -11,8 +11,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from crankorder.engine.in_cycle import Lag, stops_within_cycle
 from crankorder.errors import RequestError
 from crankorder.synth.fast_motion import BLOCK, REACH_RAD, TERMS, fill_motion, fill_times
 
@@ -26,82 +27,6 @@ LEAST_SWING = 1e-100
 """Speed (rev/s) that counts as none: far below it numbers lose their digits."""
 MOST_SPANS = 1 << 17
 """Parts of a recording in which turning points are looked for one by one; if more seem to have one, signs decide."""
-SHORTEST_STEP = 1e-4
-"""Finest step that orders of a lag may share."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lag:
-    """In-cycle motion: how far the crank is behind an even rotation, by order of the crank angle itself.
-
-    mean angle = crank angle + Re Σ (inertia + gas · (reference_rpm / mean speed)²) · exp(2πi order crank_angle). The
-    torque of the masses grows with speed squared, as the energy of the flywheel does: their part is the same at every
-    speed. ``order``: (k,), ascending, > 0. ``inertia``, ``gas``: complex (k,), rev. ``reference_rpm``: mean speed of
-    the gas part, > 0.
-    """
-
-    order: Floats
-    inertia: Complex
-    gas: Complex
-    reference_rpm: float = 1.0
-
-    def __post_init__(self) -> None:
-        sound = len(self.order) == len(self.inertia) == len(self.gas) and bool(np.all(np.diff(self.order) > 0))
-        if not sound or np.any(np.asarray(self.order) <= 0) or not self.reference_rpm > 0:
-            raise RequestError("no such lag", place="lag", allowed="ascending orders above 0, two parts of each")
-
-    @property
-    def has_gas(self) -> bool:
-        """Whether some of the lag depends on the speed."""
-        return bool(np.any(self.gas))
-
-    def by_order(self, speed_rpm: float) -> Complex:
-        """Complex lag (rev) of each order, shape (k,), at the mean ``speed_rpm`` (rpm, not 0 where there is gas)."""
-        return self.inertia + self.gas * (self.reference_rpm / speed_rpm) ** 2 if self.has_gas else self.inertia + 0
-
-    def at(self, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
-        """Lag (rev) at ``crank_angle_rev`` (any shape) and the mean ``speed_rpm``: mean less crank angle."""
-        turned = np.exp(2j * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)[..., None] * self.order)
-        lag: Floats = (turned @ self.by_order(speed_rpm)).real
-        return lag
-
-    @cached_property
-    def step(self) -> float:
-        """Largest order of which all orders are whole multiples; 0 where there is none (or none above 0.0001)."""
-        shared = Fraction(0)
-        for order in map(float, self.order):
-            near = Fraction(order).limit_denominator(round(1 / SHORTEST_STEP))
-            if abs(order - near) > 1e-12 * order:
-                return 0.0
-            shared = Fraction(
-                math.gcd(shared.numerator * near.denominator, near.numerator * shared.denominator),
-                shared.denominator * near.denominator,
-            )
-        return float(shared) if shared >= SHORTEST_STEP else 0.0
-
-    @cached_property
-    def slowest_rpm(self) -> float:
-        """Mean speed at and below which the shaft would stop within the cycle: 0 without gas, inf where it always does.
-
-        Taken at 64 angles for each period of the highest order.
-        """
-        period_rev = 1 / self.step if self.step else 64.0
-        highest = float(self.order[-1]) if len(self.order) else 1.0
-        angle = np.linspace(0, period_rev, 1 + max(64, math.ceil(64 * highest * period_rev)))
-        inertia = np.ones(angle.size)
-        gas = np.zeros(angle.size)
-        for order, of_inertia, of_gas in zip(self.order, self.inertia, self.gas, strict=True):
-            turned = 2j * np.pi * order * np.exp(2j * np.pi * order * angle)
-            inertia += (of_inertia * turned).real
-            gas += (of_gas * turned).real
-        if inertia.min() <= 0:
-            return math.inf
-        return self.reference_rpm * math.sqrt(max(0.0, float(np.max(-gas / inertia))))
-
-    def check(self, speed_rpm: float) -> None:
-        """Raise RequestError where the shaft would stop within the cycle at the mean ``speed_rpm``, either way."""
-        if math.isinf(self.slowest_rpm) or abs(speed_rpm) <= self.slowest_rpm > 0:
-            raise _stops(speed_rpm, self.slowest_rpm)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,7 +94,7 @@ class Motion:
         )
         if not least > 0:
             slowest_rpm = np.abs(self._mean(times, -1 if piece is None else piece)[1]).min()
-            raise _stops(float(slowest_rpm), lag.slowest_rpm if (lag := self.lag) else 0.0)
+            raise stops_within_cycle(float(slowest_rpm), lag.slowest_rpm if (lag := self.lag) else 0.0)
         return out[0], out[1], out[2]
 
     def stretches(self, duration_s: float) -> tuple[tuple[float, float], ...]:
@@ -387,13 +312,3 @@ def _filled(table: Floats, step: float) -> tuple[Floats, float]:
     filled[places] = table
     filled[:, 0] = step * np.arange(1, places[-1] + 2)
     return filled, step
-
-
-def _stops(rpm: float, slowest_rpm: float) -> RequestError:
-    return RequestError(
-        "the shaft would stop within the cycle",
-        place="in-cycle speed",
-        found=f"a mean speed of {rpm:g} rpm",
-        allowed="no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm",
-        remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
-    )

@@ -29,8 +29,9 @@ class ForceLines:
     ``order`` (line); ``amplitude`` complex peak (axis, line), N and N·m, at ``at_speed_rpm`` (line); ``exponent``
     (line): scale = |speed / at_speed|^exponent; ``inertia`` (line): forces of masses that the shaft moves, whose scale
     is (ω² − iα/order) / ω_at² with α the angular acceleration, exact for any motion; ``gas`` (line): lines that a
-    cycle's own gain multiplies; ``cause`` (line): what made each.
-    Raises RequestError where an inertia line has no order above 0.
+    cycle's own gain multiplies; ``cause`` (line): what made each; ``acceleration`` (line): lines whose scale is
+    α / ω_at², nothing at a steady speed; None where there are none.
+    Raises RequestError where an inertia line has no order above 0, and where a line is of both kinds.
     """
 
     order: Real
@@ -40,10 +41,18 @@ class ForceLines:
     inertia: NDArray[np.bool_]
     gas: NDArray[np.bool_]
     cause: tuple[str, ...]
+    acceleration: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         if np.any(self.order[self.inertia] <= 0):
             raise RequestError("forces of moving masses have orders above 0", found=self.order[self.inertia].tolist())
+        if np.any(self.inertia & self.accelerates):
+            raise RequestError("a line is one of inertia or one of acceleration", found="both")
+
+    @property
+    def accelerates(self) -> NDArray[np.bool_]:
+        """Which lines (line,) go with the angular acceleration alone."""
+        return np.zeros(self.order.size, dtype=np.bool_) if self.acceleration is None else self.acceleration
 
     def only(self, chosen: NDArray[np.bool_]) -> ForceLines:
         """The ``chosen`` (line,) lines."""
@@ -55,6 +64,7 @@ class ForceLines:
             inertia=self.inertia[chosen],
             gas=self.gas[chosen],
             cause=tuple(cause for cause, kept in zip(self.cause, chosen.tolist(), strict=True) if kept),
+            acceleration=self.accelerates[chosen],
         )
 
     def at_speed(self, speed_rpm: float) -> NDArray[np.complex128]:
@@ -62,10 +72,11 @@ class ForceLines:
 
         Raises RequestError where a force that falls with speed meets a standstill.
         """
-        exponent = np.where(self.inertia, 2.0, self.exponent)
+        exponent = np.where(self.inertia | self.accelerates, 2.0, self.exponent)
         if speed_rpm == 0 and np.any(exponent < 0):
             raise RequestError(ENDLESS, allowed="speed ≠ 0")
-        scaled: NDArray[np.complex128] = self.amplitude * (abs(speed_rpm) / self.at_speed_rpm) ** exponent
+        scale = np.where(self.accelerates, 0.0, (abs(speed_rpm) / self.at_speed_rpm) ** exponent)
+        scaled: NDArray[np.complex128] = self.amplitude * scale
         return scaled
 
     @cached_property
@@ -125,7 +136,7 @@ def force_at(
     Source: d²/dt² of X·exp(i·order·φ) for the inertia lines, φ̇ = ω, φ̈ = α.
     """
     force = np.zeros((lines.amplitude.shape[0], angle_rev.size))
-    if np.any(lines.exponent[~lines.inertia] < 0) and not np.all(speed_rpm):
+    if np.any(lines.exponent[~(lines.inertia | lines.accelerates)] < 0) and not np.all(speed_rpm):
         raise RequestError(ENDLESS, allowed="speed ≠ 0")
     sums = lines.sums
     ones = 1.0 if gain is None else gain
@@ -182,6 +193,8 @@ def _sums(lines: ForceLines) -> _Sums:
 def _factors(lines: ForceLines, number: int) -> list[tuple[_Factor, complex]]:
     """Factors of one line, and the share of its amplitude that each multiplies."""
     at, gas = float(lines.at_speed_rpm[number]), bool(lines.gas[number])
+    if lines.accelerates[number]:
+        return [(_Factor("acceleration", 1.0, 1.0, gas), RPM_PER_RAD_S / at**2)]
     if lines.inertia[number]:
         per_acceleration = -1j * RPM_PER_RAD_S / (float(lines.order[number]) * at**2)
         return [(_Factor("speed", 2.0, at, gas), 1.0), (_Factor("acceleration", 1.0, 1.0, gas), per_acceleration)]

@@ -72,7 +72,7 @@ class Speeds(Part):
         first, last, step = self.first_rpm or 0.0, self.last_rpm or 0.0, self.step_rpm or 1.0
         if last < first:
             return ()
-        steps = min(int((last - first) / step + 1e-9), 10_000)
+        steps = int(min((last - first) / step + 1e-9, 10_000))
         return tuple(first + step * k for k in range(steps + 1))
 
 

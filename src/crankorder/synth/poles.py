@@ -38,6 +38,15 @@ class Poles:
         """Time (s) in which the slowest pole falls to 1/e; 0 where there is no pole."""
         return float(np.max(-1 / self.pole_per_s.real, initial=0.0))
 
+    def seen_by(self, channels: NDArray[np.intp]) -> Poles:
+        """The poles as some ``channels`` (channel,), numbers from 0, see them."""
+        return Poles(
+            pole_per_s=self.pole_per_s,
+            input=self.input,
+            output=np.ascontiguousarray(self.output[channels]),
+            direct=self.direct[channels],
+        )
+
     def driven_on(self, axes: NDArray[np.bool_]) -> Poles:
         """The poles that forces on some ``axes`` (axis,) move, all others left out."""
         moved = self.input[:, axes].any(axis=1)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
-from crankorder.synth.acquisition import delay_margin, delayed
 from crankorder.synth.crank import begun_earlier, gain_of_cycle, other_motion
 from crankorder.synth.cycle import lines_in_angle
 from crankorder.synth.driven import driven_signal
@@ -171,18 +170,21 @@ def _steady(scene: Scene, run: Run, motion: Motion, frequency_hz: Signal, amplit
 
 
 def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]) -> Signal:
-    """Response of the structure to forces of shafts whose speed changes, by integration of its modes."""
-    delay_s, rate_hz = scene.by_channel(scene.acquisition.delay_s), scene.rate_hz(run.speed_rpm)
-    margin = max(delay_margin(delay * rate_hz) for delay in delay_s) if delay_s.any() else 0
-    signal = driven_signal(
-        poles_of(scene.structure, scene.filter),
-        [(forces, begun_earlier(motion, margin / rate_hz)) for forces, motion in sources],
-        rate_hz=rate_hz,
-        n_samples=scene.n_samples + 2 * margin,
-        gain_of_cycle=gain_of_cycle(scene, run),
-        revs_per_cycle=scene.engine.revs_per_cycle,
-    )
-    if not margin:
-        return signal
-    late = zip(signal, delay_s * rate_hz, strict=True)
-    return np.stack([delayed(row, float(delay), margin_samples=margin) for row, delay in late])
+    """Response of the structure to forces of shafts whose speed changes, by integration of its modes.
+
+    Channels of one delay are integrated together, on a clock that starts so much earlier: exact between samples too.
+    """
+    delay_s = scene.by_channel(scene.acquisition.delay_s)
+    poles, rate_hz = poles_of(scene.structure, scene.filter), scene.rate_hz(run.speed_rpm)
+    signal = np.empty((len(scene.channels), scene.n_samples))
+    for delay in sorted(set(delay_s.tolist())):
+        late = np.flatnonzero(delay_s == delay)
+        signal[late] = driven_signal(
+            poles.seen_by(late),
+            [(forces, begun_earlier(motion, delay)) for forces, motion in sources],
+            rate_hz=rate_hz,
+            n_samples=scene.n_samples,
+            gain_of_cycle=gain_of_cycle(scene, run),
+            revs_per_cycle=scene.engine.revs_per_cycle,
+        )
+    return signal

@@ -97,7 +97,7 @@ def with_signal_faults(
             if fault.channels and name not in fault.channels:
                 continue
             if isinstance(fault, DroppedSamples):
-                _move(fault, [mark for other, mark in marks if other == name], rate_hz)
+                _move(fault, [mark for other, mark in marks if other == name], rate_hz, samples.size)
             chance = seed_stream(seed, "signal_faults", str(number), stream, name)
             channel = _Channel(samples=samples, peak=_peak(clean), rate_hz=rate_hz, stream=chance, limits=limits)
             marks.append((name, _apply(fault, channel)))
@@ -165,11 +165,14 @@ def _peak(clean: Signal) -> float:
     return float(np.max(np.abs(clean), where=np.isfinite(clean), initial=0.0))
 
 
-def _move(fault: DroppedSamples, marks: list[_Mark], rate_hz: float) -> None:
-    """Let ``marks`` go with the samples that come early."""
+def _move(fault: DroppedSamples, marks: list[_Mark], rate_hz: float, n_samples: int) -> None:
+    """Let ``marks`` go with the samples that come early, and that of the last sample with those that it fills."""
     first = math.ceil(fault.at_s * rate_hz - 1e-6)
+    fill = np.arange(n_samples - fault.count, n_samples)
     for mark in marks:
-        mark.at = np.concatenate([mark.at[mark.at < first], mark.at[mark.at >= first + fault.count] - fault.count])
+        later = mark.at[mark.at >= first + fault.count] - fault.count
+        filled = fill if mark.at.size and mark.at[-1] == n_samples - 1 else fill[:0]
+        mark.at = np.concatenate([mark.at[mark.at < first], later, filled])
 
 
 def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces
@@ -14,7 +15,7 @@ from crankorder.quantities import Truth
 from crankorder.synth.effects import BearingImpacts, BearingLine
 from crankorder.synth.floor import floor_density
 from crankorder.synth.impacts import slipping_line
-from crankorder.synth.lines import SIDEBAND, OrderLines, order_lines, strikes_per_rev
+from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, strikes_per_rev
 from crankorder.synth.response import Structure
 from crankorder.synth.scene import Run, Scene
 
@@ -24,7 +25,9 @@ VISIBLE_DB = 14.0
 reaches 11.4 dB with a chance of 1e-6, and a line at 14 dB is above that 95 times in a hundred."""
 LEAST_SHARE = 1e-9
 """Of the largest line: what is below is in the recordings but not worth a record."""
-N_SPEEDS = 41
+SWEEP_PARTS = 40
+"""A line of a speed profile is said to show if it would in so large a part of the recording at one speed."""
+N_SPEEDS = 241
 """Steady speeds at which the lines of a speed profile are told."""
 PROMINENT_DB = 6.0
 """A mode is said to show in a channel where it lifts the floor at its natural frequency by this much."""
@@ -76,12 +79,16 @@ def _recording(scene: Scene, run: Run) -> dict[str, Any]:
 
 
 def _steady_speeds(scene: Scene, runs: tuple[Run, ...]) -> list[tuple[Run, float]]:
-    """Every recording with its speed; for a speed profile ``N_SPEEDS`` from its lowest to its highest."""
+    """Every recording with its speed; for a speed profile ``N_SPEEDS`` from its lowest to its highest.
+
+    Of a shaft that turns both ways they are the speeds from 0 up, as if it turned forwards.
+    """
     if scene.speed_profile is None:
         return [(run, run.speed_rpm) for run in runs]
-    low, high = sorted(abs(rpm) for rpm in scene.speed_range_rpm)
-    speeds = np.linspace(low if scene.speed_range_rpm[0] >= 0 else 0.0, high, N_SPEEDS)
-    return [(runs[0], float(speed)) for speed in speeds if speed > 0]
+    low, high = scene.speed_range_rpm
+    if low < 0 < high:
+        low, high = 0.0, max(-low, high)
+    return [(runs[0], float(speed)) for speed in np.linspace(low, high, N_SPEEDS) if speed != 0]
 
 
 def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
@@ -91,13 +98,13 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
     lines = [order_lines(scene, run, speed_rpm) for run, speed_rpm in steady]
     speed = np.array([speed_rpm for _, speed_rpm in steady])
     rate_hz = np.array([scene.rate_hz(rpm) for rpm in speed])
-    duration_s = scene.n_samples / rate_hz / (1 if scene.speed_profile is None else N_SPEEDS)
+    duration_s = scene.n_samples / rate_hz / (1 if scene.speed_profile is None else SWEEP_PARTS)
     records = []
     least = LEAST_SHARE * max(np.abs(part.amplitude).max(initial=0.0) for part in lines)
-    for order in np.unique(np.concatenate([part.order for part in lines])):
-        amplitude = np.array([part.amplitude[:, part.order == order].sum(axis=1) for part in lines]).T
-        at = zip(order * speed / 60, rate_hz, strict=True)
-        floor = np.concatenate([floor_density(scene, np.array([f]), scene.structure, rate) for f, rate in at], axis=1)
+    orders, amplitudes = _gathered(lines)
+    at = zip(np.abs(speed) / 60, rate_hz, strict=True)
+    floors = np.array([floor_density(scene, orders * turns_hz, scene.structure, rate) for turns_hz, rate in at])
+    for order, amplitude, floor in zip(orders, amplitudes.transpose(1, 2, 0), floors.transpose(2, 1, 0), strict=True):
         with np.errstate(divide="ignore", invalid="ignore"):
             above_floor_db = 10 * np.log10(np.abs(amplitude) ** 2 * duration_s / (2 * floor**2))
         for channel, name in enumerate(scene.channel_names):
@@ -123,6 +130,15 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
                 }
             )
     return records
+
+
+def _gathered(lines: list[OrderLines]) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Every order of ``lines``, and their amplitudes (speed, order, channel), those of one order added up."""
+    orders = np.unique(np.concatenate([part.order for part in lines]))
+    amplitudes = np.zeros((len(lines), orders.size, len(lines[0].amplitude)), dtype=np.complex128)
+    for at_speed, part in zip(amplitudes, lines, strict=True):
+        np.add.at(at_speed, np.searchsorted(orders, part.order), part.amplitude.T)
+    return orders, amplitudes
 
 
 def _strongest_cause(lines: OrderLines, order: float, channel: int) -> str:
@@ -163,17 +179,20 @@ def _modes(scene: Scene) -> list[dict[str, Any]]:
 def _crossings(scene: Scene, run: Run) -> list[dict[str, Any]]:
     """Every meeting of an order with a mode; excited where a force of that order drives the mode."""
     slowest, fastest = scene.speed_range_rpm
-    lines = order_lines(scene, run, max(abs(fastest), 1.0))
-    causes = {float(order): cause for order, cause in zip(lines.order, lines.cause, strict=True) if cause != SIDEBAND}
+    forces, bearing_lines = crank_forces(scene), fixed_lines(scene, run)
+    acting = forces.at_speed(max(abs(fastest), 1.0))
+    drives = np.abs(scene.structure.drive @ acting)
+    driven = drives > LEAST_SHARE * drives.max(initial=0.0)
+    orders = {*forces.order[acting.any(axis=0)].tolist(), *bearing_lines.order.tolist()}
     return [
         {
             "order": order,
             "mode_hz": mode.frequency_hz,
             "rpm": 60 * mode.frequency_hz / order,
             "in_range": slowest <= 60 * mode.frequency_hz / order <= fastest,
-            "excited": not causes[order].startswith("bearing"),
+            "excited": bool(driven[number, forces.order == order].any()),
         }
-        for order, mode in product(sorted(causes), scene.modes)
+        for order, (number, mode) in product(sorted(orders), enumerate(scene.modes))
     ]
 
 
@@ -236,10 +255,11 @@ def _balance(scene: Scene) -> dict[str, Any] | None:
     omega_squared = (1000 * np.pi / 30) ** 2
     first = crankcase_forces(engine, 1000.0, max_order=1)[:, 1] / omega_squared
     per_kg = engine.crank_radius_m * np.abs(acceleration_harmonics(engine.mechanism, 1)[1])
-    reciprocating = first[2] - 1j * first[0]
+    rotating = 1j * first[0]  # what turns with the crank makes as much across as along, a quarter turn apart
+    reciprocating = first[2] - rotating
     return {
         "residual_reciprocating_g": 1e3 * float(np.abs(reciprocating) / per_kg),
-        "residual_rotating_gmm": 1e6 * engine.rotating_unbalance_kg_m,
-        "angle_deg": engine.rotating_unbalance_deg,
+        "residual_rotating_gmm": 1e6 * float(np.abs(rotating)),
+        "angle_deg": float(np.degrees(np.angle(rotating))) if rotating else 0.0,
         "crank_radius_m": engine.crank_radius_m,
     }

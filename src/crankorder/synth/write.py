@@ -36,12 +36,12 @@ def write_scene(
     quick: bool = False,
     beside: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> None:
-    """Write the scene ``name`` as a test-run folder: ``run.toml``, the recordings and ``truth.json``.
+) -> list[Path]:
+    """Folders written for the scene ``name``: each a test run with ``run.toml``, recordings and ``truth.json``.
 
-    A scene of several repeats becomes a folder of such folders, ``run_1`` and on. The truth comes first and claims the
-    folder, the manifest last: a folder without it is unfinished and no test run. The same scene gives the same bytes on
-    any number of workers.
+    That is ``folder`` itself; a scene of several repeats becomes ``run_1`` and on in it. The truth comes first and
+    claims the folder, the manifest last: a folder without it is unfinished and no test run. The same scene gives the
+    same bytes on any number of workers.
 
     ``name``: a shipped scene or the path of a TOML file. ``folder``: new, empty, or of a former scene (replaced).
     ``quick``: with the differences of the scene's ``quick`` table. ``beside``: folder in which paths are tried first.
@@ -64,6 +64,7 @@ def write_scene(
                 _publish(place / ENGINE, toml_text(engine).encode())
             engine_name = scene.engine_file if ours else ENGINE
             _publish(place / MANIFEST, manifest_text(scene, engine_name, repeat).encode())
+        return folders
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
             raise
@@ -116,10 +117,11 @@ def _write_truth(scene: Scene, repeat: int, folder: Path, quality: list[dict[str
 def _write_recordings(scene: Scene, folders: list[Path], progress: Callable[[int, int], None] | None) -> None:
     """Write every recording of every repeat; where any was made faulty, the truth again with what and where."""
     runs = [run for repeat in range(len(folders)) for run in scene.runs_of(repeat)]
-    floors = {rate: floor_of(scene, rate) for rate in {scene.rate_hz(run.speed_rpm) for run in runs}}
+    # one floor for all where the rate is one; by crank angle every speed has its own, and all at once would be too many
+    shared = floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, TimeSampling) else None
 
     def write(run: Run) -> list[dict[str, Any]]:
-        recording = synthesise(scene, run, floors[scene.rate_hz(run.speed_rpm)])
+        recording = synthesise(scene, run, shared or floor_of(scene, scene.rate_hz(run.speed_rpm)))
         _publish(folders[run.repeat] / f"{run.name}.h5", recording_image(scene, run, recording))
         return recording.faults
 

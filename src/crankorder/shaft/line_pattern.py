@@ -1,0 +1,328 @@
+"""How far each line of an encoder comes from where it should, at one speed, and times as even lines would have them.
+
+What comes late or early at the same line in every revolution is either the line's place or motion that repeats from
+revolution to revolution; :mod:`crankorder.shaft.calibration` tells them apart by several speeds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from crankorder.shaft.pulses import FloatArray
+from crankorder.shaft.repair import IntArray
+
+# Teeth that are enough: a hundred-thousandth of a revolution per pulse is then known to a hundred-millionth.
+MOST_TEETH = 1 << 20
+# Fewest periods of the in-cycle motion whose scatter tells the error of their mean, and most groups of them.
+FEWEST_PERIODS, MOST_BATCHES = 4, 16
+# Encoder revolutions after which crank and cycle must be back where they were; if they need more, they count as never.
+LONGEST_PERIOD_REVS = 16
+# An index up to this share of a tooth before a line belongs to it; marks stand at a line or midway, hardly here.
+INDEX_LEAD = 0.25
+# Pulse times in which the tick of a counter is looked for; changes of interval that it takes, and how whole they are.
+SOME_TIMES, FEWEST_STEPS, COUNT_SLACK = 1024, 32, 0.05
+# Lines whose places between samples are looked at, and harmonics of the sawtooth by which sampling rounds.
+SOME_LINES, SAWTOOTH_HARMONICS = 32, 4
+# Rounding that is the same in every period is not spread evenly over the orders: those that matter may get more.
+GATHERED = 1.5
+# Encoder orders up to which motion counts for what is of second order; least part of an order that the means leave.
+LOW_ORDERS, LEAST_GAIN = 24, 0.005
+# Share of what is of second order in the motion that is not sure.
+BENT_DOUBT = 0.01
+# Lines of the full wheel below which there is no pattern to speak of.
+FEWEST_LINES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class LinePattern:
+    """Mean place [rev] of each line (line,) of one recording where even rotation would have it at line / lines.
+
+    ``speed_rpm`` is the crank's (its mean 1/speed² is that of the recording); line 0 is the one at the index.
+    ``deviation_rev`` and ``standard_error_rev`` (line,) have zero mean, lines that the wheel does not have are filled
+    in from their neighbours, and ``has_line`` (line,) says which it has. ``harmonic_rev`` (order,) are its complex
+    amplitudes by order of the encoder, ``harmonic_variance`` (order,) the mean squares of their errors [rev²].
+    ``cycle_rev`` are the complex amplitudes of the low orders 0, 1/k, 2/k … of the k = ``period_revs`` encoder
+    revolutions in which the motion repeats. ``n_revs`` encoder revolutions were looked at; where it is 0 ``reason``
+    says why there is no pattern.
+    """
+
+    speed_rpm: float
+    deviation_rev: FloatArray
+    standard_error_rev: FloatArray
+    has_line: npt.NDArray[np.bool_]
+    harmonic_rev: npt.NDArray[np.complex128]
+    harmonic_variance: FloatArray
+    cycle_rev: npt.NDArray[np.complex128]
+    period_revs: int
+    n_revs: int
+    reason: str = ""
+
+
+def line_pattern(
+    time_s: FloatArray,
+    tooth: IntArray,
+    *,
+    teeth_per_encoder_rev: int,
+    index_tooth: float,
+    index_period: float,
+    ratio: float = 1.0,
+    revs_per_cycle: int = 1,
+    noise_s: float = 0.0,
+) -> LinePattern:
+    """Mean deviation of each line over all revolutions of a recording, with its standard error.
+
+    Drift and slow wobble of the speed are taken out by twice subtracting the mean over one revolution: a speed that
+    changes up to quadratically with angle leaves nothing, and no order of the encoder is touched.
+
+    Parameters
+    ----------
+    time_s : (pulses,), s, increasing
+    tooth : (pulses,), tooth numbers, increasing; holes are teeth without a pulse
+    teeth_per_encoder_rev : teeth of the even wheel (or grid) per revolution of the encoder
+    index_tooth : tooth number of an index mark, possibly between teeth; NaN where there is none
+    index_period : teeth from one mark to the next; a mark that does not come at the same line each time is of no use
+    ratio : encoder revolutions per crank revolution
+    revs_per_cycle : crank revolutions after which the in-cycle motion repeats, 1 or 2
+    noise_s : standard deviation of one pulse time by sampling, s; what of it does not average out, because the shaft
+        keeps step with the samples, is counted as error of every line; 0 where it is not known
+
+    Returns
+    -------
+    LinePattern; without a pattern, and with the reason, for no index or a recording of fewer than six periods.
+    """
+    lines = teeth_per_encoder_rev
+    if lines < FEWEST_LINES:
+        return _none(lines, f"{lines} lines per revolution show no pattern")
+    if not np.isfinite(index_tooth) or abs(index_period / lines - round(index_period / lines)) > 1e-9:
+        return _none(lines, "no index says which line is which")
+    stop = int(np.searchsorted(tooth, tooth[0] + MOST_TEETH))
+    time_s, tooth = time_s[:stop], tooth[:stop]
+    period = lines * _period_revs(ratio, revs_per_cycle)
+    rest, tooth_s = _even_grid(time_s, tooth)
+    deviation, first, rev_s = _deviation(rest, tooth_s, lines, period)
+    n_periods = deviation.size // period
+    if n_periods < FEWEST_PERIODS:
+        return _none(lines, f"{(tooth[-1] - tooth[0]) / lines:.1f} revolutions are too few for a pattern")
+    used = n_periods * period
+    by_period = (deviation[:used] / rev_s[:used]).reshape(n_periods, period)
+    shift = (int(tooth[0]) + first - _line_zero(index_tooth)) % lines
+    present = np.zeros(tooth[-1] - tooth[0] + 1, dtype=np.bool_)
+    present[tooth - tooth[0]] = True
+    has_line = _filled(by_period, present[first : first + used], shift, lines)
+    mean_rev_s = math.sqrt(float(np.mean(rev_s[:used] ** 2)))
+    smooth_s = rest[first : first + used] - deviation[:used] + tooth_s * np.arange(used)
+    steps = max(noise_s, _tick_s(time_s) / math.sqrt(12.0))
+    fixed = _fixed_noise(smooth_s.reshape(n_periods, period), by_period, steps, mean_rev_s)
+    return _averaged(by_period, shift, has_line, 60.0 / (mean_rev_s * ratio), fixed)
+
+
+def first_order(pattern: LinePattern, line_error_rev: FloatArray) -> LinePattern:
+    """``pattern`` without what is of second order in line errors and motion, so that both add up and follow the torque.
+
+    Taken out is the motion between where a line is and where it should be, and what a flywheel does because it is its
+    energy, not its speed, that goes with the torque: 1/speed² - 1 is twice the first order of 1/speed - 1.
+
+    ``pattern``: of one recording. ``line_error_rev``: (line,), true place of each line less where it should be, as far
+    as it is known.
+    """
+    lines, revs = line_error_rev.size, pattern.period_revs
+    motion = pattern.cycle_rev.copy()
+    own = np.fft.rfft(line_error_rev)[: (motion.size - 1) // revs + 1] * (2.0 / lines)
+    motion[::revs] -= own
+    order = np.arange(motion.size) / revs
+    rise = np.fft.irfft(2j * np.pi * order * motion * (0.5 * lines * revs), lines * revs)
+    crossed = line_error_rev * rise.reshape(revs, lines).mean(axis=0)
+    bent = np.fft.rfft(rise - 0.5 * (1.0 - (1.0 + rise) ** -2))[: motion.size : revs] * (2.0 / (lines * revs))
+    harmonic = pattern.harmonic_rev - np.fft.rfft(crossed) * (2.0 / lines)
+    variance = pattern.harmonic_variance.copy()
+    bent[1:] /= 2j * np.pi * np.arange(1, bent.size)
+    harmonic[1 : bent.size] -= bent[1:]
+    variance[1 : bent.size] += np.abs(BENT_DOUBT * bent[1:]) ** 2
+    return replace(pattern, harmonic_rev=harmonic, harmonic_variance=variance)
+
+
+def even_line_times(
+    time_s: FloatArray, tooth: IntArray, line_error_rev: FloatArray, *, index_tooth: float
+) -> FloatArray:
+    """Times [s] (pulses,) at which the lines would have come if each stood where it should.
+
+    What a tooth number means stays: angle 0 is where the line at the index should be, by the mean of all lines.
+
+    Parameters
+    ----------
+    time_s : (pulses,), s, increasing
+    tooth : (pulses,), tooth numbers, increasing
+    line_error_rev : (line,), true place of each line less where it should be, in encoder revolutions
+    index_tooth : tooth number of an index mark, as for :func:`line_pattern`
+    """
+    lines = line_error_rev.size
+    line = (tooth - _line_zero(index_tooth)) % lines
+    # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
+    reach = max(1, round(lines / 48 * time_s.size / (tooth[-1] - tooth[0] + 1)))
+    at = np.arange(time_s.size)
+    before, after = np.maximum(at - reach, 0), np.minimum(at + reach, at.size - 1)
+    moved: FloatArray = time_s - line_error_rev[line] * lines * (
+        (time_s[after] - time_s[before]) / (tooth[after] - tooth[before])
+    )
+    return moved
+
+
+def _none(lines: int, reason: str) -> LinePattern:
+    nothing = np.zeros(lines)
+    harmonics = np.zeros(lines // 2 + 1)
+    none = harmonics.astype(np.complex128)
+    return LinePattern(math.nan, nothing, nothing, nothing > 0, none, harmonics, none[:1], 1, n_revs=0, reason=reason)
+
+
+def _line_zero(index_tooth: float) -> int:
+    """The tooth number that is line 0."""
+    return math.floor(index_tooth + INDEX_LEAD)
+
+
+def _period_revs(ratio: float, revs_per_cycle: int) -> int:
+    """Encoder revolutions in which the engine makes whole cycles; 1 where there is no such small number."""
+    for revs in range(1, LONGEST_PERIOD_REVS + 1):
+        cycles = revs / (ratio * revs_per_cycle)
+        if abs(cycles - round(cycles)) < 1e-9:
+            return revs
+    return 1
+
+
+def _even_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, float]:
+    """Times less those of even rotation, on the grid of all teeth, and the mean time of a tooth [s]."""
+    place = tooth - tooth[0]
+    tooth_s = float((time_s[-1] - time_s[0]) / place[-1])
+    rest = (time_s - time_s[0]) - tooth_s * place
+    if place[-1] + 1 > place.size:
+        rest = np.interp(np.arange(place[-1] + 1), place, rest)
+    return rest, tooth_s
+
+
+def _deviation(rest_s: FloatArray, tooth_s: float, lines: int, period: int) -> tuple[FloatArray, int, FloatArray]:
+    """What is left [s] of twice subtracting the mean over a revolution, the tooth of its first value, revolution times.
+
+    ``rest_s``: (teeth,), times less those of even rotation at ``tooth_s``. The revolution time [s] of each value is the
+    mean over the ``period`` around it.
+    """
+    half = lines // 2
+    once = rest_s[half : rest_s.size - half] - _revolution_mean(rest_s, lines)
+    twice = once[half : once.size - half] - _revolution_mean(once, lines)
+    before = (period + 1) // 2
+    skip = max(0, before - 2 * half)
+    at = 2 * half + skip
+    n = max(0, min(twice.size - skip, rest_s.size - at - (period - before)))
+    long = rest_s[at + period - before : at + period - before + n] - rest_s[at - before : at - before + n]
+    return twice[skip : skip + n], at, (long + period * tooth_s) * (lines / period)
+
+
+def _tick_s(time_s: FloatArray) -> float:
+    """Tick [s] of the clock that all ``time_s`` are counts of; 0 where none is seen."""
+    step = np.abs(np.diff(time_s[:SOME_TIMES], n=2))
+    resolution = 4.0 * float(np.spacing(np.abs(time_s[:SOME_TIMES]).max()))
+    step = step[step > resolution]
+    if step.size < FEWEST_STEPS:
+        return 0.0
+    tick = float(step.min())
+    counts = step / tick
+    return tick if np.abs(counts - np.rint(counts)).max() < COUNT_SLACK else 0.0
+
+
+def _revolution_mean(value: FloatArray, lines: int) -> FloatArray:
+    """Mean over the revolution around each value, the first and last ``lines // 2`` of them left out."""
+    if value.size <= lines:
+        return np.empty(max(0, value.size - 2 * (lines // 2)))
+    total = np.concatenate([np.zeros(1), np.cumsum(value)])
+    over: FloatArray = (total[lines:] - total[:-lines]) / lines
+    return over if lines % 2 else 0.5 * (over[:-1] + over[1:])
+
+
+def _filled(by_period: FloatArray, present: npt.NDArray[np.bool_], shift: int, lines: int) -> npt.NDArray[np.bool_]:
+    """Which lines the wheel has; in ``by_period``, teeth without a pulse get the mean of their line in its place."""
+    if present.all():
+        return np.ones(lines, dtype=np.bool_)
+    there = present.reshape(by_period.shape)
+    count = there.sum(axis=0)
+    mean = np.where(there, by_period, 0.0).sum(axis=0) / np.maximum(count, 1)
+    column = np.arange(mean.size)
+    known = count > 0
+    mean = np.interp(column, column[known], mean[known], period=mean.size)
+    by_period[~there] = np.broadcast_to(mean, by_period.shape)[~there]
+    has_line: npt.NDArray[np.bool_] = np.roll((count.reshape(-1, lines) > 0).any(axis=0), shift)
+    return has_line
+
+
+def _fixed_noise(smooth_s: FloatArray, by_period: FloatArray, noise_s: float, rev_s: float) -> float:
+    """Variance [rev²] of a line by sampling that is the same in every period, so that no mean takes it away.
+
+    Sampling rounds a time by a sawtooth of its place between two samples; harmonic k of it averages out as far as the
+    places of the line, from period to period, do. ``smooth_s``: (period, tooth), s, times without the pattern.
+    ``by_period``: as long, rev, deviations. ``noise_s``: standard deviation of the rounding; ``rev_s``: a revolution.
+    """
+    if not noise_s > 0.0:
+        return 0.0
+    n_periods, period = smooth_s.shape
+    some = smooth_s[:, :: max(1, period // SOME_LINES)]
+    turn = np.exp(2j * np.pi / (noise_s * math.sqrt(12.0)) * some)
+    harmonic, shares = np.ones_like(turn), 1.0 / np.arange(1, SAWTOOTH_HARMONICS + 1) ** 2
+    kept = 0.0
+    for share in shares / shares.sum():
+        harmonic *= turn
+        together = float(np.mean(np.abs(harmonic.mean(axis=0)) ** 2))
+        kept += float(share) * max(0.0, together - 1.0 / n_periods) / (1.0 - 1.0 / n_periods)
+    # jitter, and in-cycle motion that is not the same each time, show as scatter: so much is not fixed
+    steps = np.diff(by_period, axis=1)
+    seen = float(steps.var(axis=0, ddof=1).mean()) / 2.0
+    rounding = (noise_s / rev_s) ** 2
+    return GATHERED * max(0.0, min(kept * rounding, rounding - seen))
+
+
+def _averaged(
+    by_period: FloatArray, shift: int, has_line: npt.NDArray[np.bool_], speed_rpm: float, fixed: float
+) -> LinePattern:
+    """The pattern of deviations [rev] ``by_period`` (period, tooth of the period), whose first tooth is line ``shift``.
+
+    Errors by order come from the scatter between groups of periods: slow motion, which falls on low orders, shows
+    there as it should. ``fixed`` [rev²] is the variance of a line that does not show as scatter.
+    """
+    lines = has_line.size
+    n_batches = _batches(by_period.shape[0])
+    size = by_period.shape[0] // n_batches
+    revs = by_period.shape[1] // lines
+    batch = by_period[: n_batches * size].reshape(n_batches, size * revs, lines).mean(axis=1)
+    batch = np.roll(batch, shift, axis=1)
+    batch -= batch.mean(axis=1, keepdims=True)
+    harmonic = np.fft.rfft(batch, axis=1) * (2.0 / lines)
+    mean = harmonic.mean(axis=0)
+    scatter = np.sum(np.abs(harmonic - mean) ** 2, axis=0) / (n_batches * (n_batches - 1))
+    # few groups tell the scatter of one order roughly, of many well: its squares are as chi-squared (Wilson, Hilferty
+    # 1931), and a mean over its estimated error as Student's t, whose variance is larger
+    freedom = 2.0 * (n_batches - 1)
+    usual = float(np.median(scatter[1:])) / (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    variance = np.maximum(scatter, usual) * (freedom / (freedom - 2.0)) + 4.0 * fixed / lines
+    error = np.sqrt(batch.var(axis=0, ddof=1) / n_batches + fixed)
+    n_revs = n_batches * size * revs
+    cycle = _cycle_amplitudes(np.roll(by_period.mean(axis=0), shift), lines)
+    return LinePattern(speed_rpm, batch.mean(axis=0), error, has_line, mean, variance, cycle, revs, n_revs)
+
+
+def _cycle_amplitudes(value: FloatArray, lines: int) -> npt.NDArray[np.complex128]:
+    """Complex amplitudes of the low orders of ``value`` (tooth of the period,), as before the means were subtracted."""
+    revs = value.size // lines
+    spectrum = np.fft.rfft(value)[: min(LOW_ORDERS, lines // 4) * revs + 1] * (2.0 / value.size)
+    angle = np.pi * np.arange(1, spectrum.size) / revs
+    mean = np.sin(angle) / (lines * np.sin(angle / lines)) * (1.0 if lines % 2 else np.cos(angle / lines))
+    gain = (1.0 - mean) ** 2
+    spectrum[0] = 0.0
+    spectrum[1:] = np.where(gain > LEAST_GAIN, spectrum[1:] / np.maximum(gain, LEAST_GAIN), 0.0)
+    return spectrum
+
+
+def _batches(n_periods: int) -> int:
+    """Number of equal groups of periods that leaves the fewest of them over."""
+    if n_periods <= MOST_BATCHES:
+        return n_periods
+    return min(range(MOST_BATCHES, MOST_BATCHES // 2 - 1, -1), key=lambda count: n_periods % count)

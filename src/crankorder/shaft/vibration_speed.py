@@ -1,0 +1,360 @@
+"""Speed from the vibration itself: the run of speeds whose orders the spectra show best, and how sure it is.
+
+Per knot every speed has log odds (``vibration_comb``). Speed changes no faster than a slew limit, so the most likely
+run of speeds is found by dynamic programming (``vibration_run``). It is refined by the phase of its orders
+(``vibration_angle``), and which simple ratio of it explains the lines best is decided along that angle
+(``vibration_family``); other ratios that do nearly as well are told as ties.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from crankorder.errors import InputError
+from crankorder.settings import ShaftSettings
+from crankorder.shaft.angle import AngleKnots
+from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.repair import IntArray
+from crankorder.shaft.vibration_angle import FRAME_REVS, TrackedAngle, tracked_angle
+from crankorder.shaft.vibration_comb import SpeedEvidence, comb_evidence
+from crankorder.shaft.vibration_family import FamilyEvidence, family_evidence
+from crankorder.shaft.vibration_run import likeliest_run, run_probability
+
+ORDER_WEIGHTS = {1.0: 0.75, 2.0: 0.7, 3.0: 0.45, 4.0: 0.5, 5.0: 0.3, 6.0: 0.35, 7.0: 0.25, 8.0: 0.3}
+"""Orders that any rotating machine may show, and the probability that it does."""
+
+FOUR_STROKE_WEIGHTS = {
+    0.5: 0.4, 1.0: 0.6, 1.5: 0.4, 2.0: 0.8, 2.5: 0.35, 3.0: 0.5, 3.5: 0.3, 4.0: 0.6, 4.5: 0.25,
+    5.0: 0.3, 5.5: 0.2, 6.0: 0.4, 7.0: 0.2, 8.0: 0.3,
+}  # fmt: skip
+"""Orders that a four-stroke engine may show, half orders among them."""
+
+TIE_RATIOS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
+"""Ratios of speeds whose orders coincide in part."""
+
+# A recording holds so many frames of the lowest speed that is sought, and its band so many orders of the highest.
+FEWEST_FRAMES, FEWEST_ORDERS = 2.0, 2.0
+# Speeds within this share of the found one are the same speed.
+SAME_SPEED = 0.02
+# The run that moving lines show is a sweep, not noise, where its speeds differ by this much (in the logarithm) and its
+# log odds are this share of those of the run that all lines show.
+SWEEP_SPREAD, SWEEP_SHARE = 0.15, 0.5
+# Log odds that another fundamental must gain in a row of frames before a run is taken to have slipped to it; how far
+# beside it (in the logarithm) the run is sought again, and the log odds of what is farther.
+SWITCH, MENDED_REACH, FAR_ODDS = 8.0, 0.15, 50.0
+# Sudden changes of slew: the usual slew is this share of the limit.
+USUAL_SLEW = 0.3
+# Confidence below which a stretch is told, and below which it is a guess: a recording of which most is one is refused.
+DOUBTFUL, GUESSED = 0.5, 0.2
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Another fundamental, ``ratio`` times the found one, and its odds as a share of the found one's (0…1)."""
+
+    ratio: float
+    relative_evidence: float
+
+
+@dataclass(frozen=True)
+class VibrationSpeed:
+    """Crank speed (knots,) at ``time_s`` [s] with its standard error, as the vibration tells it.
+
+    ``confidence`` (0…1 per knot) is the probability that the speed is within 2 % of ``speed_rpm``, by the model of
+    lines and noise; ``ties`` are other fundamentals that explain the lines nearly as well, best first; ``knots`` the
+    crank angle, whose slope the speed is.
+    """
+
+    time_s: FloatArray
+    speed_rpm: FloatArray
+    standard_error_rpm: FloatArray
+    confidence: FloatArray
+    ties: list[Tie]
+    remarks: list[Remark]
+    knots: AngleKnots
+
+
+def speed_from_vibration(
+    signals: FloatArray,
+    rate_hz: float,
+    *,
+    settings: ShaftSettings,
+    expected_rpm: tuple[float, float] | None = None,
+    order_weights: Mapping[float, float] | None = None,
+    fixed_hz: Sequence[float] = (),
+) -> VibrationSpeed:
+    """Speed of the shaft whose orders the signals show, to a fraction of a per cent, with confidence and ties.
+
+    Parameters
+    ----------
+    signals : (channels, samples), any units: each counts over its own noise
+    rate_hz : samples per second
+    settings : ``vibration_range_rpm`` where expected_rpm is not given, ``vibration_revs``, ``vibration_slew_per_s``,
+        ``vibration_tie``
+    expected_rpm : lowest and highest speed that is possible, rpm; a narrow range decides ties
+    order_weights : orders with the probability (0…1) that the machine shows them; None for what any rotating machine
+        shows (ORDER_WEIGHTS). A four-stroke engine needs its half orders (FOUR_STROKE_WEIGHTS), for without them half
+        of its speed, that of the camshaft, explains more
+    fixed_hz : tones that belong to no order, as mains and its harmonics, Hz
+
+    Returns
+    -------
+    VibrationSpeed; time counts from the first sample.
+
+    Raises
+    ------
+    InputError where the recording is too short or too slowly sampled for every speed of the range, holds samples that
+    are not finite, or is constant.
+    """
+    signals = _checked(signals)
+    weights = dict(ORDER_WEIGHTS if order_weights is None else order_weights)
+    order = np.array(sorted(weights))
+    weight = np.clip([weights[each] for each in sorted(weights)], 0.0, 0.95)
+    stated = expected_rpm or settings.vibration_range_rpm
+    range_hz = _range_hz(stated, signals.shape[1], rate_hz, settings)
+    evidence = comb_evidence(
+        signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings, fixed_hz=fixed_hz
+    )
+    explained = partial(_explained, signals, rate_hz, evidence, range_hz=range_hz, order=order, weight=weight)
+    run = explained(*_likely_run(evidence, settings))
+    path = _mended_path(run, evidence, settings)
+    if path is not None:
+        run = explained(run.log_odds, path)
+    tracked, ratio, chosen = run.tracked, run.ratio, run.chosen
+    if ratio[chosen] != 1.0:
+        speed_hz = ratio[chosen] * np.interp(evidence.time_s, tracked.time_s, tracked.speed_hz)
+        tracked = tracked_angle(signals, rate_hz, time_s=evidence.time_s, speed_hz=speed_hz, order=order)
+    share = np.exp(run.family.log_odds - run.best)
+    ties = [
+        Tie(float(ratio[i] / ratio[chosen]), float(share[i]))
+        for i in np.argsort(-share, kind="stable")
+        if i != chosen and share[i] >= settings.vibration_tie
+    ]
+    # against the other fundamentals, and against no shaft at all
+    others = float(share.sum()) + math.exp(-run.best)
+    confidence = _confidence(evidence, run.log_odds, run.path, ratio, settings) / others
+    return _found(tracked, np.interp(tracked.time_s, evidence.time_s, confidence), ties)
+
+
+def _found(tracked: TrackedAngle, confidence: FloatArray, ties: list[Tie]) -> VibrationSpeed:
+    """What is told of the tracked angle."""
+    time_s, speed_rpm = tracked.time_s, 60.0 * tracked.speed_hz
+    knots = AngleKnots(time_s, tracked.angle_rev, speed_rpm, tracked.angle_error_rev, 1.0 / FRAME_REVS, float("nan"))
+    error_rpm = 60.0 * tracked.speed_error_hz
+    return VibrationSpeed(time_s, speed_rpm, error_rpm, confidence, ties, _told(time_s, confidence, ties), knots)
+
+
+def angle_from_vibration(
+    signals: FloatArray,
+    rate_hz: float,
+    *,
+    settings: ShaftSettings,
+    expected_rpm: tuple[float, float] | None = None,
+    order_weights: Mapping[float, float] | None = None,
+    fixed_hz: Sequence[float] = (),
+) -> tuple[AngleKnots, list[Remark]]:
+    """Crank angle on time knots from the first sample to the last, and remarks; it has no phase reference.
+
+    Parameters
+    ----------
+    signals : (channels, samples), any units
+    rate_hz : samples per second
+    settings : see :func:`speed_from_vibration`
+    expected_rpm : see there
+    order_weights : see there
+    fixed_hz : see there
+
+    Raises
+    ------
+    InputError as :func:`speed_from_vibration`, and where the speed is a guess for more than half of the time.
+    """
+    found = speed_from_vibration(
+        signals,
+        rate_hz,
+        settings=settings,
+        expected_rpm=expected_rpm,
+        order_weights=order_weights,
+        fixed_hz=fixed_hz,
+    )
+    guessed = float(np.mean(found.confidence < GUESSED))
+    if guessed > 0.5:
+        raise InputError(
+            "the vibration does not tell the speed",
+            place="encoder.kind",
+            found=f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time",
+            remedy="Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder",
+        )
+    return found.knots, found.remarks
+
+
+def _possible_ratios(speed_hz: FloatArray, range_hz: tuple[float, float]) -> FloatArray:
+    """1 and those of TIE_RATIOS that keep nearly all of the speeds in the range."""
+    low, high = np.quantile(speed_hz, [0.05, 0.95])
+    slack = 1.0 + SAME_SPEED
+    return np.array(
+        [1.0, *(r for r in TIE_RATIOS if r * low * slack >= range_hz[0] and r * high <= range_hz[1] * slack)]
+    )
+
+
+def _confidence(
+    evidence: SpeedEvidence, log_odds: FloatArray, path: IntArray, ratio: FloatArray, settings: ShaftSettings
+) -> FloatArray:
+    """Probability (knots,) that the speed is one of those at ``ratio`` times that of ``path``."""
+    jump, cost = _transition(evidence, settings)
+    step = _step(evidence)
+    offsets = np.round(np.log(ratio) / step).astype(np.int64)
+    near = math.ceil(math.log1p(SAME_SPEED) / step)
+    result: FloatArray = run_probability(
+        log_odds * np.float32(evidence.frames_per_knot), path, offsets, jump, cost, near
+    )
+    return result
+
+
+def _checked(signals: FloatArray) -> FloatArray:
+    """``signals`` as float64 rows, those that are constant left out."""
+    signals = np.atleast_2d(np.asarray(signals, dtype=np.float64))
+    if not np.isfinite(signals).all():
+        raise InputError("the vibration holds samples that are not finite, so it tells no speed")
+    signals = signals[np.ptp(signals, axis=1) > 0.0]
+    if not signals.size:
+        raise InputError("the vibration is constant, so it tells no speed")
+    return signals
+
+
+def _range_hz(
+    stated_rpm: tuple[float, float], n_samples: int, rate_hz: float, settings: ShaftSettings
+) -> tuple[float, float]:
+    """Speeds [Hz] of the stated range that the recording is long enough and sampled fast enough for."""
+    low = max(stated_rpm[0] / 60.0, FEWEST_FRAMES * settings.vibration_revs * rate_hz / n_samples)
+    high = min(stated_rpm[1] / 60.0, 0.4 * rate_hz / FEWEST_ORDERS)
+    if not 0.0 < low < high:
+        raise InputError(
+            "the recording cannot tell any speed of the range",
+            found=f"{n_samples / rate_hz:.3g} s at {rate_hz:g} Hz for {stated_rpm[0]:g} to {stated_rpm[1]:g} rpm",
+            allowed=f"{FEWEST_FRAMES * settings.vibration_revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band",
+        )
+    return low, high
+
+
+def _step(evidence: SpeedEvidence) -> float:
+    """Step of the grid of speeds in the logarithm."""
+    return float(np.log(evidence.speed_hz[1] / evidence.speed_hz[0]))
+
+
+def _transition(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[int, float]:
+    """Most steps of the grid between knots, and the log-probability cost of one step squared."""
+    spacing = float(evidence.time_s[1] - evidence.time_s[0]) if evidence.time_s.size > 1 else 1.0
+    steps = settings.vibration_slew_per_s * spacing / _step(evidence)
+    return max(1, math.ceil(steps)), 0.5 / max(0.5, (USUAL_SLEW * steps)) ** 2
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run of speeds ``path``, its tracked angle, and how well fundamentals at ``ratio`` to it explain it."""
+
+    log_odds: FloatArray
+    path: IntArray
+    tracked: TrackedAngle
+    ratio: FloatArray
+    family: FamilyEvidence
+
+    @property
+    def chosen(self) -> int:
+        """Which ratio is the likeliest."""
+        return int(np.argmax(self.family.log_odds))
+
+    @property
+    def best(self) -> float:
+        """The log odds of that."""
+        return float(self.family.log_odds[self.chosen])
+
+
+def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[FloatArray, IntArray]:
+    """Log odds that decide, of all lines or of moving ones only, and the likeliest run of speeds by them."""
+    jump, cost = _transition(evidence, settings)
+    worth = np.float32(evidence.frames_per_knot)
+    knots = np.arange(evidence.time_s.size)
+    found, score = [], []
+    for log_odds in (evidence.every, evidence.moving):
+        path = likeliest_run(log_odds * worth, jump, cost)
+        found.append(path)
+        score.append(float(np.mean(log_odds[knots, path] - np.median(log_odds, axis=1))))
+    low, high = np.quantile(np.log(evidence.speed_hz[found[1]]), [0.05, 0.95])
+    if high - low > SWEEP_SPREAD and score[1] > SWEEP_SHARE * score[0]:
+        return evidence.moving, found[1]
+    return evidence.every, found[0]
+
+
+def _explained(
+    signals: FloatArray,
+    rate_hz: float,
+    evidence: SpeedEvidence,
+    log_odds: FloatArray,
+    path: IntArray,
+    *,
+    range_hz: tuple[float, float],
+    order: FloatArray,
+    weight: FloatArray,
+) -> _Run:
+    """The run ``path`` followed by the phases of its orders, and what fundamental explains its lines."""
+    speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
+    tracked = tracked_angle(signals, rate_hz, time_s=evidence.time_s, speed_hz=speed_hz, order=order)
+    ratio = _possible_ratios(tracked.speed_hz, range_hz)
+    family = family_evidence(signals, rate_hz, tracked, ratio=ratio, order=order, weight=weight)
+    return _Run(log_odds, path, tracked, ratio, family)
+
+
+def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> IntArray | None:
+    """The likeliest run beside the fundamental that each stretch of ``run`` asks for; None where they ask for one."""
+    log_odds = run.family.of_frames
+    came = np.zeros(log_odds.shape, dtype=np.int64)
+    total, stay = log_odds[0], np.arange(run.ratio.size)
+    for i in range(1, len(log_odds)):
+        switched = total.max() - SWITCH
+        came[i] = np.where(total >= switched, stay, int(np.argmax(total)))
+        total = np.maximum(total, switched) + log_odds[i]
+    of_frame = np.full(len(log_odds), int(np.argmax(total)))
+    for i in range(len(log_odds) - 1, 0, -1):
+        of_frame[i - 1] = came[i, of_frame[i]]
+    if np.ptp(of_frame) == 0:
+        return None
+    at_s = run.family.time_s
+    wanted = np.log(np.interp(at_s, run.tracked.time_s, run.tracked.speed_hz) * run.ratio[of_frame])
+    beside = np.log(evidence.speed_hz) - np.interp(evidence.time_s, at_s, wanted)[:, None]
+    near = np.where(np.abs(beside) <= MENDED_REACH, run.log_odds, np.float32(-FAR_ODDS))
+    return likeliest_run(near * np.float32(evidence.frames_per_knot), *_transition(evidence, settings))
+
+
+def _parabolic(log_odds: FloatArray, path: IntArray) -> FloatArray:
+    """Place of the maximum beside ``path``, in steps -0.5…0.5, of the parabola through three log odds."""
+    knots = np.arange(path.size)
+    at = np.clip(path, 1, log_odds.shape[1] - 2)
+    low, mid, high = (log_odds[knots, at + s].astype(np.float64) for s in (-1, 0, 1))
+    bend = low - 2.0 * mid + high
+    offset = np.where(bend < 0.0, 0.5 * (low - high) / np.where(bend < 0.0, bend, -1.0), 0.0)
+    result: FloatArray = np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0)
+    return result
+
+
+def _told(time_s: FloatArray, confidence: FloatArray, ties: list[Tie]) -> list[Remark]:
+    """Remarks on what is not certain."""
+    remarks: list[Remark] = []
+    if ties:
+        named = ", ".join(f"{tie.ratio:.3g} x ({tie.relative_evidence:.2f})" for tie in ties)
+        remarks.append(
+            ("speed_tie", "suspect", f"the vibration fits other speeds nearly as well: {named} of the found")
+        )
+    doubtful = confidence < DOUBTFUL
+    if doubtful.any():
+        bad = np.mean(confidence < GUESSED) > 0.5
+        detail = (
+            f"the speed is less than {DOUBTFUL:.0%} sure for {np.mean(doubtful):.0%} of the time, "
+            f"first at {time_s[np.argmax(doubtful)]:.3g} s"
+        )
+        remarks.append(("speed_doubtful", "bad" if bad else "suspect", detail))
+    return remarks

@@ -1,0 +1,158 @@
+"""The crank turns within its cycle as its torques and its flywheel say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from crankorder.engine.definition import Cylinder, Engine, GasCurve
+from crankorder.engine.forces import inertia_torque_by_order
+from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.in_cycle import Lag, lag_from_torque, lag_of_speed
+from crankorder.errors import RequestError
+from crankorder.synth.motion import Motion
+
+GAS = GasCurve(crank_angle_deg=(0.0, 20.0, 90.0, 180.0, 540.0, 700.0), torque_n_m=(0.0, 300.0, 90.0, 0.0, 0.0, -70.0))
+
+
+def _engine(*cylinders: Cylinder, mass_kg: float = 1.2, gas: bool = True) -> Engine:
+    return Engine(
+        crank_radius_m=0.045,
+        rod_length_m=0.15,
+        reciprocating_mass_kg=mass_kg,
+        gas=GAS if gas else None,
+        cylinders=cylinders or (Cylinder(),),
+    )
+
+
+TWIN = (Cylinder(crank_deg=0.0, firing_deg=0.0), Cylinder(crank_deg=180.0, position_m=0.1, firing_deg=180.0))
+
+
+def _turning(lag: Lag, rpm: float, revs: int = 2, samples: int = 4001) -> tuple[np.ndarray, ...]:
+    return Motion(start_rev=0.13, corners=((0.0, rpm),), lag=lag).at(np.linspace(0, revs * 60 / rpm, samples))
+
+
+def _torque(engine: Engine, angle: np.ndarray, omega: float, highest: int, with_gas: bool) -> np.ndarray:
+    """Torque (N·m) of masses and gas less its mean on the crank at each angle, cylinder by cylinder."""
+    masses = inertia_torque_by_order(engine, highest)
+    total = np.zeros_like(angle)
+    for cylinder in engine.cylinders:
+        own = angle + (cylinder.crank_deg - cylinder.bank_deg) / 360
+        total += omega**2 * (masses * np.exp(2j * np.pi * np.outer(own, np.arange(highest + 1)))).sum(axis=1).real
+    if with_gas:
+        orders, torque = gas_torque_by_order(engine, highest)
+        total += (torque * np.exp(2j * np.pi * np.outer(angle, orders)))[:, 1:].sum(axis=1).real
+    return total
+
+
+@pytest.mark.parametrize("cylinders", [(Cylinder(firing_deg=0.0),), TWIN])
+@pytest.mark.parametrize("with_gas", [True, False])
+@pytest.mark.parametrize("inertia", [0.05, 0.5])
+def test_flywheel_times_acceleration_is_the_torque(
+    cylinders: tuple[Cylinder, ...], with_gas: bool, inertia: float
+) -> None:
+    engine = _engine(*cylinders)
+    lag = lag_from_torque(engine, flywheel_inertia_kg_m2=inertia, speed_rpm=900.0, highest_order=12, with_gas=with_gas)
+    angle, speed, acceleration = _turning(lag, 900.0)
+    torque = _torque(engine, angle, 900 * math.pi / 30, 12, with_gas)
+    np.testing.assert_allclose(inertia * acceleration * math.pi / 30, torque, atol=1e-11 * np.abs(torque).max())
+    assert angle[-1] - angle[0] == pytest.approx(2, abs=1e-14)
+    assert speed[-1] == pytest.approx(speed[0], rel=1e-13)
+    assert speed.max() - speed.min() > 1
+
+
+def test_a_small_torque_of_one_order_swings_the_shaft_as_a_free_flywheel() -> None:
+    engine = _engine(mass_kg=1e-6, gas=False)
+    lag = lag_from_torque(engine, flywheel_inertia_kg_m2=0.3, speed_rpm=1500.0, highest_order=2, with_gas=False)
+    torque = inertia_torque_by_order(engine, 2)
+    expected = [torque[order] / (0.3 * order**2) / (2 * np.pi) for order in (1, 2)]
+    np.testing.assert_allclose(lag.inertia[:2], expected, rtol=1e-7)
+
+
+def test_masses_swing_the_shaft_alike_at_every_speed_and_gas_less_at_high_speed() -> None:
+    engine = _engine()
+    at = {
+        rpm: lag_from_torque(engine, flywheel_inertia_kg_m2=2.0, speed_rpm=rpm, highest_order=10, with_gas=True)
+        for rpm in (800.0, 1600.0)
+    }
+    alone = lag_from_torque(engine, flywheel_inertia_kg_m2=2.0, speed_rpm=500.0, highest_order=10, with_gas=False)
+    of_masses = at[800.0].inertia[np.isin(at[800.0].order, alone.order)]
+    np.testing.assert_allclose(of_masses[:10], alone.inertia[:10], rtol=1e-9, atol=1e-17)
+    low, high = at[800.0].by_order(1600.0), at[1600.0].by_order(1600.0)
+    irregularity = 4 * np.pi * np.abs(at[800.0].order * at[800.0].by_order(800.0)).sum()
+    np.testing.assert_allclose(low[:20], high[:20], atol=irregularity * np.abs(high).max())
+    assert irregularity < 0.1
+    np.testing.assert_allclose(at[800.0].gas[:6] / at[1600.0].gas[:6], 4, rtol=0.1)
+
+
+def test_half_orders_come_with_gas_only() -> None:
+    kinds = {"speed_rpm": 900.0, "flywheel_inertia_kg_m2": 0.5, "highest_order": 8}
+    assert lag_from_torque(_engine(), with_gas=False, **kinds).step == 1.0
+    assert lag_from_torque(_engine(), with_gas=True, **kinds).step == 0.5
+    even = Cylinder(crank_deg=0.0), Cylinder(crank_deg=180.0)
+    lag = lag_from_torque(_engine(*even, gas=False), with_gas=False, **kinds)
+    odd = lag.order % 2 == 1
+    assert not odd.any() or np.abs(lag.inertia[odd]).max() < 1e-15
+
+
+@pytest.mark.parametrize("with_gas", [True, False])
+def test_a_flywheel_too_small_is_refused(with_gas: bool) -> None:
+    with pytest.raises(RequestError, match="stop within the cycle"):
+        lag_from_torque(_engine(), flywheel_inertia_kg_m2=1e-4, speed_rpm=900.0, highest_order=10, with_gas=with_gas)
+
+
+def test_gas_of_an_engine_without_any_is_refused() -> None:
+    with pytest.raises(RequestError, match="no gas"):
+        lag_from_torque(
+            _engine(gas=False), flywheel_inertia_kg_m2=1.0, speed_rpm=900.0, highest_order=10, with_gas=True
+        )
+
+
+@pytest.mark.parametrize("orders", [(-1.0, 2.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0, 3.0)])
+def test_a_lag_whose_orders_do_not_ascend_from_zero_is_refused(orders: tuple[float, ...]) -> None:
+    with pytest.raises(RequestError, match="lag"):
+        Lag(order=np.array(orders), inertia=np.zeros(2, dtype=complex), gas=np.zeros(2, dtype=complex))
+
+
+@pytest.mark.parametrize(
+    ("orders", "step"),
+    [((0.5, 2.0), 0.5), ((2.0, 4.0, 6.0), 2.0), ((1.0, 5.3), 0.1), ((1 / 3, 2.0), 1 / 3), ((1.0, 2**0.5), 0.0)],
+)
+def test_orders_of_a_lag_share_a_step(orders: tuple[float, ...], step: float) -> None:
+    zero = np.zeros(len(orders), dtype=complex)
+    assert Lag(order=np.array(orders), inertia=zero, gas=zero).step == pytest.approx(step, rel=1e-15)
+
+
+def test_a_given_speed_by_crank_angle_is_that_of_the_lag() -> None:
+    lag = lag_of_speed(np.array([0.0, 0.2, 0.0, 0.1j]), step=0.5)
+    angle, speed, _ = _turning(lag, 1200.0, revs=10)
+    shape = 1 + 0.2 * np.cos(np.pi * angle) - 0.1 * np.sin(3 * np.pi * angle)
+    np.testing.assert_allclose(speed / shape, speed[0] / shape[0], rtol=3e-13)
+    assert angle[-1] - angle[0] == pytest.approx(10, abs=1e-13)
+
+
+@pytest.mark.parametrize("orders", [(0.5, 2.0, 3.0), (0.5, 2.0, 1.5 + 2**0.5)])
+def test_the_slowest_speed_is_where_the_lag_falls_as_fast_as_the_angle_grows(orders: tuple[float, ...]) -> None:
+    order = np.array(orders)
+    lag = Lag(order=order, inertia=0.01j / order, gas=0.03 / order * np.exp(1j * order), reference_rpm=700.0)
+    angle = np.linspace(0, 64, 1_000_001)
+    turned = 2j * np.pi * order * np.exp(2j * np.pi * angle[:, None] * order)
+    falls = [float((1 + (turned @ lag.by_order(rpm)).real).min()) for rpm in (lag.slowest_rpm, 1.02 * lag.slowest_rpm)]
+    assert abs(falls[0]) < 5e-3
+    assert falls[1] > 0.01
+
+
+def test_a_lag_of_no_orders_never_stops_the_shaft() -> None:
+    none = np.zeros(0, dtype=complex)
+    assert Lag(order=np.zeros(0), inertia=none, gas=none).slowest_rpm == 0.0
+
+
+@pytest.mark.parametrize("inertia", [0.0, -1.0])
+def test_a_flywheel_turns_with_some_inertia_or_is_not_stated(inertia: float) -> None:
+    stated = _engine().model_dump() | {"flywheel_inertia_kg_m2": inertia}
+    with pytest.raises(ValidationError, match="greater than 0"):
+        Engine.model_validate(stated)
+    assert _engine().flywheel_inertia_kg_m2 is None

@@ -1,0 +1,55 @@
+"""Fixed frequencies that fold into a test sampled by crank angle are told; a test sampled by time has none."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from crankorder.identify.folds import fold_flags
+from crankorder.settings import load_settings
+from crankorder.shaft.folding import folded_order
+
+SPEEDS = np.arange(1150.0, 1260.0, 10.0)
+SETTINGS = load_settings()
+
+
+def map_with(frequency_hz: float, *, samples_per_rev: float | None = 360.0, amplitude: float = 1.0) -> xr.Dataset:
+    """OrderMap of noise and of one line of fixed frequency, placed by the sampling theorem."""
+    axis = np.arange(0.0, 20.0, 1 / 16)
+    noise = np.random.default_rng(1).gamma(40.0, 1 / 40.0, size=(1, SPEEDS.size, axis.size))
+    energy = 1e-6 * noise
+    shown = folded_order(60 * frequency_hz / SPEEDS, 360.0)
+    for at, order in enumerate(shown):
+        nearest = round(order * 16)
+        if nearest < axis.size:
+            energy[0, at, nearest] += amplitude**2
+    attrs = {"revs_per_cycle": 2} | ({} if samples_per_rev is None else {"samples_per_rev": samples_per_rev})
+    return xr.Dataset(
+        {
+            "amplitude": (("channel", "speed", "order"), np.sqrt(energy)),
+            "n_independent": ("speed", np.full(SPEEDS.size, 40.0)),
+        },
+        coords={"order": axis, "speed": SPEEDS, "channel": ["Z"]},
+        attrs=attrs,
+    )
+
+
+def test_a_harmonic_of_mains_that_folds_is_named() -> None:
+    settings = SETTINGS.model_copy(
+        update={"identify": SETTINGS.identify.model_copy(update={"mains_hz": (3600.0,), "fold_search_hz": 8000.0})}
+    )
+    flags = {flag["flag"]: flag for flag in fold_flags(map_with(7200.0), settings=settings)}
+    assert "7200" in flags["folded_frequency"]["detail"]
+    assert flags["folded_frequency"]["severity"] == "suspect"
+
+
+def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() -> None:
+    quiet = map_with(7200.0, amplitude=0.0)
+    assert [flag["flag"] for flag in fold_flags(quiet, settings=SETTINGS)] == ["lines_may_fold"]
+    assert "3450 to 3750 Hz" in fold_flags(quiet, settings=SETTINGS)[0]["detail"]
+    assert fold_flags(map_with(7200.0, samples_per_rev=None), settings=SETTINGS) == []
+
+
+def test_a_test_of_unknown_speed_says_nothing() -> None:
+    unknown = map_with(7200.0).assign_coords(speed=np.full(SPEEDS.size, np.nan))
+    assert fold_flags(unknown, settings=SETTINGS) == []

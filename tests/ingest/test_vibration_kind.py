@@ -1,0 +1,60 @@
+"""A manifest without an encoder may ask for the speed from the vibration itself."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from crankorder.cli import main
+from crankorder.errors import ManyErrors
+from crankorder.ingest.manifest import load_manifest
+
+MANIFEST = """schema_version = 1
+[test]
+cycle = "rotor"
+[recordings]
+files = ["a.h5"]
+[[channels]]
+name = "Z"
+unit = "m/s2"
+[encoder]
+"""
+
+
+@pytest.mark.parametrize(
+    ("encoder", "words"),
+    [
+        ('kind = "vibration"\nexpected_rpm = [900.0, 800.0]', "the lowest and the highest speed"),
+        ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
+    ],
+)
+def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path, encoder: str, words: str) -> None:
+    (tmp_path / "run.toml").write_text(MANIFEST + encoder)
+    with pytest.raises(ManyErrors, match=words):
+        load_manifest(tmp_path)
+
+
+def test_a_firing_engine_without_encoder_gives_its_orders(tmp_path: Path) -> None:
+    """Speed and amplitudes against the truth of the scene; the phase has no reference and says so."""
+    folder = tmp_path / "recordings"
+    run = CliRunner().invoke
+    assert run(main, ["synth", "thesis-second-firing", "--out", str(folder), "--quick", "-q"]).exit_code == 0
+    text = (folder / "run.toml").read_text()
+    start = text.index("[encoder]")
+    end = start + 1 + re.search(r"\n\[", text[start:]).start()
+    vibration = '[encoder]\nkind = "vibration"\nexpected_rpm = [800.0, 3000.0]\n\n'
+    (folder / "run.toml").write_text(text[:start] + vibration + text[end:])
+    assert run(main, ["run", str(folder), "--out", str(tmp_path / "out")]).exit_code == 0
+    findings = json.loads(next((tmp_path / "out").glob("*/findings.json")).read_bytes())
+    assert findings["speed_range_rpm"] == pytest.approx([1500.0, 2000.0], rel=1e-3)
+    truth = json.loads((folder / "truth.json").read_bytes())["orders"]
+    found = {round(record["order"], 1): record for record in findings["orders"] if record["channel"] == "Z"}
+    for order in (2.0, 2.5, 3.5):
+        put_in = next(r["amplitude"] for r in truth if r["channel"] == "Z" and r["order"] == order)
+        assert found[order]["amplitude"] == pytest.approx(put_in, rel=0.05)
+        assert found[order]["phase_deg"] is None
+    assert "no_index" in {flag["flag"] for flag in findings["quality"]}

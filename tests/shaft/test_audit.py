@@ -1,0 +1,239 @@
+"""What the audit expects a reference to do to each order is what it does, cause by cause."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_knots, knots_of, time_at
+from crankorder.shaft.audit import reference_audit
+from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.reference_errors import Modulation, reference_of, seen_motion
+from crankorder.synth.motion import Motion
+
+SETTINGS = load_settings().shaft
+RATE_HZ, REVS, POINTS = 50_000.0, 16, 512
+ORDERS = (1.0, 5.5, 10.0, 40.0)
+
+
+def decoded(pulse_s: np.ndarray, pulses_per_rev: int, *, noise_s: float, edge_step_s: float = 0.0) -> xr.Dataset:
+    """ShaftAngle of pulses that are complete, with what the audit asks of its attributes."""
+    knots = angle_knots(
+        pulse_s, np.arange(pulse_s.size), teeth_per_rev=pulses_per_rev, noise_s=noise_s, settings=SETTINGS
+    )
+    values = {
+        "time": (knots.time_s, "s"),
+        "crank_angle": (knots.angle_rev, "rev"),
+        "speed": (knots.speed_rpm, "min-1"),
+        "standard_error": (knots.standard_error_rev, "rev"),
+    }
+    attrs = {
+        "recording": "made",
+        "phase_reference": "none",
+        "cycle_known": 0,
+        "revs_per_cycle": 2,
+        "n_pulses": pulse_s.size,
+        "teeth_per_rev": float(pulses_per_rev),
+        "cut_off_order": knots.cut_off_order,
+        "edge_step_s": edge_step_s,
+    }
+    return xr.Dataset({name: ("knot", value, {"units": unit}) for name, (value, unit) in values.items()}, attrs=attrs)
+
+
+def rounded(pulse_s: np.ndarray) -> np.ndarray:
+    """Times of edges that lie between two samples, taken half-way."""
+    return (np.ceil(pulse_s * RATE_HZ) - 0.5) / RATE_HZ
+
+
+def achieved(shaft_dataset: xr.Dataset, true, pulses_per_rev: int) -> dict[str, np.ndarray]:
+    """Loss, largest sideband and rms phase [deg] of lines at ORDERS, in frames by the decoded angle."""
+    knots = knots_of(shaft_dataset)
+    first = np.ceil(knots["knot_angle_rev"][0] + 2)
+    frames = int((knots["knot_angle_rev"][-1] - 2 - first) // REVS)
+    angle = first + np.arange(frames * REVS * POINTS) / POINTS
+    error = true.angle_rev(time_at(angle, **knots)) - angle
+    error -= np.round(np.median(error) * pulses_per_rev) / pulses_per_rev  # teeth are not numbered from any mark
+    result = {"loss": [], "sideband": [], "phase_deg": []}
+    for order in ORDERS:
+        lines = np.exp(2j * np.pi * order * error).reshape(frames, -1)
+        spectrum = np.fft.fft(lines, axis=1) / lines.shape[1]
+        result["loss"].append(1 - np.abs(spectrum[:, 0]).mean())
+        result["sideband"].append(np.abs(spectrum[:, 1:]).mean(axis=0).max())
+        result["phase_deg"].append(np.degrees(np.sqrt(np.mean(np.angle(spectrum[:, 0]) ** 2))))
+    return {name: np.array(values) for name, values in result.items()}
+
+
+def audit_of(shaft_dataset: xr.Dataset, **options):
+    return reference_audit(shaft_dataset, orders=ORDERS, revs_per_frame=REVS, settings=SETTINGS, **options)
+
+
+def assert_within_factor(expected: np.ndarray, found: np.ndarray, factor: float) -> None:
+    ratio = expected / found
+    assert np.all((ratio > 1 / factor) & (ratio < factor)), ratio
+
+
+def test_a_swinging_error_does_to_a_line_what_bessel_functions_say():
+    turns = np.arange(4096) / 4096
+    error = 0.01 * np.sin(2 * np.pi * 3 * turns)
+    cause = Modulation("test", tone_order=np.array([3.0]), tone_rev=np.array([0.01]))
+    for order in (1.0, 10.0, 25.0):
+        spectrum = np.abs(np.fft.fft(np.exp(2j * np.pi * order * error))) / 4096
+        assert cause.loss(np.array([order]))[0] == pytest.approx(1 - spectrum[0], rel=1e-9)
+        assert cause.sideband(np.array([order]))[0] == pytest.approx(spectrum[3], rel=1e-9)
+
+
+@pytest.mark.parametrize(("pulses_per_rev", "jitter_s"), [(360, 2e-5), (60, 5e-5), (60, 2e-4), (6, 1e-4), (1, 1e-3)])
+def test_random_jitter_costs_what_is_expected(known_shaft, pulses_per_rev, jitter_s):
+    true = known_shaft(1500.0, irregularity={}, duration_s=30.0)
+    pulse_s = true.pulse_time_s(pulses_per_rev)
+    pulse_s = pulse_s + jitter_s * np.random.default_rng(3).standard_normal(pulse_s.size)
+    dataset = decoded(pulse_s, pulses_per_rev, noise_s=jitter_s)
+    found = achieved(dataset, true, pulses_per_rev)
+    audit = audit_of(dataset, irregularity={})
+    assert_within_factor(audit.loss, found["loss"], 1.6)
+    assert_within_factor(audit.phase_deg, found["phase_deg"], 2.0)
+
+
+@pytest.mark.parametrize("irregularity", [0.001, 0.01, 0.03])
+@pytest.mark.parametrize(
+    ("pulses_per_rev", "order"), [(1, 1.0), (1, 2.0), (1, 5.5), (2, 1.5), (2, 2.0), (6, 3.5), (6, 4.0), (60, 40.0)]
+)
+def test_motion_between_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, order, irregularity):
+    true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
+    dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
+    found = achieved(dataset, true, pulses_per_rev)
+    audit = audit_of(dataset, irregularity={order: irregularity})
+    assert_within_factor(audit.loss, found["loss"], 1.1)
+    assert_within_factor(audit.sideband, found["sideband"], 1.25)
+    if order % pulses_per_rev == 0:  # every pulse comes at the same point of the swing
+        assert_within_factor(audit.phase_deg, found["phase_deg"], 1.5)
+
+
+@pytest.mark.parametrize("irregularity", [0.001, 0.01, 0.03])
+@pytest.mark.parametrize(("pulses_per_rev", "order"), [(2, 0.5), (6, 1.0), (6, 2.0), (60, 15.0), (360, 100.0)])
+def test_interpolation_between_knots_costs_what_is_expected(known_shaft, pulses_per_rev, order, irregularity):
+    true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
+    dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
+    found = achieved(dataset, true, pulses_per_rev)
+    audit = audit_of(dataset, irregularity={order: irregularity})
+    assert_within_factor(audit.loss, found["loss"], 2.0)
+    assert_within_factor(audit.sideband, found["sideband"], 2.0)
+
+
+@pytest.mark.parametrize(
+    ("pulses_per_rev", "speed_rpm"),
+    # s = 10 - 1/1250, 8 - 1/3900, 4 - 1/3100; 60 pulses: 50 - 1/1000, 50 - 1/67; 6 pulses: 500 - 1/100
+    [(360, 833.4), (360, 1041.7), (360, 2083.5), (60, 1000.02), (60, 1000.3), (6, 1000.02)],
+)
+def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, speed_rpm):
+    true = known_shaft(speed_rpm, irregularity={}, duration_s=12.0)
+    dataset = decoded(
+        rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ
+    )
+    found = achieved(dataset, true, pulses_per_rev)
+    audit = audit_of(dataset, irregularity={})
+    assert_within_factor(audit.loss, found["loss"], 2.0)
+    assert_within_factor(audit.sideband, found["sideband"], 2.0)
+    place = abs(60 * RATE_HZ / speed_rpm / pulses_per_rev - round(60 * RATE_HZ / speed_rpm / pulses_per_rev))
+    assert abs(audit.causes[2].tone_order[0] - place * pulses_per_rev) < 1 / REVS  # one bin of a frame
+    assert [flag for flag, _, _ in audit.remarks] == ["reference_in_step"]
+
+
+@pytest.mark.parametrize("pulses_per_rev", [1, 6, 60])
+def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, pulses_per_rev):
+    dataset = decoded(
+        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6),
+        pulses_per_rev,
+        noise_s=12**-0.5 / RATE_HZ,
+        edge_step_s=1 / RATE_HZ,
+    )
+    step = audit_of(dataset, irregularity={}).causes[2]
+    assert step.tone_rev.size == 0
+    # an edge may be off by half a sample, which is 0.06° at 1000 rpm
+    assert 0.5 / 3000 < step.still_rev < 1.5 * 0.5 / 3000
+
+
+def test_out_of_step_or_shaken_by_the_motion_rounding_is_only_noise(known_shaft):
+    for speed_rpm, irregularity in ((1001.3, {}), (1113.7, {}), (1113.7, {1.0: 0.03}), (833.4, {1.0: 0.03})):
+        true = known_shaft(speed_rpm, irregularity=irregularity)
+        dataset = decoded(rounded(true.pulse_time_s(360)), 360, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ)
+        audit = audit_of(dataset)
+        assert not audit.causes[2].tone_rev.size, speed_rpm
+        assert np.all(achieved(dataset, true, 360)["loss"] < audit.loss)
+
+
+@pytest.mark.parametrize("pulses_per_rev", [60, 360])
+def test_motion_that_the_pulses_show_is_measured(known_shaft, pulses_per_rev):
+    true = known_shaft(1213.7, irregularity={0.5: 0.004, 2.0: 0.01, 6.0: 0.005})
+    dataset = decoded(rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ)
+    seen = seen_motion(dataset, reference_of(dataset, revs_per_frame=REVS))
+    for order, share in true.irregularity.items():
+        assert seen[order] == pytest.approx(share / (2 * np.pi * order), rel=0.02)
+
+
+def test_a_run_up_is_no_motion_within_the_cycle():
+    motion = Motion(start_rev=0.0, corners=((0.0, 400.0), (30.0, 2000.0)))
+    (stretch,) = motion.stretches(30.0)
+    pulse_s = motion.time_at(np.arange(1.0, 590.0 * 60) / 60, stretch)
+    dataset = decoded(pulse_s, 60, noise_s=0.0)
+    seen = seen_motion(dataset, reference_of(dataset, revs_per_frame=REVS))
+    assert all(order * size * 2 * np.pi < 1e-5 for order, size in seen.items())
+    assert audit_of(dataset).highest_carried_order > 1000
+
+
+def test_one_pulse_per_revolution_carries_few_orders_and_says_so(known_shaft):
+    dataset = decoded(known_shaft(1000.0).pulse_time_s(1), 1, noise_s=0.0)
+    audit = audit_of(dataset)
+    # J1(k · 1 % / 1) = 5 % at k = 10.0
+    assert audit.highest_carried_order == pytest.approx(10.0, rel=0.02)
+    assert audit.lowest_unseen_order == 1.0
+    np.testing.assert_allclose(audit.loss_per_percent, (np.array(ORDERS) * 0.01) ** 2 / 4, rtol=0.02)
+    ((flag, severity, detail),) = audit.remarks
+    assert (flag, severity) == ("reference_limits_orders", "suspect")
+    assert "if 1 % of the speed swings at order 1" in detail
+    below = reference_audit(dataset, orders=(1.0, 5.5), revs_per_frame=REVS, settings=SETTINGS)
+    assert below.remarks == ()
+
+
+def test_the_limit_is_that_of_the_settings(known_shaft):
+    dataset = decoded(known_shaft(1000.0).pulse_time_s(1), 1, noise_s=0.0)
+    strict = SETTINGS.model_copy(update={"reference_bias_limit": 0.01})
+    audit = reference_audit(dataset, orders=(1.5,), revs_per_frame=REVS, settings=strict)
+    assert audit.highest_carried_order == pytest.approx(2.0, rel=0.02)
+    calm = SETTINGS.model_copy(update={"reference_irregularity_percent": 0.1})
+    audit = reference_audit(dataset, orders=(1.5,), revs_per_frame=REVS, settings=calm)
+    assert audit.highest_carried_order == pytest.approx(100.0, rel=0.02)
+
+
+@pytest.mark.parametrize("pulses_per_rev", [60, 360])
+def test_a_good_encoder_carries_the_orders_of_an_engine(known_shaft, pulses_per_rev):
+    true = known_shaft(1113.7)
+    dataset = decoded(rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ)
+    audit = audit_of(dataset)
+    assert audit.highest_carried_order > 100
+    assert np.all(achieved(dataset, true, pulses_per_rev)["loss"] < 0.001)
+    assert audit.remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("attrs", "flags"),
+    [
+        ({"encoder_kind": "constant", "speed_rpm": 1500.0}, ["reference_unproven"]),
+        ({"encoder_kind": "none", "domain": "crank_angle", "samples_per_rev": 360, "speed_rpm": 900.0}, []),
+    ],
+)
+def test_an_angle_without_an_error_of_its_own_is_not_vouched_for(recording_of, attrs, flags):
+    dataset = shaft_angle(recording_of(None, **attrs), settings=SETTINGS)
+    audit = audit_of(dataset)
+    assert np.isnan(audit.loss).all()
+    assert [flag for flag, _, _ in audit.remarks] == flags
+
+
+def test_a_decoded_recording_is_audited_as_it_comes(known_shaft, recording_of):
+    """Without the attributes the pulses per revolution follow from their count."""
+    dataset = shaft_angle(recording_of(known_shaft(900.0).pulse_time_s(60), pulses_per_rev=60), settings=SETTINGS)
+    dataset.attrs.pop("teeth_per_rev", None)
+    assert reference_of(dataset, revs_per_frame=REVS).teeth_per_rev == pytest.approx(60.0, abs=0.1)
+    assert audit_of(dataset).highest_carried_order > 40

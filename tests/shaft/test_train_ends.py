@@ -1,0 +1,42 @@
+"""A pulse lost anywhere on a wheel with a gap, its first and last turn included, leaves every number right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.settings import load_settings
+from crankorder.shaft.wheel import number_teeth
+
+SETTINGS = load_settings().shaft
+
+
+@pytest.mark.parametrize("start_rev", [0.0, 0.3217, 0.93])
+@pytest.mark.parametrize(("teeth", "missing"), [(60, 2), (36, 1)])
+@pytest.mark.parametrize("irregularity", [{}, {0.5: 0.02, 2.0: 0.03}], ids=["even", "uneven"])
+def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is_flagged(
+    known_shaft, teeth, missing, irregularity, start_rev
+):
+    shaft = known_shaft(1500.0, start_rev=start_rev, irregularity=irregularity, duration_s=0.13)
+    pulse_s = shaft.pulse_time_s(teeth)
+    true = np.round(shaft.angle_rev(pulse_s) * teeth).astype(int)
+    on_wheel = true % teeth < teeth - missing
+    pulse_s, true = pulse_s[on_wheel], true[on_wheel]
+    for lost in range(1, pulse_s.size - 1):
+        left_s = np.delete(pulse_s, lost)
+        found = number_teeth(left_s, pulses_per_rev=teeth, missing_teeth=missing, settings=SETTINGS)
+        kept = np.searchsorted(left_s, found.time_s)
+        assert set((found.tooth - np.delete(true, lost)[kept]) % teeth) == {0}, lost
+
+        assert {"encoder_missing_pulse", "encoder_double_pulse"} & {flag for flag, _, _ in found.flags}, lost
+        assert 1 <= found.n_repaired <= 3
+
+
+def test_a_wide_gap_of_a_shaft_that_starts_turning_is_no_lost_pulse(known_shaft):
+    time_s = np.linspace(0.0, 2.0, 400_001)
+    angle = 0.21 + 2.0 * time_s + 8.0 * time_s**2 + 0.02 * np.sin(2 * np.pi * 2.0 * (2.0 * time_s + 8.0 * time_s**2))
+    place = np.arange(np.ceil(angle[0] * 60), np.floor(angle[-1] * 60) + 1)
+    place = place[place % 60 < 58]
+    found = number_teeth(np.interp(place / 60, angle, time_s), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
+    assert found.n_repaired == 0
+    assert set((found.tooth - place) % 60) == {0}

@@ -1,0 +1,273 @@
+"""Speed and angle from the vibration itself: against shafts whose motion is known, scenes, and measured speeds."""
+
+from __future__ import annotations
+
+import wave
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import loadmat
+
+from crankorder.errors import InputError
+from crankorder.settings import load_settings
+from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.vibration_speed import (
+    FOUR_STROKE_WEIGHTS,
+    VibrationSpeed,
+    angle_from_vibration,
+    speed_from_vibration,
+)
+from crankorder.synth.floor import floor_of
+from crankorder.synth.load import load_scene
+from crankorder.synth.recording import synthesise
+
+SETTINGS = load_settings().shaft
+RATE_HZ = 4096.0
+Motion = Callable[[np.ndarray], np.ndarray]
+
+
+def vibration(
+    angle_rev: Motion,
+    duration_s: float,
+    *,
+    orders: dict[float, float],
+    noise: float = 0.35,
+    tones: dict[float, float] | None = None,
+    seed: int = 1,
+) -> np.ndarray:
+    """One channel of orders ``{order: amplitude}`` in white noise of the given standard deviation, with tones [Hz]."""
+    time_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    signal = noise * np.random.default_rng(seed).standard_normal(time_s.size)
+    for order, amplitude in orders.items():
+        signal += amplitude * np.cos(2 * np.pi * order * angle_rev(time_s) + order)
+    for tone_hz, amplitude in (tones or {}).items():
+        signal += amplitude * np.cos(2 * np.pi * tone_hz * time_s)
+    return signal[None]
+
+
+def steady(speed_hz: float) -> Motion:
+    return lambda time_s: speed_hz * time_s
+
+
+def sweep(first_hz: float, last_hz: float, duration_s: float) -> Motion:
+    return lambda time_s: first_hz * time_s + (last_hz - first_hz) / duration_s * time_s**2 / 2
+
+
+def wobbling(speed_hz: float, share: float, wobble_hz: float) -> Motion:
+    turn = share * speed_hz / (2 * np.pi * wobble_hz)
+    return lambda time_s: speed_hz * time_s - turn * np.cos(2 * np.pi * wobble_hz * time_s)
+
+
+def speed_rpm(angle_rev: Motion, time_s: np.ndarray) -> np.ndarray:
+    return 60.0 * (angle_rev(time_s + 1e-4) - angle_rev(time_s - 1e-4)) / 2e-4
+
+
+SOME = {1.0: 1.0, 2.0: 0.7, 3.0: 0.3, 4.0: 0.4}
+EVEN = {2.0: 1.0, 4.0: 0.5, 6.0: 0.3}
+MOTIONS = {
+    "steady": steady(30.0),
+    "run-up": sweep(5.0, 100.0, 10.0),
+    "coast-down": sweep(100.0, 6.0, 10.0),
+    "wobbling": wobbling(30.0, 0.02, 1.3),
+    "hunting": wobbling(30.0, 0.1, 0.7),
+}
+
+
+@cache
+def followed(name: str) -> VibrationSpeed:
+    return speed_from_vibration(vibration(MOTIONS[name], 10.0, orders=SOME), RATE_HZ, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name: str) -> None:
+    found = followed(name)
+    error = np.abs(found.speed_rpm / speed_rpm(MOTIONS[name], found.time_s) - 1.0)
+    assert np.median(error) < 0.002
+    assert np.quantile(error, 0.95) < 0.01
+    assert not ((error > 0.02) & (found.confidence > 0.8)).any()
+    assert np.median(found.confidence) > 0.6
+
+
+@pytest.mark.parametrize(("name", "within_deg"), [("steady", 0.5), ("run-up", 3.0), ("wobbling", 1.5)])
+def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest(name: str, within_deg: float) -> None:
+    knots = followed(name).knots
+    away = knots.angle_rev - MOTIONS[name](knots.time_s)
+    middle = away.size // 2
+    inside = slice(away.size // 10, -away.size // 10)
+    assert 360.0 * np.std(away[inside]) < within_deg
+    assert (np.diff(knots.time_s) > 0).all() and (np.diff(knots.angle_rev) > 0).all()
+    assert knots.time_s[0] == 0.0 and knots.time_s[-1] == pytest.approx(10.0)
+    missed = np.abs(away[inside] - away[middle]) / knots.standard_error_rev[inside]
+    assert np.mean(missed < 3.0) > 0.9
+
+
+def test_the_standard_error_of_the_speed_holds_what_noise_does_to_it() -> None:
+    signal = vibration(steady(30.0), 6.0, orders=SOME, noise=2.0)
+    for found in (followed("steady"), speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)):
+        inside = slice(5, -5)
+        missed = np.abs(found.speed_rpm - 1800.0)[inside] / found.standard_error_rpm[inside]
+        assert np.mean(missed < 2.0) > 0.9
+
+
+def test_tones_that_hold_still_do_not_attract_a_sweep() -> None:
+    signal = vibration(MOTIONS["run-up"], 10.0, orders=SOME, tones={50.0: 1.0, 150.0: 0.5, 236.0: 1.0})
+    found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    error = np.abs(found.speed_rpm / speed_rpm(MOTIONS["run-up"], found.time_s) - 1.0)
+    assert np.median(error) < 0.005
+    assert not ((error > 0.02) & (found.confidence > 0.8)).any()
+
+
+def test_named_tones_are_no_orders() -> None:
+    mains = {50.0: 2.0, 100.0: 1.0, 150.0: 0.7, 200.0: 0.7}
+    signal = vibration(steady(31.0), 5.0, orders={1.0: 0.5, 2.0: 0.3}, tones=mains)
+    taken = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    assert abs(np.median(taken.speed_rpm) / 1860.0 - 1.0) > 0.1
+    named = speed_from_vibration(
+        signal, RATE_HZ, settings=SETTINGS, fixed_hz=tuple(mains), order_weights={1.0: 0.9, 2.0: 0.8}
+    )
+    assert np.median(named.speed_rpm) == pytest.approx(1860.0, rel=2e-3)
+
+
+def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too() -> None:
+    found = speed_from_vibration(vibration(steady(30.0), 5.0, orders=EVEN), RATE_HZ, settings=SETTINGS)
+    assert np.median(found.speed_rpm) == pytest.approx(3600.0, rel=1e-3)
+    assert [tie.ratio for tie in found.ties][:1] == [0.5]
+    assert 0.1 < found.ties[0].relative_evidence < 1.0
+    assert "speed_tie" in {flag for flag, _, _ in found.remarks}
+    assert found.confidence.max() < 0.85
+
+
+@pytest.mark.parametrize(
+    "known",
+    [
+        {"order_weights": {1.0: 0.1, 2.0: 0.9, 3.0: 0.1, 4.0: 0.9, 6.0: 0.8, 8.0: 0.5}},
+        {"expected_rpm": (1000.0, 2500.0)},
+    ],
+    ids=["orders of the engine", "range of speeds"],
+)
+def test_what_is_known_of_the_machine_decides_the_tie(known: dict[str, object]) -> None:
+    signal = vibration(steady(30.0), 5.0, orders=EVEN)
+    found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS, **known)  # type: ignore[arg-type]
+    assert np.median(found.speed_rpm) == pytest.approx(1800.0, rel=1e-3)
+    assert 2.0 not in {tie.ratio for tie in found.ties}
+
+
+def test_half_orders_tell_a_four_stroke_engine_from_one_at_half_its_speed() -> None:
+    orders = {half / 2: 0.6 if half % 2 else 1.0 / (half / 4) for half in range(1, 12)}
+    signal = vibration(steady(25.0), 5.0, orders=orders)
+    found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
+    assert np.median(found.speed_rpm) == pytest.approx(1500.0, rel=1e-3)
+    assert np.median(found.confidence) > 0.8
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_alone_tells_no_speed(seed: int) -> None:
+    signal = vibration(steady(30.0), 4.0, orders={}, seed=seed)
+    found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    assert np.mean(found.confidence < 0.5) > 0.9
+    assert ("speed_doubtful", "bad") in {(flag, severity) for flag, severity, _ in found.remarks}
+
+
+def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_not() -> None:
+    signal = vibration(steady(30.0), 3.0, orders=SOME)
+    knots, _ = angle_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    assert knots.angle_rev[-1] == pytest.approx(90.0, abs=0.02)
+    signal = vibration(steady(30.0), 3.0, orders={})
+    with pytest.raises(InputError, match="does not tell the speed"):
+        angle_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+
+
+def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes() -> None:
+    signal = np.concatenate([vibration(steady(30.0), 3.0, orders=SOME, seed=seed) for seed in (1, 2)])
+    first = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    again = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    assert first.speed_rpm.tobytes() == again.speed_rpm.tobytes()
+    assert first.knots.angle_rev.tobytes() == again.knots.angle_rev.tobytes()
+    scaled = speed_from_vibration(signal * np.array([[1024.0], [1 / 64]]), RATE_HZ, settings=SETTINGS)
+    np.testing.assert_allclose(scaled.speed_rpm, first.speed_rpm, rtol=1e-6)
+
+
+def test_a_dead_channel_changes_nothing() -> None:
+    signal = vibration(steady(30.0), 3.0, orders=SOME)
+    alone = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    beside = speed_from_vibration(np.vstack([signal, np.full_like(signal, 3.0)]), RATE_HZ, settings=SETTINGS)
+    np.testing.assert_array_equal(beside.speed_rpm, alone.speed_rpm)
+
+
+@pytest.mark.parametrize(
+    ("signal", "says"),
+    [
+        (np.zeros((2, 8192)), "constant"),
+        (np.full((1, 8192), np.nan), "not finite"),
+        (np.random.default_rng(0).standard_normal((1, 40)), "cannot tell any speed"),
+    ],
+    ids=["constant", "not finite", "too short"],
+)
+def test_a_signal_that_cannot_tell_a_speed_is_refused(signal: np.ndarray, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+
+
+def test_a_firing_engine_is_followed_to_a_part_in_a_thousand() -> None:
+    scene = load_scene("thesis-second-firing").first_look()
+    run = scene.runs[0]
+    rate_hz = scene.rate_hz(run.speed_rpm)
+    signal = synthesise(scene, run, floor_of(scene, rate_hz)).recorded.samples.astype(np.float64)
+    found = speed_from_vibration(signal, rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
+    assert np.median(np.abs(found.speed_rpm / run.speed_rpm - 1.0)) < 1e-3
+    assert np.median(found.confidence) > 0.9
+
+
+def test_a_run_up_through_five_modes_is_followed() -> None:
+    scene = load_scene("run-up").first_look()
+    (run,) = scene.runs
+    rate_hz = scene.rate_hz(run.speed_rpm)
+    signal = synthesise(scene, run, floor_of(scene, rate_hz)).recorded.samples.astype(np.float64)
+    found = speed_from_vibration(signal, rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
+    corner_s, corner_rpm = np.transpose(scene.speed_profile.corners)
+    error = np.abs(found.speed_rpm / np.interp(found.time_s, corner_s, corner_rpm) - 1.0)
+    assert np.median(error) < 0.002
+    assert np.mean(error > 0.02) < 0.05
+    assert not ((error > 0.02) & (found.confidence > 0.8)).any()
+
+
+def test_a_measured_car_run_up_agrees_with_its_speed_track(shared_data: Path) -> None:
+    with wave.open(str(shared_data / "ansys_accel" / "accel_with_rpm.wav")) as file:
+        rate_hz, frames = file.getframerate(), file.readframes(file.getnframes())
+    pressure, speed = np.frombuffer(frames, dtype="<i2").reshape(-1, 2).T / 32768.0 * [[0.99655], [4821.43]]
+    found = speed_from_vibration(pressure[None], rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
+    track = np.interp(found.time_s, np.arange(speed.size) / rate_hz, speed)
+    error = np.abs(found.speed_rpm / track - 1.0)
+    assert np.median(error) < 0.003
+    assert np.quantile(error, 0.95) < 0.01
+
+
+def test_measured_rotor_coast_downs_agree_with_their_tach(shared_data: Path) -> None:
+    for path in sorted((shared_data / "rotorbalancer" / "2020-04_stepped").glob("*.csv"))[::6]:
+        table = pd.read_csv(path, comment="#")
+        tach = table["ir"].to_numpy()
+        pulse_s = find_pulses(
+            tach, rate_hz=952.0, kind="square", edge="rising", pulses_per_rev=1, settings=SETTINGS
+        ).time_s
+        # the tach itself is known to a sample in some 15: its count over the record is what is sure
+        fit = np.polyder(np.polyfit(pulse_s, np.arange(pulse_s.size), 3))
+        acceleration = table["acc_counts"].to_numpy(dtype=np.float64)
+        found = speed_from_vibration(
+            acceleration[None], 952.0, settings=SETTINGS, order_weights={1.0: 0.95, 2.0: 0.4, 3.0: 0.2}
+        )
+        inside = (found.time_s > 0.15) & (found.time_s < 0.85)
+        error = found.speed_rpm[inside] / (60.0 * np.polyval(fit, found.time_s[inside])) - 1.0
+        assert np.median(np.abs(error)) < 0.012, path
+
+
+def test_a_measured_bearing_rig_turns_as_its_file_says(shared_data: Path) -> None:
+    for name in ("0.007-InnerRace", "0.021-OuterRace6"):
+        table = loadmat(shared_data / "cwru_12k_de_1750" / f"{name}.mat")
+        (stated_rpm,) = (float(table[key].item()) for key in table if key.endswith("RPM"))
+        signal = np.array([table[key].ravel() for key in sorted(table) if key.endswith("_time")])[:, :60_000]
+        found = speed_from_vibration(signal, 12_000.0, settings=SETTINGS)
+        assert np.median(found.speed_rpm) == pytest.approx(stated_rpm, rel=0.005), name
