@@ -40,3 +40,25 @@ def test_a_wide_gap_of_a_shaft_that_starts_turning_is_no_lost_pulse(known_shaft)
     found = number_teeth(np.interp(place / 60, angle, time_s), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
     assert found.n_repaired == 0
     assert set((found.tooth - place) % 60) == {0}
+
+
+@pytest.mark.parametrize("share", [0.1, 1 / 3, 0.45, 0.55, 2 / 3, 0.8, 0.95])
+@pytest.mark.parametrize(("teeth", "missing"), [(60, 0), (60, 2), (36, 1), (24, 2)])
+def test_a_false_pulse_anywhere_and_in_a_gap_is_removed_and_leaves_every_number_right(
+    known_shaft, teeth, missing, share
+):
+    shaft = known_shaft(1500.0, duration_s=0.17)
+    pulse_s = shaft.pulse_time_s(teeth)
+    true = np.round(shaft.angle_rev(pulse_s) * teeth).astype(int)
+    on_wheel = true % teeth < teeth - missing
+    pulse_s, true = pulse_s[on_wheel], true[on_wheel]
+    for before in range(2, pulse_s.size - 3):
+        false_s = pulse_s[before] + share * (pulse_s[before + 1] - pulse_s[before])
+        train_s = np.sort(np.append(pulse_s, false_s))
+        found = number_teeth(train_s, pulses_per_rev=teeth, missing_teeth=missing, settings=SETTINGS)
+        np.testing.assert_array_equal(found.time_s, pulse_s, err_msg=f"after pulse {before}")
+        assert len(set((found.tooth - true) % teeth)) == 1, before
+        assert missing == 0 or set((found.tooth - true) % teeth) == {0}, before
+        assert [detail for flag, _, detail in found.flags if flag == "encoder_double_pulse"] == [
+            f"1 false pulses removed, at {false_s:.6g} s"
+        ]
