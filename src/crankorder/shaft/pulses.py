@@ -1,9 +1,10 @@
 """Pulse times from a sampled encoder trace, with the noise of one pulse time.
 
-A trace of two levels is cut half-way between them, whatever it is said to be. A magnetic pickup that swings to both sides alike is cut at zero
-(there the flux through the coil is at its extreme, whatever the speed), with a hysteresis that follows the local pulse
-height, for that grows with speed. A pickup clipped on one side rests on a flat baseline, and the tooth behind a gap may
-rise from it by a tenth of its neighbours' height: such a trace is cut a small share of the local height off it.
+A trace of two levels is cut half-way between them, whatever it is said to be. A magnetic pickup that swings to both
+sides alike is cut at zero (there the flux through the coil is at its extreme, whatever the speed), with a hysteresis
+that follows the local pulse height, for that grows with speed. A pickup clipped on one side rests on a flat baseline,
+and the tooth behind a gap may rise from it by a tenth of its neighbours' height: such a trace is cut a small share of
+the local height off it.
 """
 
 from __future__ import annotations
