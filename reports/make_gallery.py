@@ -1,7 +1,7 @@
-"""Make `reports/gallery/`: the pictures of the reference campaign and of the crank-angle test, from their scenes.
+"""Make `reports/gallery/`: pictures of the reference campaign, a run-up and a crank-angle test, from their scenes.
 
 Usage: python reports/make_gallery.py
-Synthesises both scenes in a temporary folder, analyses them with the command line and copies the pictures.
+Synthesises the scenes in a temporary folder, analyses them with the command line and copies the pictures.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 GALLERY = Path(__file__).parent / "gallery"
 SCENES = {
     "steady-sweep": ("thesis-second-motoring", "The reference campaign: 35 speeds, 300…2000 rpm, sampled by time"),
+    "run-up": ("run-up", "A run-up: four cylinders in line, 300…6000 rpm in a minute, a 60-2 wheel"),
     "crank-angle": ("thesis-first-motoring", "Four speeds, sampled once per degree of crank angle"),
 }
 
