@@ -54,6 +54,12 @@ def headline(findings: dict[str, Any]) -> list[str]:
     return [*story["what"][:1], *bearing_sentences(findings)[:1], *avoid_sentences(findings)[:1]]
 
 
+ALL_CLEAR = (
+    "Nothing that was looked for asks for action: orders, natural frequencies and their crossings. Strikes in "
+    "bearings, which ring above the frequencies analysed, are not looked for."
+)
+
+
 def story_of(findings: dict[str, Any]) -> Story:
     """What shakes, why, how sure and what to do, from ``findings``."""
     return Story(
@@ -277,4 +283,4 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
         sentences.append(RE_RUN_RULE)
     if any(flag.get("severity") == "bad" for flag in findings.get("quality", [])):
         sentences.append("Repeat the recordings that are marked bad.")
-    return sentences or ["Nothing in this test asks for action."]
+    return sentences or [ALL_CLEAR]

@@ -33,6 +33,12 @@ class Table(TypedDict):
     more: Table | None
 
 
+NO_BEARING = (
+    "No bearing was named in the manifest, or none of its lines was seen. Strikes that ring above the "
+    "frequencies analysed are not looked for."
+)
+
+
 def _table(
     title: str, heads: str, rows: list[list[str]], *, empty: str, note: str = "", more: Table | None = None
 ) -> Table:
@@ -143,7 +149,7 @@ def _bearings(findings: dict[str, Any], limit: int) -> Table:
         for record in findings.get("bearings", [])
     ]
     heads = "Bearing|Line|Order found#|Order expected#|Amplitude (peak)#|Verdict"
-    return _table("Bearings", heads, rows, empty="No bearing was named in the manifest, or none of its lines was seen.")
+    return _table("Bearings", heads, rows, empty=NO_BEARING)
 
 
 def _balance(findings: dict[str, Any], limit: int) -> Table:
