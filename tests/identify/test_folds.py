@@ -47,6 +47,8 @@ def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() ->
     quiet = map_with(7200.0, amplitude=0.0)
     assert [flag["flag"] for flag in fold_flags(quiet, settings=SETTINGS)] == ["lines_may_fold"]
     assert "3450 to 3750 Hz" in fold_flags(quiet, settings=SETTINGS)[0]["detail"]
+    coarse = fold_flags(map_with(7200.0, amplitude=0.0, samples_per_rev=36.0), settings=SETTINGS)[0]["detail"]
+    assert "; mains, 400 Hz shows at order 15.13 (1150 rpm)" in coarse  # 36 - 60 x 400 / 1150
     assert fold_flags(map_with(7200.0, samples_per_rev=None), settings=SETTINGS) == []
 
 

@@ -18,8 +18,8 @@ from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.vibration_speed import (
     FOUR_STROKE_WEIGHTS,
     VibrationSpeed,
-    angle_from_vibration,
     speed_from_vibration,
+    trusted_angle,
 )
 from crankorder.synth.floor import floor_of
 from crankorder.synth.load import load_scene
@@ -174,11 +174,12 @@ def test_noise_alone_tells_no_speed(seed: int) -> None:
 
 def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_not() -> None:
     signal = vibration(steady(30.0), 3.0, orders=SOME)
-    knots, _ = angle_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    knots = trusted_angle(speed_from_vibration(signal, RATE_HZ, settings=SETTINGS))
     assert knots.angle_rev[-1] == pytest.approx(90.0, abs=0.02)
     signal = vibration(steady(30.0), 3.0, orders={})
+    guess = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
     with pytest.raises(InputError, match="does not tell the speed"):
-        angle_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+        trusted_angle(guess)
 
 
 def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes() -> None:

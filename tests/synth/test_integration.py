@@ -13,7 +13,8 @@ from crankorder.synth.integration import (
     interpolation_error,
     step_weights,
 )
-from crankorder.synth.poles import Poles, frequency_response, steady_state
+from crankorder.synth.poles import Poles, steady_state
+from made.responses import frequency_response
 
 RNG = np.random.default_rng(8)
 POLES = Poles(

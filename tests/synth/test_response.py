@@ -105,3 +105,12 @@ def test_tones_are_linear() -> None:
     one, other = rng.normal(size=(2, 2, 3)) + 1j * rng.normal(size=(2, 2, 3))
     parts = [tones(part, frequency, rate_hz=5e3, n_samples=5000) for part in (one, other, 2 * one - other)]
     assert np.abs(2 * parts[0] - parts[1] - parts[2]).max() < 1e-12
+
+
+def test_the_power_of_tones_is_that_of_their_lines() -> None:
+    """Parseval: over whole periods of all lines the mean square is half the sum of their squared peaks."""
+    frequency = np.array([5.0, 183.0, 2400.0])
+    amplitude = np.array([[1 + 2j, 0.5, -1j], [0.0, 3j, 1e-3]])
+    summed = tones(amplitude, frequency, rate_hz=50_000.0, n_samples=50_000)
+    power = 0.5 * (np.abs(amplitude) ** 2).sum(axis=1)
+    assert np.abs((summed**2).mean(axis=1) / power - 1).max() < 1e-12

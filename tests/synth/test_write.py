@@ -195,3 +195,16 @@ def test_written_toml_reads_back() -> None:
         "list": [{"a": []}],
     }
     assert tomllib.loads(toml_text(table)) == table
+
+
+def test_repeats_that_a_scene_no_longer_has_go_with_the_former_ones(small_scene: Path, tmp_path: Path) -> None:
+    text = small_scene.read_text()
+    for repeats in (3, 2):
+        small_scene.write_text(text.replace("seed = 7\n", f"seed = 7\nrepeats = {repeats}\n"))
+        written = write_scene(small_scene.name, tmp_path / "runs", quick=True, beside=small_scene.parent)
+        assert [path.name for path in written] == [f"run_{k + 1}" for k in range(repeats)]
+        assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == [path.name for path in written]
+    (tmp_path / "runs" / "run_1" / "notes.txt").write_text("mine")
+    (tmp_path / "runs" / "mine.txt").write_text("mine")
+    with pytest.raises(RequestError, match=r"found mine\.txt"):
+        write_scene(small_scene.name, tmp_path / "runs", quick=True, beside=small_scene.parent)

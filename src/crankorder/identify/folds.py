@@ -8,7 +8,7 @@ import xarray as xr
 from crankorder.identify.order_lines import excess_over_noise
 from crankorder.quantities import QualityFlag
 from crankorder.settings import Settings
-from crankorder.shaft.folding import find_folds
+from crankorder.shaft.folding import find_folds, folded_lines
 
 MAINS_HARMONICS = 20
 ORDER_ERROR_BINS = 0.3
@@ -29,7 +29,13 @@ def fold_flags(order_map: xr.Dataset, *, settings: Settings) -> list[QualityFlag
     excess, _, _ = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
     at_speed, at_order = np.nonzero((excess > 1.0).any(axis=0))
     highest_hz = settings.identify.fold_search_hz
-    mains = {hz * k for hz in settings.identify.mains_hz for k in range(1, MAINS_HARMONICS + 1) if hz * k <= highest_hz}
+    multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, MAINS_HARMONICS + 1))
+    mains = folded_lines(
+        samples_per_rev,
+        speed,
+        frequencies_hz=np.unique(multiples[multiples <= highest_hz]).tolist(),
+        shown_to_order=float(axis[-1]),
+    )
     folds = find_folds(
         speed[at_speed],
         axis[at_order],
@@ -37,7 +43,7 @@ def fold_flags(order_map: xr.Dataset, *, settings: Settings) -> list[QualityFlag
         order_error=ORDER_ERROR_BINS * float(axis[1] - axis[0]),
         shown_to_order=float(axis[-1]),
         highest_hz=highest_hz,
-        frequencies_hz=sorted(hz for hz in mains if hz > samples_per_rev / 2 * speed.min() / 60),
+        frequencies_hz=[line.value for line in mains],
     )
     low_hz, high_hz = samples_per_rev / 120 * speed.min(), samples_per_rev / 120 * speed.max()
     could: QualityFlag = {
@@ -45,7 +51,8 @@ def fold_flags(order_map: xr.Dataset, *, settings: Settings) -> list[QualityFlag
         "flag": "lines_may_fold",
         "severity": "info",
         "detail": f"sampled {samples_per_rev:g} times a revolution: unless a filter kept it out, what lies above "
-        f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|",
+        f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|"
+        + "".join(f"; mains, {line}" for line in mains),
     }
     found: list[QualityFlag] = [
         {"recording": "all", "flag": flag, "severity": severity, "detail": detail}

@@ -134,7 +134,7 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
         if not re.search(r"[*?\[]", pattern):
             check_regular(folder / pattern)
         return list(folder.glob(pattern))
-    except (OSError, ValueError, NotImplementedError) as error:
+    except (OSError, ValueError, NotImplementedError) as error:  # glob: too long, a bad pattern, an absolute one
         if isinstance(error, CrankorderError):
             raise
         raise InputError("not a usable name", file=folder, place="recordings.files", found=repr(pattern)) from None

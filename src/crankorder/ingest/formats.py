@@ -147,7 +147,7 @@ def _zip_kind(path: Path) -> Format:
         with zipfile.ZipFile(path) as archive:
             if "xl/workbook.xml" in archive.namelist():
                 return "XLSX"
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError):
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):  # what zipfile raises on damaged directories
         raise InputError(
             "truncated or damaged: a zip or XLSX file without its directory", file=path, remedy="Copy it again"
         ) from None

@@ -286,18 +286,18 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
 
 def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     """Angle from the orders that the vibration itself shows: for a machine without any other reference."""
-    from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, angle_from_vibration
+    from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, speed_from_vibration, trusted_angle
 
     attrs = recording.attrs
     expected = attrs.get("expected_rpm")
-    knots, remarks = angle_from_vibration(
+    found = speed_from_vibration(
         recording["signal"].values,
         float(attrs["rate_hz"]),
         settings=settings,
         expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
         order_weights=FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None,
     )
-    return _dataset(recording, knots, "none", 0, [*remarks, _NO_PHASE])
+    return _dataset(recording, trusted_angle(found), "none", 0, [*found.remarks, _NO_PHASE])
 
 
 def _from_constant(recording: xr.Dataset) -> ShaftAngle:

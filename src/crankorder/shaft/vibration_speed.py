@@ -149,38 +149,11 @@ def _found(tracked: TrackedAngle, confidence: FloatArray, ties: list[Tie]) -> Vi
     return VibrationSpeed(time_s, speed_rpm, error_rpm, confidence, ties, _told(time_s, confidence, ties), knots)
 
 
-def angle_from_vibration(
-    signals: FloatArray,
-    rate_hz: float,
-    *,
-    settings: ShaftSettings,
-    expected_rpm: tuple[float, float] | None = None,
-    order_weights: Mapping[float, float] | None = None,
-    fixed_hz: Sequence[float] = (),
-) -> tuple[AngleKnots, list[Remark]]:
-    """Crank angle on time knots from the first sample to the last, and remarks; it has no phase reference.
+def trusted_angle(found: VibrationSpeed) -> AngleKnots:
+    """Crank angle that goes with the speed ``found``, from the first sample to the last; it has no phase reference.
 
-    Parameters
-    ----------
-    signals : (channels, samples), any units
-    rate_hz : samples per second
-    settings : see :func:`speed_from_vibration`
-    expected_rpm : see there
-    order_weights : see there
-    fixed_hz : see there
-
-    Raises
-    ------
-    InputError as :func:`speed_from_vibration`, and where the speed is a guess for more than half of the time.
+    Raises InputError where the speed is a guess for more than half of the time.
     """
-    found = speed_from_vibration(
-        signals,
-        rate_hz,
-        settings=settings,
-        expected_rpm=expected_rpm,
-        order_weights=order_weights,
-        fixed_hz=fixed_hz,
-    )
     guessed = float(np.mean(found.confidence < GUESSED))
     if guessed > 0.5:
         raise InputError(
@@ -189,7 +162,7 @@ def angle_from_vibration(
             found=f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time",
             remedy="Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder",
         )
-    return found.knots, found.remarks
+    return found.knots
 
 
 def _possible_ratios(speed_hz: FloatArray, range_hz: tuple[float, float]) -> FloatArray:

@@ -109,15 +109,18 @@ def strikes_per_rev(orders: dict[str, float], line: str) -> float:
     return 2 * orders[line] if line == "BSF" else orders[line]
 
 
-def order_lines(scene: Scene, run: Run, speed_rpm: float | None = None) -> OrderLines:
+def order_lines(
+    scene: Scene, run: Run, speed_rpm: float | None = None, *, forces: ForceLines | None = None
+) -> OrderLines:
     """What a perfect order analysis of ``run`` finds at a steady ``speed_rpm`` (the run's own unless stated).
 
     ``scene``: engine, structure, effects and what stands behind the sensors, a channel's delay included (for bearing
-    lines that of the mean rotation). A line that two effects make is there twice; the lines add up.
+    lines that of the mean rotation). ``forces``: of :func:`crank_forces`, where they are at hand, for
+    they are the same at all speeds. A line that two effects make is there twice; the lines add up.
     """
     speed = run.speed_rpm if speed_rpm is None else speed_rpm
     lag = crank_motion(scene, run).lag if scene.in_cycle_speed is not None else None
-    driven = _late(scene, driven_lines(scene, crank_forces(scene), speed, lag), speed)
+    driven = _late(scene, driven_lines(scene, forces or crank_forces(scene), speed, lag), speed)
     fixed = _late(scene, fixed_lines(scene, run), speed)
     if lag is not None and driven.order.size:
         known = dict(zip(driven.order.tolist(), driven.cause, strict=True))

@@ -102,18 +102,6 @@ def _behind(modes: Poles, structure: Structure, filter: AnalogueFilter) -> Poles
     )
 
 
-def frequency_response(poles: Poles, frequency_hz: NDArray[np.float64]) -> Complex:
-    """Complex acceleration per force (1/kg) of ``poles`` in the steady state, shape (channel, axis, frequency).
-
-    ``frequency_hz``: any sign, shape (frequency,).
-    """
-    s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
-    near, far = 0.5 / (s - poles.pole_per_s[:, None]), 0.5 / (s - poles.pole_per_s.conj()[:, None])
-    response: Complex = np.einsum("cp,pa,pf->caf", poles.output, poles.input, near)
-    response += np.einsum("cp,pa,pf->caf", poles.output.conj(), poles.input, far)
-    return response + poles.direct[:, :, None]
-
-
 def steady_state(poles: Poles, force: Complex, frequency_hz: NDArray[np.float64]) -> Complex:
     """State (pole,) at t = 0 of the steady response of ``poles`` to Re Σ force · exp(2πi frequency t).
 

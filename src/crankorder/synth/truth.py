@@ -95,7 +95,8 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
     steady = _steady_speeds(scene, runs)
     if not steady:
         return []
-    lines = [order_lines(scene, run, speed_rpm) for run, speed_rpm in steady]
+    forces = crank_forces(scene)
+    lines = [order_lines(scene, run, speed_rpm, forces=forces) for run, speed_rpm in steady]
     speed = np.array([speed_rpm for _, speed_rpm in steady])
     rate_hz = np.array([scene.rate_hz(rpm) for rpm in speed])
     duration_s = scene.n_samples / rate_hz / (1 if scene.speed_profile is None else SWEEP_PARTS)

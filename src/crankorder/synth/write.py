@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 
 from crankorder.errors import EnvironmentFailure, RequestError
+from crankorder.quantities import Truth
 from crankorder.settings import shipped
 from crankorder.synth.floor import floor_of
 from crankorder.synth.load import load_scene
@@ -54,9 +55,12 @@ def write_scene(
         scene = scene.first_look()
     try:
         folders = _claimed(scene, folder)
-        for repeat, place in enumerate(folders):
-            _write_truth(scene, repeat, place, [])
-        _write_recordings(scene, folders, progress)
+        truths = [truth_of(scene, repeat) for repeat in range(scene.repeats)]
+        for truth, place in zip(truths, folders, strict=True):
+            _write_truth(truth, place)
+        for repeat, faults in enumerate(_write_recordings(scene, folders, progress)):
+            if faults:
+                _write_truth(Truth({**truths[repeat], "quality": faults}), folders[repeat])
         for repeat, place in enumerate(folders):
             ours = scene.engine_file in shipped("engines")
             if not ours:
@@ -108,14 +112,15 @@ def recording_image(scene: Scene, run: Run, recording: SyntheticRecording) -> by
     return image
 
 
-def _write_truth(scene: Scene, repeat: int, folder: Path, quality: list[dict[str, Any]]) -> None:
-    truth = truth_of(scene, repeat) | {"quality": quality}
+def _write_truth(truth: Truth, folder: Path) -> None:
     text = json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)
     _publish(folder / TRUTH, f"{text}\n".encode())
 
 
-def _write_recordings(scene: Scene, folders: list[Path], progress: Callable[[int, int], None] | None) -> None:
-    """Write every recording of every repeat; where any was made faulty, the truth again with what and where."""
+def _write_recordings(
+    scene: Scene, folders: list[Path], progress: Callable[[int, int], None] | None
+) -> list[list[dict[str, Any]]]:
+    """Write every recording of every repeat; what was made faulty in each repeat, and where."""
     runs = [run for repeat in range(len(folders)) for run in scene.runs_of(repeat)]
     # one floor for all where the rate is one; by crank angle every speed has its own, and all at once would be too many
     shared = floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, TimeSampling) else None
@@ -135,10 +140,10 @@ def _write_recordings(scene: Scene, folders: list[Path], progress: Callable[[int
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    for repeat, folder in enumerate(folders):
-        faults = [fault for task, run in tasks.items() if run.repeat == repeat for fault in task.result()]
-        if faults:
-            _write_truth(scene, repeat, folder, faults)
+    return [
+        [fault for task, run in tasks.items() if run.repeat == repeat for fault in task.result()]
+        for repeat in range(len(folders))
+    ]
 
 
 def _claimed(scene: Scene, folder: Path) -> list[Path]:
@@ -151,8 +156,13 @@ def _claimed(scene: Scene, folder: Path) -> list[Path]:
         ours = re.compile(REPEAT_NAME.format("[0-9]+"))
         _refuse(folder, [path.name for path in folder.iterdir() if not ours.fullmatch(path.name)])
     folder.mkdir(parents=True, exist_ok=True)
-    for place in folders:
+    for place in sorted({*folder.iterdir(), *folders}):
         _claim(place)
+        if place not in folders:  # of a former scene with more repeats
+            for left in (ENGINE, TRUTH):
+                (place / left).unlink(missing_ok=True)
+            if not any(place.iterdir()):
+                place.rmdir()
     return folders
 
 
