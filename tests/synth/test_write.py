@@ -197,6 +197,13 @@ def test_written_toml_reads_back() -> None:
     assert tomllib.loads(toml_text(table)) == table
 
 
+def test_recordings_of_one_name_are_made_at_the_same_time(small_scene: Path, tmp_path: Path) -> None:
+    text = small_scene.read_text().replace("seed = 7\n", "seed = 7\nrepeats = 40\n")
+    small_scene.write_text(text)
+    written = write_scene(small_scene.name, tmp_path / "runs", quick=True, beside=small_scene.parent)
+    assert len({(folder / "rpm_0600.h5").read_bytes() for folder in written}) == 40
+
+
 def test_repeats_that_a_scene_no_longer_has_go_with_the_former_ones(small_scene: Path, tmp_path: Path) -> None:
     text = small_scene.read_text()
     for repeats in (3, 2):

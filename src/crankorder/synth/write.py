@@ -102,7 +102,8 @@ def recording_image(scene: Scene, run: Run, recording: SyntheticRecording) -> by
         columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
         columns[PULSE_TIME] = recording.encoder.pulse_s, {"unit": "s"}
         columns[INDEX_TIME] = recording.encoder.index_s, {"unit": "s"}
-    with h5py.File(f"{run.name}.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
+    # in memory only; HDF5 still refuses one name twice at a time, so repeats need names of their own
+    with h5py.File(f"{run.stream}.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
         for source, (values, attrs) in columns.items():
             if values is not None:
                 file.create_dataset(source, data=values).attrs.update(attrs)
