@@ -9,7 +9,7 @@ import tomllib
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -76,6 +76,11 @@ class OrderSettings(StageSettings):
     speed_bin_rpm: Positive
     track_orders: tuple[Positive, ...] = Field(strict=False)
     band_width_orders: Positive
+    tolerance: Annotated[float, Field(ge=1e-12, le=0.1)]
+    method: Literal["auto", "resample", "nufft"]
+    track_method: Literal["frames", "least_squares", "vold_kalman"]
+    track_bandwidth: Positive
+    track_bandwidth_unit: Literal["order", "Hz"]
     floor_bins: Count
     guard_bins: Annotated[int, Field(ge=0)]
 
