@@ -1,36 +1,247 @@
-"""Values between samples: error against analytic tones, and the kernel's laws."""
+"""Values between samples: laws, error against analytic tones, both precisions, bad input."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from crankorder.fft.resampling import margin, values_at
+from crankorder.errors import RequestError
+from crankorder.fft.resampling import KERNEL_NAMES, cheapest_kernel, kernel_named, margin, values_at
 
-
-@pytest.mark.parametrize(("share_of_rate", "largest"), [(0.05, 1e-6), (0.2, 1e-6), (0.4, 2e-6)])
-def test_tones_up_to_the_pass_band_are_reproduced(share_of_rate, largest):
-    n = np.arange(4000)
-    signals = np.stack([np.cos(2 * np.pi * share_of_rate * n + 0.7), np.sin(2 * np.pi * share_of_rate * n)])
-    positions = np.random.default_rng(5).uniform(margin(), 4000 - margin() - 1, 3000)
-    values = values_at(signals, positions)
-    expected = np.stack(
-        [np.cos(2 * np.pi * share_of_rate * positions + 0.7), np.sin(2 * np.pi * share_of_rate * positions)]
-    )
-    assert np.abs(values - expected).max() < largest
-
-
-def test_a_constant_stays_a_constant():
-    values = values_at(np.full((1, 200), 3.0), np.linspace(50, 150, 777))
-    np.testing.assert_allclose(values, 3.0, rtol=1e-14)
-
-
-def test_on_the_samples_the_samples_come_back():
-    signals = np.random.default_rng(6).standard_normal((2, 300))
-    np.testing.assert_allclose(values_at(signals, np.arange(60.0, 200.0)), signals[:, 60:200], atol=1e-12)
+SHORT_KERNELS = (
+    "lagrange-4",
+    "lagrange-6",
+    "bspline-3",
+    "bspline-5",
+    "sinc-8",
+    "sinc-10",
+    "sinc-16",
+    "sinc-48",
+    "kaiser-48",
+)
+N_SAMPLES = 700
 
 
-@pytest.mark.parametrize("position", [3.0, 296.0, -1.0])
+def tones(frequency: float, at: np.ndarray, dtype: str = "f8") -> np.ndarray:
+    angle = 2.0 * np.pi * frequency * at + 0.7
+    return np.stack([np.cos(angle), np.sin(angle)]).astype(dtype)
+
+
+def places(n_samples: int, edge: int, count: int = 3000, seed: int = 5) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(edge, n_samples - 1 - edge, count)
+
+
+def noise(channels: int, seed: int = 6) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((channels, N_SAMPLES))
+
+
+@pytest.mark.parametrize("share_of_rate", [0.02, 0.05, 0.2, 0.4])
+def test_without_a_kernel_tones_up_to_two_fifths_of_the_rate_are_within_a_ten_millionth(share_of_rate):
+    at = places(4000, margin())
+    values = values_at(tones(share_of_rate, np.arange(4000.0)), at)
+    assert np.abs(values - tones(share_of_rate, at)).max() < 1e-7
+
+
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_a_constant_is_passed_to_the_last_bits(name, dtype):
+    kernel = kernel_named(name, pass_band=0.3, double=dtype == "f8")
+    values = values_at(np.full((2, 200), 3.0, dtype), places(200, kernel.margin), kernel=kernel)
+    assert np.abs(values / 3.0 - 1.0).max() < 4.0 * np.finfo(dtype).eps
+
+
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+def test_on_the_samples_the_samples_come_back(name):
+    kernel = kernel_named(name, pass_band=0.3)
+    inside = np.arange(60, N_SAMPLES - 60)
+    values = values_at(noise(2), inside.astype(float), kernel=kernel)
+    within = 0.0 if name[0] != "b" else 2e-14
+    np.testing.assert_allclose(values, noise(2)[:, inside], rtol=0, atol=within)
+
+
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+def test_values_are_linear_in_the_signals(name):
+    kernel = kernel_named(name, pass_band=0.2)
+    a, b, at = noise(1, seed=1), noise(1, seed=2), places(N_SAMPLES, kernel.margin)
+    both = values_at(3.0 * a - 0.25 * b, at, kernel=kernel)
+    apart = 3.0 * values_at(a, at, kernel=kernel) - 0.25 * values_at(b, at, kernel=kernel)
+    np.testing.assert_allclose(both, apart, rtol=0, atol=2e-14)
+    np.testing.assert_array_equal(values_at(2.0 * a, at, kernel=kernel), 2.0 * values_at(a, at, kernel=kernel))
+
+
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+def test_a_shift_by_whole_samples_shifts_the_values(name):
+    kernel = kernel_named(name, pass_band=0.2)
+    signals = noise(2)
+    # fractions that survive the addition of 37 without rounding
+    at = np.floor(places(N_SAMPLES - 37, kernel.margin) * 1024) / 1024
+    shifted = values_at(signals[:, 37:], at, kernel=kernel)
+    np.testing.assert_allclose(shifted, values_at(signals, at + 37.0, kernel=kernel), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+def test_time_backwards_gives_the_values_backwards(name):
+    kernel = kernel_named(name, pass_band=0.2)
+    signals = noise(1)
+    at = np.floor(places(N_SAMPLES, kernel.margin) * 1024) / 1024
+    backwards = values_at(signals[:, ::-1], N_SAMPLES - 1 - at, kernel=kernel)
+    # the cubics of a table do not lie symmetrically to the last bits, nor do the sums
+    np.testing.assert_allclose(backwards, values_at(signals, at, kernel=kernel), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5])
+def test_a_channel_has_the_same_values_alone_and_among_others(channels, dtype):
+    signals = noise(channels).astype(dtype)
+    kernel = kernel_named("sinc-24", pass_band=0.3, double=dtype == "f8")
+    at = places(N_SAMPLES, kernel.margin)
+    values = values_at(signals, at, kernel=kernel)
+    assert values.dtype == signals.dtype
+    for channel in range(channels):
+        alone = values_at(signals[channel : channel + 1], at, kernel=kernel)
+        np.testing.assert_array_equal(values[channel], alone[0])
+
+
+@given(st.permutations(range(12)))
+def test_the_order_of_the_positions_does_not_matter(order):
+    at = np.linspace(30.0, 300.3, 12)
+    np.testing.assert_array_equal(values_at(noise(2), at[list(order)]), values_at(noise(2), at)[:, list(order)])
+
+
+def test_a_block_and_the_whole_record_agree_bit_for_bit():
+    signals, kernel = noise(2), kernel_named("sinc-16", pass_band=0.25)
+    at = np.floor(np.linspace(200.0, 300.0, 500) * 4096) / 4096
+    block = values_at(signals[:, 150:350], at - 150.0, kernel=kernel)
+    np.testing.assert_array_equal(block, values_at(signals, at, kernel=kernel))
+
+
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+@pytest.mark.parametrize("content", [0.02, 0.2, 0.4])
+def test_both_precisions_agree_within_what_single_precision_states(name, content):
+    single = kernel_named(name, pass_band=content, double=False)
+    stated = single.predicted_error - kernel_named(name, pass_band=content).predicted_error
+    assert 1e-7 < stated < 3e-6
+    at = places(N_SAMPLES, single.margin)
+    signals = tones(content, np.arange(float(N_SAMPLES)), "f4")
+    in_double = values_at(signals.astype("f8"), at, kernel=kernel_named(name, pass_band=content))
+    assert np.abs(values_at(signals, at, kernel=single) - in_double).max() < stated
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
+@pytest.mark.parametrize("name", ["lagrange-6", "bspline-5", "sinc-16"])
+def test_the_smallest_and_largest_amplitudes_survive(name, scale):
+    kernel = kernel_named(name, pass_band=0.1)
+    at = places(N_SAMPLES, kernel.margin)
+    values = values_at(scale * tones(0.1, np.arange(float(N_SAMPLES))), at, kernel=kernel)
+    assert np.abs(values / scale - tones(0.1, at)).max() < kernel.predicted_error + 1e-13
+
+
+@pytest.mark.parametrize("name", ["lagrange-6", "bspline-3", "sinc-16", "sinc-48"])
+def test_a_constant_a_million_times_the_signal_costs_only_its_own_rounding(name):
+    kernel = kernel_named(name, pass_band=0.1)
+    at = places(N_SAMPLES, kernel.margin)
+    values = values_at(1e6 + tones(0.1, np.arange(float(N_SAMPLES))), at, kernel=kernel) - 1e6
+    assert np.abs(values - tones(0.1, at)).max() < kernel.predicted_error + 8.0 * np.spacing(1e6)
+
+
+@pytest.mark.parametrize("low", [True, False])
+@pytest.mark.parametrize("name", SHORT_KERNELS)
+def test_the_margin_is_enough_and_what_lies_further_out_is_refused(name, low):
+    kernel = kernel_named(name, pass_band=0.2)
+    last = N_SAMPLES - 1
+    ends = np.array([kernel.margin, last - kernel.margin], dtype=float)
+    expected = tones(0.1, ends)
+    values = values_at(tones(0.1, np.arange(float(N_SAMPLES))), ends, kernel=kernel)
+    assert np.abs(values - expected).max() < 1.1 * kernel.predicted_error
+    outside = np.array([300.0, kernel.margin - 3.0 if low else last - kernel.margin + 3.0])
+    with pytest.raises(RequestError, match=r"positions must lie in .* at number 1"):
+        values_at(noise(1), outside, kernel=kernel)
+
+
+@pytest.mark.parametrize("position", [3.0, 296.0, -1.0, -0.0, np.nan, np.inf, -np.inf, 1e300])
 def test_positions_without_neighbours_are_refused(position):
     with pytest.raises(ValueError, match="positions must lie in"):
         values_at(np.zeros((1, 300)), np.array([position]))
+
+
+def test_a_record_shorter_than_the_kernel_is_refused_and_no_position_is_no_fault():
+    with pytest.raises(RequestError, match="too short"):
+        values_at(np.zeros((1, 20)), np.array([10.0]))
+    assert values_at(np.zeros((3, 20)), np.empty(0)).shape == (3, 0)
+    assert values_at(np.zeros((0, 100)), np.array([50.0])).shape == (0, 1)
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(RequestError, match="channels, samples"):
+        values_at(np.zeros(300), np.array([150.0]))
+    with pytest.raises(RequestError, match="positions are one row"):
+        values_at(np.zeros((1, 300)), np.array([[150.0]]))
+    with pytest.raises(RequestError, match="its cut-off"):
+        values_at(np.zeros((1, 300)), np.array([150.0]), cut_off=np.array([0.5, 0.5]))
+
+
+def test_any_memory_layout_gives_the_same_values():
+    signals, at = noise(3), places(N_SAMPLES, margin())
+    expected = values_at(signals, at)
+    wide = np.zeros((6, N_SAMPLES + 9))
+    wide[1::2, 4:-5] = signals
+    frozen = signals.copy()
+    frozen.flags.writeable = False
+    swapped = signals.astype(">f8")
+    for same in (np.asfortranarray(signals), wide[1::2, 4:-5], frozen, swapped, wide[5::-2, 4:-5][::-1]):
+        np.testing.assert_array_equal(values_at(same, at), expected)
+    np.testing.assert_array_equal(values_at(np.broadcast_to(signals[:1], (3, N_SAMPLES)), at)[2], expected[0])
+    whole = np.arange(300).reshape(1, 300)
+    np.testing.assert_allclose(values_at(whole, np.array([150.5])), 150.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+@pytest.mark.parametrize(("pass_band", "tolerance"), [(0.05, 1e-4), (0.05, 2e-6), (0.25, 2e-6), (0.4, 1e-5)])
+@pytest.mark.parametrize("cut_off", [0.999, 0.5, 0.11])
+def test_a_cut_off_passes_what_lies_below_and_stops_what_would_fold(cut_off, pass_band, tolerance, dtype):
+    kernel = cheapest_kernel(tolerance, content=pass_band, double=dtype == "f8")
+    time = np.arange(2000.0)
+    at = places(2000, kernel.margin_at(cut_off), 1000)
+    low = np.full(len(at), cut_off)
+    for share in (0.0, 0.5, 1.0):
+        frequency = share * pass_band * cut_off
+        values = values_at(tones(frequency, time, dtype), at, kernel=kernel, cut_off=low)
+        assert values.dtype == dtype
+        assert np.abs(values - tones(frequency, at)).max() < tolerance
+    for frequency in np.linspace((1.0 - pass_band) * cut_off, 0.5, 7) if (1.0 - pass_band) * cut_off < 0.5 else ():
+        values = values_at(tones(frequency, time, dtype), at, kernel=kernel, cut_off=low)
+        assert np.abs(values).max() < tolerance
+
+
+def test_a_cut_off_of_one_is_the_kernel_itself_and_each_position_has_its_own():
+    signals, kernel = noise(2), kernel_named("sinc-16", pass_band=0.25)
+    at = places(N_SAMPLES, kernel.margin_at(0.4), 50)
+    plain = values_at(signals, at, kernel=kernel)
+    np.testing.assert_array_equal(values_at(signals, at, kernel=kernel, cut_off=np.ones(50)), plain)
+    low = np.where(np.arange(50) % 2, 1.0, 0.4)
+    mixed = values_at(signals, at, kernel=kernel, cut_off=low)
+    np.testing.assert_array_equal(mixed[:, 1::2], plain[:, 1::2])
+    all_low = values_at(signals, at, kernel=kernel, cut_off=np.full(50, 0.4))
+    np.testing.assert_array_equal(mixed[:, ::2], all_low[:, ::2])
+
+
+@pytest.mark.parametrize("wrong", [0.0, -0.5, np.nan])
+def test_a_cut_off_that_is_no_share_is_refused(wrong):
+    with pytest.raises(RequestError, match="share of the Nyquist"):
+        values_at(noise(1), np.array([300.0]), cut_off=np.array([wrong]))
+
+
+def test_a_stretched_kernel_without_its_neighbours_is_refused():
+    with pytest.raises(RequestError, match="positions must lie in"):
+        values_at(noise(1), np.array([60.0]), cut_off=np.array([0.2]))
+
+
+@pytest.mark.parametrize("name", KERNEL_NAMES)
+def test_the_gain_beyond_the_pass_band_never_makes_noise_stronger(name):
+    kernel = kernel_named(name, pass_band=0.1)
+    size = 4000
+    at = places(size, kernel.margin, 4000)
+    white = np.random.default_rng(8).standard_normal((1, size))
+    assert values_at(white, at, kernel=kernel).std() < 1.05
