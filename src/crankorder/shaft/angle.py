@@ -263,7 +263,7 @@ def _interpolated(
     if wanted.size == 0:
         return out
     first, last = np.searchsorted(knots, (wanted[0], wanted[-1]))
-    part = slice(max(int(first) - 1, 0), max(int(last), int(first)) + 1)
+    part = slice(max(int(first) - 1, 0), max(int(last), int(first), 1) + 1)
     done = _cubics(wanted, knots[part], value[part], speed_rpm[part] / 60.0, inverse, out)
     if done < wanted.size:
         order = np.argsort(wanted, kind="stable")
