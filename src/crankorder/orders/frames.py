@@ -1,20 +1,21 @@
-"""Order frames: whole engine cycles of a recording, resampled by crank angle and transformed."""
+"""Order frames: whole engine cycles of a recording, transformed by crank angle."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.errors import InputError
-from crankorder.fft.resampling import PASS_BAND, margin, values_at
-from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
+from crankorder.orders.by_angle import is_by_angle, time_samples
+from crankorder.orders.method import KERNEL_SHARE, FrameLayout, frame_layout
+from crankorder.orders.spectra import achieved_error, spectra, spectra_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
+from crankorder.shaft.angle import knots_of, time_at
 
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
@@ -22,111 +23,55 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
 
     ``band`` is the BandRecording, by time or by crank angle; ``shaft`` its ShaftAngle. A frame holds
     ``settings.revs_per_frame`` rounded down to whole cycles, fewer (flagged) where the recording is shorter. Orders
-    that the sample rate cannot carry at a frame's speed are NaN.
+    that the sample rate cannot carry at a frame's speed, and frames of a channel that touch one of its gaps, are NaN.
+    The method is chosen by ``settings.tolerance``; ``predicted_error``, and ``achieved_error`` as measured by tones of
+    known amplitude along the same crank angles, stand beside it.
     Raises InputError where not even one cycle was recorded.
     """
-    cycle = int(shaft.attrs["revs_per_cycle"])
-    signals, angles = _by_angle(band, shaft, settings.max_order)
-    samples_per_rev = round(1.0 / (angles[1] - angles[0])) if len(angles) > 1 else 0
-    held = len(angles) // samples_per_rev if samples_per_rev else 0
-    revs = min(settings.revs_per_frame, held) // cycle * cycle
-    if revs == 0:
-        raise InputError(
-            "the recording holds less than one engine cycle",
-            file=band.attrs["recording"],
-            found=f"{held} whole revolutions",
-            allowed=f"at least {cycle}",
+    layout = frame_layout(band, shaft, settings=settings)
+    speed = _mean_speed(shaft, layout)
+    n_orders = math.floor(settings.max_order * layout.revs) + 1
+    if is_by_angle(band):
+        usable = band["usable"].values if "usable" in band else None
+        per_rev = int(band.attrs["samples_per_rev"])
+        spectrum = spectra_by_angle(
+            band["signal"].values, usable, per_rev, layout.revs, layout.hop_rev, layout.begin_rev, n_orders
         )
-    window = hann(revs * samples_per_rev)
-    hop = max(1, round(revs * (1.0 - settings.overlap))) * samples_per_rev
-    starts = frame_starts(len(angles), len(window.values), hop)
-    transform = FrameTransform(window, n_bins=math.floor(settings.max_order * revs) + 1)
-    spectrum = transform.spectra(signals, starts)
-    order = np.arange(spectrum.shape[2]) / revs
-    start_angle = angles[starts]
-    spectrum *= np.exp(-2j * np.pi * np.outer(start_angle, order))[None]
-    speed = _mean_speed(shaft, start_angle, start_angle + revs)
-    _blank_beyond_rate(spectrum, order, speed, band)
-    frames = _dataset(band, shaft, spectrum, order, speed, start_angle)
-    frames.attrs |= {
-        "window": window.name,
-        "enbw_bins": window.enbw_bins,
-        "revs_per_frame": revs,
-        "overlap": 1.0 - hop / len(window.values),
+        limit, achieved = np.full(len(speed), 0.5 * per_rev), 0.0
+    else:
+        samples = time_samples(band, tolerance=KERNEL_SHARE * settings.tolerance)
+        spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=settings.max_order)
+        limit = layout.method.highest * samples.rate_hz * 60.0 / speed
+        achieved = achieved_error(samples, shaft, layout, speed_rpm=speed, max_order=settings.max_order)
+    order = np.arange(spectrum.shape[2]) / layout.revs
+    spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
+    frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
+    frames.attrs = _attrs(band, shaft, layout) | {
+        "tolerance": settings.tolerance,
+        "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
+        "achieved_error": achieved,
     }
-    return with_flags(frames, [*flags_of(shaft), *_flags(band, revs, settings, cycle)])
+    return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings)])
 
 
-def _by_angle(band: xr.Dataset, shaft: xr.Dataset, max_order: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Signals (channels, samples) and their uniform crank angles (samples,) in rev, beginning at a whole revolution."""
-    signals = band["signal"].values
-    if band.attrs["domain"] == "crank_angle":
-        samples_per_rev = int(band.attrs["samples_per_rev"])
-        first = float(shaft["crank_angle"].values[0])
-        skip = math.ceil((math.ceil(first - 1e-9) - first) * samples_per_rev - 1e-6)
-        angles = first + (skip + np.arange(signals.shape[1] - skip)) / samples_per_rev
-        return np.asarray(signals[:, skip:], dtype=np.float64), angles
-    rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
-    knots = knots_of(shaft)
-    inside = np.array([start + margin() / rate, start + (signals.shape[1] - 1 - margin()) / rate])
-    inside = np.clip(inside, knots["knot_time_s"][0], knots["knot_time_s"][-1])
-    first_rev, last_rev = angle_at(inside, **knots)
-    begin, count = math.ceil(first_rev), math.floor(last_rev) - math.ceil(first_rev)
-    if count < 1:
-        return signals[:, :0], np.empty(0)
-    slowest_hz = 1.0 / max(1e-9, float(np.diff(time_at(begin + np.arange(count + 1.0), **knots)).max()))
-    samples_per_rev = _samples_per_rev(rate, slowest_hz, max_order)
-    angles = begin + np.arange(count * samples_per_rev) / samples_per_rev
-    return values_at(signals, (time_at(angles, **knots) - start) * rate), angles
-
-
-def _samples_per_rev(rate_hz: float, slowest_hz: float, max_order: float) -> int:
-    """Samples per revolution such that nothing in the record folds onto an order shown, and fast to transform.
-
-    The resampling kernel lets pass what lies below PASS_BAND of the rate, and fades out its image by 1 - PASS_BAND.
-    """
-    least = math.ceil(max((1.0 - PASS_BAND) * rate_hz / slowest_hz + max_order, 2.0 * max_order)) + 2
-    while not _is_smooth(least):
-        least += 1
-    return least
-
-
-def _is_smooth(number: int) -> bool:
-    for prime in (2, 3, 5):
-        while number % prime == 0:
-            number //= prime
-    return number == 1
-
-
-def _mean_speed(shaft: xr.Dataset, begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean speed in rpm between crank angles: revolutions over elapsed time."""
+def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> NDArray[np.float64]:
+    """Mean speed in rpm of each frame: revolutions over elapsed time."""
+    begin = layout.begin_rev
     if shaft.attrs.get("domain", "time") == "crank_angle":
         return np.full(len(begin), float(shaft["speed"].values.mean()))
-    elapsed = time_at(end, **knots_of(shaft)) - time_at(begin, **knots_of(shaft))
-    return np.asarray(60.0 * (end - begin) / elapsed)
-
-
-def _blank_beyond_rate(
-    spectrum: NDArray[np.complex128], order: NDArray[np.float64], speed: NDArray[np.float64], band: xr.Dataset
-) -> None:
-    """Set to NaN the orders that the sample rate of ``band`` does not carry at the speed of each frame."""
-    if band.attrs["domain"] == "crank_angle":
-        highest = np.full(len(speed), 0.5 * float(band.attrs["samples_per_rev"]))
-    else:
-        highest = PASS_BAND * float(band.attrs["rate_hz"]) * 60.0 / speed
-    for frame, limit in enumerate(highest):
-        spectrum[:, frame, order > limit] = np.nan
+    knots = knots_of(shaft)
+    elapsed = time_at(np.minimum(begin + layout.revs, knots["knot_angle_rev"][-1]), **knots) - time_at(begin, **knots)
+    return np.asarray(60.0 * layout.revs / elapsed)
 
 
 def _dataset(
     band: xr.Dataset,
-    shaft: xr.Dataset,
     spectrum: NDArray[np.complex128],
     order: NDArray[np.float64],
     speed: NDArray[np.float64],
     start_angle: NDArray[np.float64],
 ) -> xr.Dataset:
-    frames = xr.Dataset(
+    return xr.Dataset(
         {
             "spectrum": (
                 ("channel", "frame", "order"),
@@ -141,25 +86,38 @@ def _dataset(
             "crank_angle": ("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
         },
     )
-    kept = ("recording", "history", "quality", "samples_per_rev")
-    frames.attrs = {key: band.attrs[key] for key in kept if key in band.attrs}
-    frames.attrs |= {
+
+
+def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout) -> dict[str, Any]:
+    kept = {key: band.attrs[key] for key in ("recording", "history", "quality", "samples_per_rev") if key in band.attrs}
+    kernel = layout.method.kernel
+    window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
+    return kept | {
         "amplitude_scaling": "peak",
         "phase_reference": shaft.attrs["phase_reference"],
         "cycle_known": shaft.attrs["cycle_known"],
         "revs_per_cycle": shaft.attrs["revs_per_cycle"],
+        "window": window.name,
+        "enbw_bins": window.enbw_bins,
+        "revs_per_frame": layout.revs,
+        "overlap": 1.0 - layout.hop_rev / layout.revs,
+        "method": layout.method.name if kernel is None else f"{layout.method.name} ({kernel.name})",
     }
-    return frames
 
 
-def _flags(band: xr.Dataset, revs: int, settings: OrderSettings, cycle: int) -> list[QualityFlag]:
-    if revs >= settings.revs_per_frame // cycle * cycle:
-        return []
+def _flags(frames: xr.Dataset, layout: FrameLayout, settings: OrderSettings) -> list[QualityFlag]:
+    remarks = []
+    if layout.revs < settings.revs_per_frame // int(frames.attrs["revs_per_cycle"]) * int(
+        frames.attrs["revs_per_cycle"]
+    ):
+        detail = f"frames of {layout.revs} instead of {settings.revs_per_frame} revolutions"
+        remarks.append(("short_recording", detail))
+    if frames.attrs["achieved_error"] > settings.tolerance:
+        detail = (
+            f"{frames.attrs['method']}: {frames.attrs['achieved_error']:.1e} of amplitude, asked {settings.tolerance:g}"
+        )
+        remarks.append(("tolerance_missed", detail))
     return [
-        {
-            "recording": band.attrs["recording"],
-            "flag": "short_recording",
-            "severity": "info",
-            "detail": f"frames of {revs} instead of {settings.revs_per_frame} revolutions",
-        }
+        {"recording": frames.attrs["recording"], "flag": name, "severity": "info", "detail": detail}
+        for name, detail in remarks
     ]

@@ -1,0 +1,119 @@
+"""The choice of a method by the accuracy asked for, and whether it is reached."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import RequestError
+from crankorder.orders.frames import order_frames
+from crankorder.orders.method import frame_layout
+from crankorder.quantities import flags_of
+from crankorder.settings import load_settings
+from made.recordings import line, run_up, steady, total
+
+SETTINGS = load_settings().orders
+PARTS = {0.5: (0.1, 0.2), 1.0: (2.0, -2.5), 5.5: (0.03, 1.0), 10.0: (0.7, 3.0), 19.5: (1.5, 0.4)}
+SIGNAL = total(*(line(order, *value) for order, value in PARTS.items()))
+
+
+def asked(**changes):
+    return SETTINGS.model_copy(update=changes)
+
+
+def worst_error(frames):
+    """Largest complex error of a known order, as a share of the largest amplitude."""
+    found = [frames["spectrum"].sel(order=order).values - a * np.exp(1j * p) for order, (a, p) in PARTS.items()]
+    return float(np.abs(found).max()) / max(a for a, _ in PARTS.values())
+
+
+@pytest.mark.parametrize("method", ["auto", "resample", "nufft"])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12])
+def test_the_tolerance_asked_for_is_met(method, tolerance):
+    recording = run_up([SIGNAL], from_rpm=1200, to_rpm=1500, duration_s=6.0, rate_hz=2000.0)
+    frames = order_frames(*recording, settings=asked(method=method, tolerance=tolerance))
+    # the neighbours that the ends of a recording lack are those of the first and the last frame
+    inner = frames.isel(frame=slice(1, -1)) if method == "nufft" else frames
+    angle_rounding = 2.0 * np.pi * 19.5 * np.spacing(float(recording[1]["crank_angle"].values[-1]))
+    assert worst_error(inner) < max(tolerance, angle_rounding)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+def test_predicted_and_achieved_error_stand_beside_the_choice(tolerance):
+    frames = order_frames(
+        *steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0), settings=asked(tolerance=tolerance)
+    )
+    assert frames.attrs["tolerance"] == tolerance
+    assert frames.attrs["method"].startswith("resample (")
+    assert 0.0 < frames.attrs["achieved_error"] <= frames.attrs["predicted_error"] <= tolerance
+    assert worst_error(frames) < frames.attrs["predicted_error"]
+
+
+def test_a_looser_tolerance_takes_a_shorter_kernel():
+    recording = steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0)
+    taps = [
+        frame_layout(*recording, settings=asked(tolerance=tolerance)).method.kernel.taps
+        for tolerance in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+    ]
+    assert taps == sorted(taps)
+    assert taps[0] < taps[-1]
+
+
+def test_single_precision_samples_are_widened_where_the_tolerance_asks_for_more():
+    band, angle = steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0)
+    band["signal"] = band["signal"].astype(np.float32)
+    loose, tight = (order_frames(band, angle, settings=asked(tolerance=t)) for t in (1e-4, 1e-9))
+    assert worst_error(loose) < 1e-4
+    # what is left is the rounding of the samples themselves
+    assert worst_error(tight) < 1e-8
+    assert tight.attrs["achieved_error"] < 1e-9
+
+
+def test_a_recording_too_short_for_a_kernel_goes_straight_from_its_samples():
+    recording = steady([line(2, 1)], speed_rpm=600.0, duration_s=0.201, rate_hz=2000.0)
+    assert frame_layout(*recording, settings=SETTINGS).method.name == "nufft"
+    longer = steady([line(2, 1)], speed_rpm=600.0, duration_s=4.3, rate_hz=2000.0)
+    assert frame_layout(*longer, settings=SETTINGS).method.name == "resample"
+
+
+@pytest.mark.parametrize(("method", "begin_rev"), [("nufft", 0.37), ("resample", 0.37 + 5.0 * 25 / 5000.0)])
+def test_frames_begin_at_the_first_angle_that_is_known(method, begin_rev):
+    band, angle = steady([line(2, 1.0, 0.3)], speed_rpm=300.0, duration_s=0.45, rate_hz=5000.0, start_rev=0.37)
+    frames = order_frames(band, angle, settings=asked(method=method))
+    assert frames.attrs["revs_per_frame"] == 2
+    assert frames["crank_angle"].values[0] == pytest.approx(begin_rev, abs=1e-9)
+    np.testing.assert_allclose(frames["spectrum"].sel(order=2.0).values[0, 0], np.exp(0.3j), atol=1e-6)
+
+
+def test_a_method_that_cannot_do_what_is_asked_is_refused():
+    band, angle = steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0)
+    frames = order_frames(band, angle, settings=asked(method="resample", tolerance=1e-12))
+    assert not [flag for flag in flags_of(frames) if flag["severity"] != "info"]
+    with pytest.raises(RequestError, match="no interpolation kernel is as accurate as asked"):
+        order_frames(band, angle, settings=SETTINGS.model_construct(**dict(asked(method="resample"), tolerance=1e-17)))
+
+
+@pytest.mark.parametrize("method", ["resample", "nufft"])
+def test_frames_that_touch_a_gap_are_missing_and_others_are_untouched(method):
+    band, angle = steady([SIGNAL, SIGNAL], speed_rpm=1500.0, duration_s=10.0, rate_hz=2000.0)
+    whole = order_frames(band, angle, settings=asked(method=method))
+    usable = np.ones(band["signal"].shape, dtype=bool)
+    usable[1, 9000:9100] = False
+    band["usable"] = (band["signal"].dims, usable, {"units": "1"})
+    band["signal"].values[1, 9000:9100] = 1e6
+    frames = order_frames(band, angle, settings=asked(method=method))
+    missing = np.isnan(frames["spectrum"].values).all(axis=2)
+    assert not missing[0].any()
+    assert 2 <= missing[1].sum() <= 3
+    kept = ~missing[1]
+    np.testing.assert_allclose(frames["spectrum"].values[1, kept], whole["spectrum"].values[1, kept], atol=1e-6, rtol=0)
+    np.testing.assert_allclose(frames["spectrum"].values[0], whole["spectrum"].values[0], atol=1e-12, rtol=0)
+
+
+def test_a_long_run_up_is_done_in_pieces_that_leave_no_seam(monkeypatch):
+    recording = run_up([SIGNAL], from_rpm=400, to_rpm=4000, duration_s=12.0, rate_hz=4000.0)
+    whole = order_frames(*recording, settings=SETTINGS)
+    monkeypatch.setattr("crankorder.orders.spectra.CHUNK_SAMPLES", 1 << 12)
+    pieces = order_frames(*recording, settings=SETTINGS)
+    assert worst_error(whole) < 1e-6
+    np.testing.assert_allclose(pieces["spectrum"].values, whole["spectrum"].values, atol=5e-7, rtol=0)
