@@ -1,0 +1,252 @@
+"""Order frames and named orders straight from the samples, against analytic signals and the resampled frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import RequestError
+from crankorder.fft.nonuniform_windows import folding_error, hann_of_constant
+from crankorder.orders.direct import _angle_and_slope, frame_factor, named_orders, order_frames_nufft
+from crankorder.orders.frames import order_frames
+from crankorder.settings import load_settings
+from crankorder.shaft.angle import angle_at, knots_of
+from made.recordings import line, run_up, shaft, steady, total
+
+
+def request(band, angle, *, begin_rev, revs, **given):
+    record = {"rate_hz": band.attrs["rate_hz"], "start_s": 0.0, "knots": knots_of(angle)}
+    return record | {"begin_rev": begin_rev, "revs": revs} | given
+
+
+def errors(band, angle, truth, *, begin_rev, revs, tolerance):
+    """Largest error of the orders of ``truth`` {order: complex}, of both ways, over the frames."""
+    orders, exact = np.array(list(truth)), np.array(list(truth.values()))
+    asked = request(band, angle, begin_rev=begin_rev, revs=revs, tolerance=tolerance)
+    signals = band["signal"].values
+    bins = np.rint(orders * revs).astype(int)
+    frames = order_frames_nufft(signals, n_orders=bins.max() + 1, **asked)[:, :, bins]
+    named = named_orders(signals, orders=orders, **asked)
+    return np.abs(frames - exact).max(), np.abs(named - exact).max()
+
+
+def parts(truth):
+    return total(*(line(order, abs(value), np.angle(value)) for order, value in truth.items()))
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize(
+    ("speed_rpm", "rate_hz", "orders"),
+    [
+        (300.0, 1785.0, (0.5, 5.5, 10.0, 174.5)),  # 174.5 x 5 Hz: 0.978 of the Nyquist frequency
+        (2000.0, 1785.0, (0.5, 2.5, 13.0, 26.0)),  # 107 samples in a frame; 0.971 of the Nyquist frequency
+        (2000.0, 20000.0, (0.5, 10.0, 100.0, 293.0)),
+    ],
+)
+def test_two_revolutions_give_amplitude_and_phase_to_the_tolerance_up_to_the_nyquist_frequency(
+    speed_rpm, rate_hz, orders, tolerance
+):
+    truth = {order: np.exp(1j * order) for order in orders}
+    band, angle = steady([parts(truth)], speed_rpm=speed_rpm, duration_s=3.0, rate_hz=rate_hz)
+    clear = np.ceil(400.0 / rate_hz * speed_rpm / 60.0)
+    last = angle["crank_angle"].values[-1] - clear - 2.0
+    begin = np.linspace(clear, last, 9)
+    assert max(errors(band, angle, truth, begin_rev=begin, revs=2.0, tolerance=tolerance)) < tolerance
+
+
+@pytest.mark.parametrize("speed_rpm", [300.0, 2000.0])
+def test_without_neighbours_the_error_is_that_of_folding(speed_rpm):
+    order = np.floor(2 * 0.487 * 1785.0 * 60.0 / speed_rpm) / 2
+    truth = {2.0: 1.0 + 0j, order: 1j}
+    band, angle = steady([parts(truth)], speed_rpm=speed_rpm, duration_s=2.05 * 60 / speed_rpm, rate_hz=1785.0)
+    begin = angle["crank_angle"].values[0] + np.array([1e-9, 0.03])
+    samples = 2.0 * 60.0 / speed_rpm * 1785.0
+    worst = max(errors(band, angle, truth, begin_rev=begin, revs=2.0, tolerance=1e-9))
+    assert worst < folding_error(samples * (1.0 - 2 * 0.487))
+    assert frame_factor(samples_per_frame=samples, highest_share=0.487, tolerance=1e-9) > 1
+
+
+def test_ramps_of_10_krpm_per_second_over_a_minute():
+    """60 s between 1500 and 6500 rpm, up and down, order 4 of 2 m/s2 and smaller ones beside it."""
+    rate, middle_hz, swing_hz = 20_000.0, 4000.0 / 60.0, 2500.0 / 60.0
+    turning = 10_000.0 / 60.0 / swing_hz  # rad/s
+    knots = np.arange(0.0, 60.0, 0.001)
+
+    def revs(t):
+        return middle_hz * t - swing_hz / turning * np.cos(turning * t)
+
+    time_s = np.arange(round(59.9 * rate)) / rate
+    truth = {0.5: 0.1j, 4.0: 2.0 + 0j, 5.5: 0.3 * np.exp(1j), 40.0: 0.01j}
+    signal = parts(truth)(time_s, revs(time_s))[None]
+    angle = shaft(knots, revs(knots), 60.0 * (middle_hz + swing_hz * np.sin(turning * knots)))
+    begin = np.arange(20.0, revs(59.8) - 24.0, 97.0)
+    asked = {"rate_hz": rate, "start_s": 0.0, "knots": knots_of(angle), "begin_rev": begin, "revs": 4.0}
+    found = order_frames_nufft(signal, n_orders=161, tolerance=1e-9, **asked)
+    exact = np.tile(list(truth.values()), (len(begin), 1))
+    np.testing.assert_allclose(found[0][:, [2, 16, 22, 160]], exact, atol=1e-9)
+    named = named_orders(signal, orders=list(truth), tolerance=1e-9, **asked)
+    np.testing.assert_allclose(named[0], exact, atol=1e-9)
+
+
+def test_a_mean_a_million_times_the_signal_does_not_leak():
+    truth = {2.0: 1.0 + 0j, 5.5: 0.5j}
+    quiet, angle = steady([parts(truth)], speed_rpm=1500.0, duration_s=3.0, rate_hz=5000.0)
+    band = quiet.copy(deep=True)
+    band["signal"].values[:] += 1e6
+    begin = np.array([5.0, 5.4, 40.0])
+    assert max(errors(band, angle, truth, begin_rev=begin, revs=4.0, tolerance=1e-6)) < 1e-6
+    asked = request(band, angle, begin_rev=begin, revs=4.0, tolerance=1e-6)
+    # between bins the mean leaks as the Hann window says, exactly
+    both = [named_orders(x["signal"].values, orders=[2.3], **asked)[0, :, 0] for x in (band, quiet)]
+    turned = np.exp(-2j * np.pi * 2.3 * begin)
+    np.testing.assert_allclose(both[0] - both[1], 1e6 * hann_of_constant(2.3 * 4.0) * turned, atol=1e-6)
+    mean = order_frames_nufft(band["signal"].values, n_orders=2, **asked)
+    np.testing.assert_allclose(np.abs(mean[0]), np.tile([2e6, 1e6], (3, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("run", ["steady", "run-up"])
+def test_the_resampled_frames_agree(run):
+    truth = {0.5: 0.1j, 1.0: 2.0 + 0j, 5.5: 0.03j, 10.0: 0.7j}
+    made = {"rate_hz": 2000.0, "duration_s": 10.0}
+    if run == "steady":
+        band, angle = steady([parts(truth), line(3.0, 1.0)], speed_rpm=1200.0, **made)
+    else:
+        band, angle = run_up([parts(truth), line(3.0, 1.0)], from_rpm=600.0, to_rpm=1500.0, **made)
+    frames = order_frames(band, angle, settings=load_settings().orders)
+    revs, order = int(frames.attrs["revs_per_frame"]), frames["order"].values
+    asked = request(band, angle, begin_rev=frames["crank_angle"].values, revs=revs, tolerance=1e-9)
+    found = order_frames_nufft(band["signal"].values, n_orders=len(order), **asked)
+    np.testing.assert_allclose(found, frames["spectrum"].values, atol=3e-6)
+
+
+def test_content_far_above_the_orders_does_not_fold_onto_them():
+    """Tones up to the Nyquist frequency, read at low orders, leave what the Hann window lets through there: nothing."""
+    order = np.arange(11) / 2.0
+    for share in (0.3, 0.42, 0.47, 0.4999):
+        tone = [lambda t, _, hz=share * 1785.0: np.cos(2 * np.pi * hz * t)]
+        band, angle = steady(tone, speed_rpm=2000.0, duration_s=4.0, rate_hz=1785.0)
+        asked = request(band, angle, begin_rev=np.array([30.0, 41.3, 60.0]), revs=16.0, tolerance=1e-9)
+        found = named_orders(band["signal"].values, orders=order, **asked)
+        # distance of the tone from the order, in bins
+        allowed = folding_error((share * 1785.0 * 60.0 / 2000.0 - order[-1]) * 16.0)
+        assert np.abs(found).max() < 2.0 * allowed + 1e-9
+
+
+def test_an_order_between_bins_is_read_where_it_is():
+    band, angle = steady([line(5.48, 1.0, 0.4)], speed_rpm=1500.0, duration_s=10.0, rate_hz=5000.0)
+    asked = request(band, angle, begin_rev=np.array([3.0, 9.0]), revs=32.0)
+    # its own image at -5.48 leaks by the Hann window's 1e-7
+    allowed = folding_error(2 * 5.48 * 32.0) + 1e-9
+    np.testing.assert_allclose(
+        named_orders(band["signal"].values, orders=[5.48], **asked)[0, :, 0], np.exp(0.4j), atol=allowed
+    )
+
+
+@pytest.mark.parametrize("revs", [1.0, 2.0, 3.5, 16.0])
+def test_bins_at_the_edges_of_the_grid_are_as_right_as_others(revs):
+    n_orders = 41
+    for edge in (1, 2, n_orders - 2, n_orders - 1):
+        truth = {edge / revs: np.exp(0.5j)}
+        # order 1 / revs of a tone lies beside its own mirror image: with the same bins apart the answer is exact
+        band, angle = steady([parts(truth)], speed_rpm=600.0, duration_s=4.0, rate_hz=5000.0)
+        asked = request(band, angle, begin_rev=[6.3, 7.0], revs=revs, tolerance=1e-9)
+        found = order_frames_nufft(band["signal"].values, n_orders=n_orders, **asked)
+        np.testing.assert_allclose(found[0, :, edge], np.exp(0.5j), atol=1e-9)
+
+
+def test_frames_that_touch_an_unusable_sample_are_missing_in_that_channel_only():
+    signals = [line(3.0, 1.0, 0.2), line(3.0, 2.0)]
+    band, angle = steady(signals, speed_rpm=2000.0, duration_s=6.0, rate_hz=1785.0)
+    values, begin = band["signal"].values.copy(), np.arange(5.0, 190.0, 2.0)
+    usable = np.ones(values.shape, dtype=bool)
+    usable[0, 5000:5040] = False
+    asked = request(band, angle, begin_rev=begin, revs=4.0, tolerance=1e-6)
+    clean = order_frames_nufft(values, n_orders=20, **asked)
+    values[0, 5000:5040] = 1e3
+    for found in (
+        order_frames_nufft(values, n_orders=20, usable=usable, **asked)[:, :, 12],
+        named_orders(values, orders=[3.0], usable=usable, **asked)[:, :, 0],
+    ):
+        place = (begin[:, None] + [0.0, 4.0] + 0.3) / 2000.0 * 60.0 * 1785.0
+        touched = (np.ceil(place[:, 0]) <= 5039) & (np.floor(place[:, 1]) >= 5000)
+        assert 0 < np.count_nonzero(touched) < len(begin)
+        np.testing.assert_array_equal(np.isnan(found[0]), touched)
+        np.testing.assert_allclose(found[0, ~touched], clean[0, ~touched, 12], atol=2e-6)
+        np.testing.assert_allclose(found[1], clean[1, :, 12], atol=2e-6)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e300])
+@pytest.mark.parametrize("rate_hz", [1785.0, 20_000.0])
+def test_very_small_and_very_large_amplitudes_survive(size, rate_hz):
+    truth = {2.5: 1.0 + 0j, 13.0: 1j}
+    band, angle = steady([parts(truth)], speed_rpm=2000.0, duration_s=4.0, rate_hz=rate_hz)
+    asked = request(band, angle, begin_rev=[30.0, 41.3], revs=4.0, tolerance=1e-9)
+    for way, given in ((order_frames_nufft, {"n_orders": 60}), (named_orders, {"orders": [2.5, 13.0]})):
+        found = way(band["signal"].values * size, **given, **asked) / size
+        np.testing.assert_allclose(found, way(band["signal"].values, **given, **asked), atol=1e-13)
+
+
+def test_both_precisions_agree():
+    truth = {2.5: 1.0 + 0j, 13.0: 1j}
+    band, angle = steady([parts(truth)], speed_rpm=2000.0, duration_s=4.0, rate_hz=1785.0)
+    asked = request(band, angle, begin_rev=[30.0, 41.3], revs=4.0, tolerance=1e-9)
+    single = band["signal"].values.astype(np.float32)
+    for way, given in ((order_frames_nufft, {"n_orders": 60}), (named_orders, {"orders": [2.5, 13.0]})):
+        found = way(single, **given, **asked)
+        # 2^-25 of 2 m/s2, averaged over 214 samples and more
+        np.testing.assert_allclose(found, way(band["signal"].values, **given, **asked), atol=3e-8)
+
+
+def test_a_part_of_the_record_gives_the_same_frames():
+    """Streaming: a block needs the frame and its neighbours only."""
+    truth = {2.5: 1.0 + 0j, 13.0: 1j}
+    band, angle = run_up([parts(truth)], from_rpm=900.0, to_rpm=2400.0, duration_s=8.0, rate_hz=1785.0)
+    asked = request(band, angle, begin_rev=[60.0, 64.0], revs=4.0, tolerance=1e-6, n_orders=60)
+    whole = order_frames_nufft(band["signal"].values, **asked)
+    cut = 2000
+    part = order_frames_nufft(band["signal"].values[:, cut:9000], **asked | {"start_s": cut / 1785.0})
+    np.testing.assert_allclose(part, whole, atol=1e-12)
+
+
+def test_orders_beyond_the_nyquist_frequency_are_missing():
+    band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=4.0, rate_hz=1785.0)
+    asked = request(band, angle, begin_rev=[30.0], revs=4.0, tolerance=1e-6)
+    found = order_frames_nufft(band["signal"].values, n_orders=130, **asked)[0, 0]
+    order = np.arange(130) / 4.0
+    np.testing.assert_array_equal(np.isnan(found), order * 2000.0 / 60.0 > 0.49 * 1785.0)
+
+
+def test_frames_outside_the_record_are_refused():
+    band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
+    for begin in (-2.0, 64.0, np.nan):
+        with pytest.raises(RequestError, match="outside"):
+            order_frames_nufft(
+                band["signal"].values,
+                n_orders=3,
+                **request(band, angle, begin_rev=[10.0, begin], revs=4.0, tolerance=1e-6),
+            )
+
+
+@pytest.mark.parametrize(
+    "given", [{"tolerance": 1e-13}, {"revs": 0.0}, {"rate_hz": np.nan}, {"orders": [-1.0]}, {"orders": [np.nan]}]
+)
+def test_what_cannot_be_is_refused(given):
+    band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
+    with pytest.raises(RequestError):
+        named_orders(
+            band["signal"].values,
+            **request(band, angle, begin_rev=[10.0], revs=4.0) | {"orders": [1.0]} | given,
+        )
+
+
+def test_angle_and_slope_are_those_of_the_shaft():
+    _, angle = run_up([line(1.0, 1.0)], from_rpm=300.0, to_rpm=3000.0, duration_s=5.0, rate_hz=2000.0)
+    knots = knots_of(angle)
+    time = np.arange(-3, 10_020) / 2000.0
+    found, slope = np.empty(time.size), np.empty(time.size)
+    _angle_and_slope(
+        time[0], 1 / 2000.0, knots["knot_time_s"], knots["knot_angle_rev"], knots["knot_speed_rpm"] / 60, found, slope
+    )
+    np.testing.assert_allclose(found, angle_at(time, **knots), atol=1e-11)
+    inside = ~np.isnan(found)
+    np.testing.assert_allclose(slope[inside] * 2000.0, 5.0 + 9.0 * time[inside], atol=1e-9)
