@@ -1,0 +1,271 @@
+"""Operating shapes: how every measured point moves at an order, in amplitude and phase, speed by speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.orders.coherence import (
+    LEAST_FRAMES,
+    LikeSpeedFrames,
+    coherence_level,
+    like_speed_frames,
+    place_of,
+    power_of_two,
+    unbiased_coherence,
+)
+from crankorder.quantities import channel_coords, flags_of, with_flags
+from crankorder.settings import OrderSettings
+
+LOCATED = ("tdc", "index", "pulse")
+"""Phase references that stand for a place on the crank, the same in every recording; a pulse is one per revolution."""
+
+PROBABILITY = 0.975
+"""Of one side of a 95 % interval."""
+
+CHANCE_MEMORY = 3.0
+"""Frames resemble each other by more than chance where the squared correlation passes this over their number."""
+
+ON_BIN = 1e-6
+"""An order this close to one of the frames lies on it; between bins no phase from the crank exists."""
+
+
+CRANK = -1
+"""In the place of a channel's number: phases are from the mark of the crank."""
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Amplitudes and phases of all orders at one speed: every field is (channels, orders)."""
+
+    amplitude: NDArray[np.float64]
+    half_amplitude: NDArray[np.float64]
+    phase_deg: NDArray[np.float64]
+    half_phase_deg: NDArray[np.float64]
+    coherence: NDArray[np.float64]
+
+
+def operating_shapes(
+    frames: list[xr.Dataset], orders: Sequence[float], *, settings: OrderSettings, reference: str | None = None
+) -> xr.Dataset:
+    """OperatingShapes of a test: peak amplitude and phase of every channel (channel, speed, order), with intervals.
+
+    Parameters
+    ----------
+    frames : OrderFrames of the recordings of the test; those of another length than most are left out
+    orders : orders wanted, cycles per crank revolution; above the frames' highest they are NaN. Give those that were
+        found: from a channel, noise that all channels share, such as that of a mode, has a shape as well
+    settings : of orders; ``speed_bin_rpm`` is the width of a group of frames
+    reference : name of the channel that phases are measured from; None for the crank's mark. Where there is none that
+        all recordings share (or, for half orders, no known cycle, or the order lies between bins because it slips),
+        the channel with the strongest line stands in, order by order: ``phase_from`` says what was taken.
+
+    Returns
+    -------
+    OperatingShapes. A phase from a channel is that channel's lead over it. The 95 % intervals come from the scatter of
+    the frames, along the mean phasor for the amplitude and across it for the phase, by Student's t; frames that
+    resemble each other (overlap, a resonance that noise excites) count for fewer; NaN for one frame. ``coherence`` is
+    the share of the power that is locked to ``phase_from``, 0…1, relieved of what chance adds.
+
+    Raises RequestError for a reference that is no channel.
+    """
+    grouped = like_speed_frames(frames, speed_bin_rpm=settings.speed_bin_rpm)
+    names = [str(name) for name in grouped.used[0]["channel"].values]
+    wanted = np.asarray(orders, dtype=np.float64)
+    scale = power_of_two(grouped.spectrum)
+    lines, off = _lines(grouped, wanted, scale)
+    if reference is None:
+        units = [str(unit) for unit in grouped.used[0]["unit"].values]
+        located = [
+            _is_located(grouped.used, order) and shift <= ON_BIN for order, shift in zip(wanted, off, strict=True)
+        ]
+        origin = np.where(located, CRANK, _strongest(lines, scale, units))
+    else:
+        origin = np.full(len(wanted), place_of(reference, names))
+    shape = (len(names), len(grouped.groups), len(wanted))
+    made = {name: np.full(shape, np.nan) for name in _Estimate.__dataclass_fields__}
+    for row, group in enumerate(grouped.groups):
+        estimate = _estimate(lines[:, group], grouped.owner[group], origin, grouped, row)
+        for name, values in made.items():
+            values[:, row] = getattr(estimate, name)
+    for name in ("amplitude", "half_amplitude"):
+        made[name] *= scale
+    crank = str(grouped.used[0].attrs["phase_reference"])
+    phase_from = [crank if place == CRANK else names[place] for place in origin]
+    return _dataset(grouped, wanted, made, phase_from, reference=reference, speed_bin_rpm=settings.speed_bin_rpm)
+
+
+def _lines(
+    grouped: LikeSpeedFrames, orders: NDArray[np.float64], scale: NDArray[np.float64]
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Complex amplitudes (channels, frames, orders) in units of ``scale``, and how many bins each is beside its bin.
+
+    Between bins the Hann window's loss is made up for: the line may lie up to half a bin off.
+    """
+    axis = grouped.used[0]["order"].values
+    place = orders / float(axis[1] - axis[0])
+    nearest = np.clip(np.rint(place).astype(np.int64), 0, len(axis) - 1)
+    off = place - nearest
+    outside = (np.abs(off) > 0.5 + ON_BIN) | (orders < 0.0)
+    off = np.where(outside, 0.0, off)
+    lines = grouped.spectrum[:, :, nearest] / scale / (np.sinc(off) / (1.0 - off * off))
+    lines[:, :, outside] = np.nan
+    return lines, np.abs(off)
+
+
+def _is_located(used: list[xr.Dataset], order: float) -> bool:
+    """Whether every recording tells the phase of ``order`` from one and the same mark."""
+    marks = {str(item.attrs["phase_reference"]) for item in used}
+    whole = abs(order - round(order)) < ON_BIN
+    return len(marks) == 1 and marks <= set(LOCATED) and (whole or all(int(item.attrs["cycle_known"]) for item in used))
+
+
+def _strongest(lines: NDArray[np.complex128], scale: NDArray[np.float64], units: list[str]) -> NDArray[np.int64]:
+    """Channel (orders,) of the commonest unit whose ``lines`` (channels, frames, orders) · ``scale`` are strongest."""
+    common = max(units, key=units.count)
+    power = np.nan_to_num(np.abs(lines * (scale / scale.max())) ** 2).sum(axis=1)
+    alike = np.array([unit == common for unit in units])
+    return np.asarray(np.argmax(np.where(alike[:, None], power, -1.0), axis=0))
+
+
+def _estimate(
+    lines: NDArray[np.complex128],
+    owner: NDArray[np.int64],
+    origin: NDArray[np.int64],
+    grouped: LikeSpeedFrames,
+    row: int,
+) -> _Estimate:
+    """Mean phasors of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
+    turned = lines * _direction(np.where(origin == CRANK, 1.0, _from_channel(lines, origin))).conj()
+    kept = ~np.isnan(turned)
+    count = np.count_nonzero(kept, axis=1)
+    mean = np.where(kept, turned, 0.0).sum(axis=1) / np.maximum(count, 1)
+    mean[count == 0] = np.nan
+    amplitude = np.abs(mean)
+    scatter = np.where(kept, (turned - mean[:, None]) * _direction(mean).conj()[:, None], 0.0)
+    share = count / max(lines.shape[1], 1)
+    n_power = grouped.n_power[row] * share
+    along, across = _errors(scatter, count, owner, grouped.n_complex[row] * share)
+    reach = _student(n_power - 1.0)
+    ratio = np.divide(reach * across, amplitude, out=np.ones_like(across), where=amplitude > 0.0)
+    half_phase = np.where(ratio >= 1.0, 180.0, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))
+    coherence = _coherence(lines, mean, kept, origin, n_power)
+    return _Estimate(amplitude, reach * along, np.degrees(np.angle(mean)), half_phase, coherence)
+
+
+def _from_channel(lines: NDArray[np.complex128], origin: NDArray[np.int64]) -> NDArray[np.complex128]:
+    """Lines (1, frames, orders) of the channel that each order's phases are measured from."""
+    return np.take_along_axis(lines, np.maximum(origin, 0)[None, None, :], axis=0)
+
+
+def _direction(values: NDArray[Any]) -> NDArray[np.complex128]:
+    """``values`` of length 1, those that are 0 to the right."""
+    length = np.abs(values)
+    return np.asarray(np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), 1.0 + 0j * length))
+
+
+def _errors(
+    scatter: NDArray[np.complex128], count: NDArray[np.int64], owner: NDArray[np.int64], n_complex: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Standard errors (channels, orders) of the mean along and across it, from ``scatter`` (channels, frames, orders).
+
+    ``n_complex`` is what the frames are worth for their overlap; a memory beyond chance (1 - r) / (1 + r) takes more.
+    """
+    follows = owner[1:] == owner[:-1]
+    product = np.abs((scatter[:, 1:] * scatter[:, :-1].conj())[:, follows].sum(axis=1))
+    total = (np.abs(scatter) ** 2).sum(axis=1)
+    squared = np.divide(product, total, out=np.zeros_like(total), where=total > 0.0) ** 2
+    memory = np.sqrt(np.where(squared > CHANCE_MEMORY / np.maximum(count, 1), np.minimum(squared, 1.0), 0.0))
+    worth = np.maximum(1.0, np.minimum(n_complex, count * (1.0 - memory) / (1.0 + memory)))
+    spare = np.where(n_complex > 1.0, count * (1.0 - 1.0 / np.maximum(n_complex, 1.0)), np.nan)
+    return (
+        np.sqrt((scatter.real**2).sum(axis=1) / spare / worth),
+        np.sqrt((scatter.imag**2).sum(axis=1) / spare / worth),
+    )
+
+
+def _student(freedom: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Half width of a 95 % interval in standard errors by degrees of ``freedom``; NaN where there is less than 0.5."""
+    from scipy.special import stdtrit
+
+    enough = freedom >= 0.5
+    return np.where(enough, stdtrit(np.where(enough, freedom, 1.0), PROBABILITY), np.nan)
+
+
+def _coherence(
+    lines: NDArray[np.complex128],
+    mean: NDArray[np.complex128],
+    kept: NDArray[np.bool_],
+    origin: NDArray[np.int64],
+    n_power: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Share (channels, orders) of the power of ``lines`` that is locked to the crank, or to a channel."""
+    filled = np.where(kept, lines, 0.0)
+    power = (np.abs(filled) ** 2).sum(axis=1)
+    locked = np.abs(mean) ** 2 * np.count_nonzero(kept, axis=1)
+    with_crank = np.divide(locked, power, out=np.full(power.shape, np.nan), where=power > 0.0)
+    spare = np.where(n_power >= LEAST_FRAMES, n_power - 1.0, np.nan)
+    with_crank = np.clip((n_power * with_crank - 1.0) / spare, 0.0, 1.0)
+    if (origin == CRANK).all():
+        return np.asarray(with_crank)
+    other = np.where(kept, np.nan_to_num(_from_channel(lines, origin)), 0.0)
+    both = power * (np.abs(other) ** 2).sum(axis=1)
+    cross = np.abs((filled * other.conj()).sum(axis=1)) ** 2
+    estimate = np.divide(cross, both, out=np.full(power.shape, np.nan), where=both > 0.0)
+    itself = np.arange(len(lines))[:, None] == origin[None, :]
+    made = unbiased_coherence(estimate, n_frames=n_power)
+    made = np.where(itself & np.isfinite(made), 1.0, made)
+    return np.asarray(np.where(origin == CRANK, with_crank, made))
+
+
+def _dataset(
+    grouped: LikeSpeedFrames,
+    orders: NDArray[np.float64],
+    made: dict[str, NDArray[np.float64]],
+    phase_from: list[str],
+    *,
+    reference: str | None,
+    speed_bin_rpm: float,
+) -> xr.Dataset:
+    """OperatingShapes from estimates ``made`` (channels, speeds, orders)."""
+    first = grouped.used[0]
+    amplitude, phase = made["amplitude"], made["phase_deg"]
+    low, high = np.maximum(amplitude - made["half_amplitude"], 0.0), amplitude + made["half_amplitude"]
+    turn = np.stack([phase - made["half_phase_deg"], phase + made["half_phase_deg"]], axis=-1)
+    dims = ("channel", "speed", "order")
+    count = np.array([len(group) for group in grouped.groups], dtype=np.int64)
+    level = coherence_level(grouped.n_power)
+    variables = (
+        ("amplitude", dims, amplitude, "see unit", "peak amplitude of the mean phasor"),
+        ("amplitude_ci95", (*dims, "bound"), np.stack([low, high], axis=-1), "see unit", "95 % interval of amplitude"),
+        ("phase", dims, phase, "degree", "phase from phase_from"),
+        ("phase_ci95", (*dims, "bound"), turn, "degree", "95 % interval of phase"),
+        ("coherence", dims, made["coherence"], "1", "share of the power that is locked to phase_from"),
+        ("coherence_level", ("speed",), level, "1", "95 % level of what is not locked, before bias is taken off"),
+        (
+            "phase_from",
+            ("order",),
+            np.array(phase_from, dtype=object),
+            "1",
+            "mark or channel that phases are from",
+        ),
+        ("n_frames", ("speed",), count, "1", "frames"),
+        ("n_independent", ("speed",), grouped.n_power, "1", "independent frames"),
+    )
+    shapes = xr.Dataset(
+        {name: (over, values, {"units": units, "long_name": said}) for name, over, values, units, said in variables},
+        coords={
+            **channel_coords(first),
+            "order": ("order", orders, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
+            "speed": ("speed", grouped.speed_rpm, {"units": "min-1", "long_name": "speed"}),
+        },
+    )
+    kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
+    shapes.attrs = {key: first.attrs[key] for key in kept}
+    shapes.attrs |= {"reference": reference or "", "speed_bin_rpm": speed_bin_rpm}
+    return with_flags(shapes, [flag for item in grouped.used for flag in flags_of(item)])

@@ -1,0 +1,387 @@
+"""The average engine cycle: every channel against crank angle, with its spread over the cycles, by speed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.errors import InputError
+from crankorder.orders.by_angle import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
+from crankorder.orders.synchronous import cycles_of
+from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.settings import OrderSettings
+from crankorder.shaft.speed_groups import speed_groups
+
+FADED_AT = 2.0
+"""Orders up to max_order pass whole, those above fade until this multiple of it: a waveform does not ring."""
+
+POINTS_PER_TURN = 8
+"""Least points of the angle grid per turn of the highest order: straight lines between them err by 8 % of it."""
+
+LEAST_POINTS_PER_REV = 180
+"""However low the highest order, the grid is no coarser than two degrees."""
+
+REACH_TURNS = 4.0
+"""Turns of the highest order by which a gap spreads when orders above it fade: 4e-4 of it are left there."""
+
+LOW_FREQUENCIES = 4
+"""Lowest frequencies, in turns per record of cycles, from which the error of a mean is taken."""
+
+LOCATED = ("tdc", "index", "pulse")
+"""Phase references that are the same in every recording of a test; a pulse is one per revolution."""
+
+SPREAD = {
+    "mean": "mean over the cycles, without the mean of the recording",
+    "standard_deviation": "standard deviation over the cycles",
+    "standard_error": "standard error of the mean",
+    "minimum": "least value of any cycle",
+    "maximum": "greatest value of any cycle",
+}
+"""Variables (channel, speed, cycle_angle) of a CycleAverage in the unit of the channel, and what they are."""
+
+CycleStatistics = dict[str, NDArray[np.float64]]
+"""Variables of SPREAD and n_cycles of one group of cycles: (channels, angles) and (channels,)."""
+
+
+@dataclass(frozen=True)
+class _Cycles:
+    """Cycles of one recording on the grid of angles."""
+
+    values: NDArray[np.float64]  # (channels, cycles, angles), the first angle wherever the recording begins
+    whole: NDArray[np.bool_]  # (channels, cycles), False where a gap reaches into one
+    speed_rpm: NDArray[np.float64]  # (cycles,)
+    first: int  # place of the first angle in a cycle that begins at top dead centre
+    points_per_rev: int
+
+
+def cycle_average(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
+    """CycleAverage of one recording: the mean cycle of each channel (channel, speed, cycle_angle) and its spread.
+
+    Parameters
+    ----------
+    band : BandRecording, by time or by crank angle
+    shaft : its ShaftAngle; a cycle is its ``revs_per_cycle``: 720 degrees of a four-stroke engine
+    settings : of orders. ``max_order`` is the highest order that the waveforms hold whole (above it they fade until
+        twice that), ``speed_bin_rpm`` the width of a group of cycles, ``tolerance`` what resampling may add
+
+    Returns
+    -------
+    CycleAverage. Whole cycles only; one that a gap reaches is left out of its channel and counted. Angle 0 is the
+    (firing, where ``cycle_known``) top dead centre, or whatever ``phase_reference`` says. The standard error follows
+    from the slow part of the cycles' scatter: cycles that resemble the next beyond the mean count for fewer.
+
+    Raises InputError where not even one cycle was recorded.
+    """
+    cycles = _cycles(band, shaft, settings)
+    groups = speed_groups(cycles.speed_rpm, width_rpm=settings.speed_bin_rpm)
+    parts = [_statistics(cycles.values[:, group], cycles.whole[:, group]) for group in groups]
+    for part in parts:
+        for name in SPREAD:
+            part[name] = np.roll(part[name], cycles.first, axis=-1)
+    speed = np.array([cycles.speed_rpm[group].mean() for group in groups])
+    excluded = np.stack([np.count_nonzero(~cycles.whole[:, group], axis=1) for group in groups], axis=1)
+    fastest = np.array([cycles.speed_rpm[group].max() for group in groups])
+    made = _dataset(parts, speed, excluded, _carried(band, fastest, settings), band, cycles.points_per_rev)
+    made.attrs = {
+        **{key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")},
+        **{key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs},
+        "max_order": settings.max_order,
+        "speed_bin_rpm": settings.speed_bin_rpm,
+    }
+    return with_flags(made, [*flags_of(shaft), *_gap_flags(made)])
+
+
+def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cycles:
+    """Whole cycles of ``band``, as many as ``shaft`` covers, on the grid of angles."""
+    revs = int(shaft.attrs["revs_per_cycle"])
+    evenly = signals_by_angle(band, shaft, max_order=FADED_AT * settings.max_order, tolerance=settings.tolerance)
+    count = len(evenly.angle_rev) // (revs * evenly.samples_per_rev)
+    if count == 0:
+        raise InputError(
+            "the recording holds less than one engine cycle",
+            file=band.attrs["recording"],
+            found=f"{len(evenly.angle_rev) / evenly.samples_per_rev:.2f} revolutions",
+            allowed=f"at least {revs}",
+        )
+    points = _points_per_rev(settings.max_order)
+    begin = float(evenly.angle_rev[0])
+    first = math.ceil(begin * points - 1e-6)
+    signals, usable = _sound(evenly, count * revs * evenly.samples_per_rev, settings.max_order)
+    values = _on_grid(
+        signals,
+        samples_per_rev=evenly.samples_per_rev,
+        points_per_rev=points,
+        max_order=settings.max_order,
+        advance_rev=first / points - begin,
+    )
+    whole: NDArray[np.bool_] = np.ones((len(signals), count), dtype=np.bool_)
+    if usable is not None:
+        whole = np.asarray(np.all(cycles_of(usable, revs * evenly.samples_per_rev), axis=2))
+    if is_by_angle(band):
+        speed = np.full(count, float(shaft["speed"].values.mean()))
+    else:
+        speed = 60.0 * rev_frequencies(shaft, begin + revs * np.arange(count + 1.0))
+    return _Cycles(cycles_of(values, revs * points), whole, speed, first % (revs * points), points)
+
+
+def _points_per_rev(max_order: float) -> int:
+    """Points of the angle grid per revolution: enough for ``max_order``, and quick to transform."""
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(max(LEAST_POINTS_PER_REV, math.ceil(POINTS_PER_TURN * max_order)), real=True))
+
+
+def _sound(
+    evenly: SignalsByAngle, n_samples: int, max_order: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+    """First ``n_samples`` of the signals, finite, and which of them no gap reaches once the orders above fade."""
+    signals = np.asarray(evenly.signals[:, :n_samples], dtype=np.float64)
+    finite = np.isfinite(signals)
+    usable = None if evenly.usable is None else evenly.usable[:, :n_samples]
+    if not finite.all():
+        signals = np.where(finite, signals, 0.0)
+        usable = finite if usable is None else usable & finite
+    if usable is None or usable.all():
+        return signals, None
+    reach = math.ceil(REACH_TURNS / max_order * evenly.samples_per_rev)
+    before = np.zeros((len(usable), n_samples + 1), dtype=np.int64)
+    np.cumsum(~usable, axis=1, out=before[:, 1:])
+    at = np.arange(n_samples)
+    lost = before[:, np.minimum(at + reach + 1, n_samples)] - before[:, np.maximum(at - reach, 0)]
+    return signals, lost == 0
+
+
+def _on_grid(
+    signals: NDArray[np.float64],
+    *,
+    samples_per_rev: int,
+    points_per_rev: int,
+    max_order: float,
+    advance_rev: float,
+) -> NDArray[np.float64]:
+    """``signals`` (channels, samples) of whole revolutions on a grid that begins ``advance_rev`` later.
+
+    One Fourier transform of them all: exact for what whole cycles repeat; what they do not repeat wraps within a few
+    turns of the highest order at either end.
+    """
+    from scipy.fft import irfft, rfft
+
+    revs = signals.shape[1] // samples_per_rev
+    scale = _scale_of(signals)
+    spectrum = rfft(signals / scale, axis=1)
+    last = min(FADED_AT * max_order, 0.5 * points_per_rev) * revs
+    n_bins = min(math.ceil(last), math.ceil(0.5 * samples_per_rev * revs))
+    order = np.arange(n_bins) / revs
+    share = np.clip((order / max_order - 1.0) / (FADED_AT - 1.0), 0.0, 1.0)
+    spectrum = spectrum[:, :n_bins] * (0.5 + 0.5 * np.cos(np.pi * share) + 0j)
+    if advance_rev != 0.0:
+        spectrum *= np.exp(2j * np.pi * order * advance_rev)
+    values = irfft(spectrum, n=revs * points_per_rev, axis=1)
+    values *= scale * (points_per_rev / samples_per_rev)
+    return np.asarray(values)
+
+
+def _scale_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Power of two (channels, 1, …) near the largest magnitude of each channel: its squares exist as numbers."""
+    axes = tuple(range(1, values.ndim))
+    high, low = (bound.reduce(values, axis=axes, keepdims=True, initial=0.0) for bound in (np.fmax, np.fmin))
+    largest = np.maximum(high, -low)
+    return np.asarray(np.ldexp(1.0, np.clip(np.frexp(np.where(largest > 0.0, largest, 1.0))[1], -1021, 1023)))
+
+
+def _statistics(values: NDArray[np.float64], whole: NDArray[np.bool_]) -> CycleStatistics:
+    """Mean and spread of the ``whole`` (channels, cycles) of ``values`` (channels, cycles, angles)."""
+    shape = (values.shape[0], values.shape[2])
+    made = {name: np.full(shape, np.nan) for name in SPREAD} | {"n_cycles": np.count_nonzero(whole, axis=1)}
+    for channel, kept in enumerate(whole):
+        cycles = values[channel] if kept.all() else values[channel, kept]
+        count = len(cycles)
+        if count == 0:
+            continue
+        mean = cycles.mean(axis=0)
+        made["mean"][channel] = mean
+        made["minimum"][channel], made["maximum"][channel] = cycles.min(axis=0), cycles.max(axis=0)
+        if count < 2:
+            continue
+        scale = float(_scale_of(cycles[None])[0, 0, 0])
+        scatter = (cycles - mean) / scale
+        deviation = np.sqrt((scatter**2).sum(axis=0) / (count - 1)) * scale
+        made["standard_deviation"][channel] = deviation
+        made["standard_error"][channel] = deviation * math.sqrt(_excess_at_rest(scatter) / count)
+    return made
+
+
+def _excess_at_rest(scatter: NDArray[np.float64]) -> float:
+    """How much more of ``scatter`` (cycles, angles) about its mean is slow than if no cycle resembled the next.
+
+    The variance of a mean is the power density at frequency zero, per cycle, over the cycles; what is known of it are
+    the frequencies just above: LOW_FREQUENCIES of them, pooled over the angles. 1 where the cycles are independent,
+    more where they drift, less where they alternate.
+    """
+    count = len(scatter)
+    total = float((scatter**2).sum())
+    if count < 4 or total == 0.0:
+        return 1.0
+    frequency = np.arange(1, 1 + min(max(count // 8, 1), LOW_FREQUENCIES))
+    turn = 2.0 * np.pi / count * np.outer(frequency, np.arange(count))
+    low = float(sum(((wave @ scatter) ** 2).sum() for wave in (np.cos(turn), np.sin(turn)))) / len(frequency)
+    return max(low * (count - 1) / (count * total), 1.0 / count)
+
+
+def _carried(band: xr.Dataset, fastest_rpm: NDArray[np.float64], settings: OrderSettings) -> NDArray[np.float64]:
+    """Highest order (groups,) that ``band`` carries at the fastest cycle of each group, ``max_order`` at most."""
+    if is_by_angle(band):
+        return np.full(len(fastest_rpm), min(settings.max_order, 0.5 * float(band.attrs["samples_per_rev"])))
+    rate = float(band.attrs["rate_hz"])
+    carried_hz = min(float(band.attrs.get("band_hz", math.inf)), MOST_CONTENT * rate)
+    return np.minimum(settings.max_order, carried_hz * 60.0 / fastest_rpm)
+
+
+def _dataset(
+    parts: list[CycleStatistics],
+    speed: NDArray[np.float64],
+    excluded: NDArray[np.int64],
+    highest_order: NDArray[np.float64],
+    like: xr.Dataset,
+    points_per_rev: int,
+) -> xr.Dataset:
+    """CycleAverage without attributes from the groups' ``parts``, with the channels of ``like``."""
+    angle = 360.0 * np.arange(parts[0]["mean"].shape[1]) / points_per_rev
+    over = ("channel", "speed", "cycle_angle")
+    values = {name: np.stack([part[name] for part in parts], axis=1) for name in SPREAD}
+    count = np.stack([part["n_cycles"] for part in parts], axis=1).astype(np.int64)
+    return xr.Dataset(
+        {
+            **{name: (over, values[name], {"units": "see unit", "long_name": said}) for name, said in SPREAD.items()},
+            "n_cycles": (over[:2], count, {"units": "1", "long_name": "cycles averaged"}),
+            "n_excluded": (over[:2], excluded, {"units": "1", "long_name": "cycles that a gap reaches"}),
+            "highest_order": ("speed", highest_order, {"units": "1", "long_name": "highest order that is held whole"}),
+        },
+        coords={
+            **channel_coords(like),
+            "speed": ("speed", speed, {"units": "min-1", "long_name": "mean speed of the cycles"}),
+            "cycle_angle": ("cycle_angle", angle, {"units": "degree", "long_name": "crank angle within the cycle"}),
+        },
+    )
+
+
+def _gap_flags(made: xr.Dataset) -> list[QualityFlag]:
+    """One remark for each channel that lost cycles to gaps."""
+    lost = made["n_excluded"].sum("speed").values
+    kept = made["n_cycles"].sum("speed").values
+    return [
+        {
+            "recording": str(made.attrs["recording"]),
+            "flag": "cycles_excluded",
+            "severity": "info" if kept[k] else "bad",
+            "detail": f"{name}: {lost[k]} of {lost[k] + kept[k]} cycles hold a gap and are not averaged",
+        }
+        for k, name in enumerate(made["channel"].values)
+        if lost[k]
+    ]
+
+
+def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
+    """CycleAverage of a test from those of its recordings, joined where their speeds are within ``speed_bin_rpm``.
+
+    ``items`` are CycleAverages of :func:`cycle_average` with one list of channels and one grid of angles. What is
+    joined counts by its cycles; the standard error grows where recordings differ by more than their own errors say
+    (Birge 1932). Recordings whose angle 0 is not known to be the same (no mark, or a four-stroke cycle that may begin
+    at either top dead centre) are not joined: of those at like speed the one with most cycles is kept.
+    """
+    speed = np.concatenate([item["speed"].values for item in items])
+    place = [(item, row) for item in items for row in range(item.sizes["speed"])]
+    comparable = len(items) == 1 or all(_is_located(item) for item in items)
+    groups = speed_groups(speed, width_rpm=speed_bin_rpm)
+    if groups and np.isnan(speed[groups[-1][0]]):
+        groups = [
+            *groups[:-1],
+            *(np.array([index]) for index in groups[-1]),
+        ]  # nothing says that two unknown speeds are alike
+    parts, kept_speed, excluded, highest, left_out = [], [], [], [], 0
+    for group in groups:
+        rows = [place[index] for index in group]
+        if not comparable and len(rows) > 1:
+            one, _ = max(rows, key=lambda each: int(each[0]["n_cycles"].values[:, each[1]].max()))
+            kept_rows = [each for each in rows if each[0] is one]
+            left_out += len(rows) - len(kept_rows)
+            rows = kept_rows
+        weight = np.array([float(item["n_cycles"].values[:, row].max()) for item, row in rows])
+        each = np.array([item["speed"].values[row] for item, row in rows])
+        kept_speed.append(float(each @ weight / weight.sum()) if weight.sum() else float(each.mean()))
+        excluded.append(sum(item["n_excluded"].values[:, row] for item, row in rows))
+        highest.append(min(float(item["highest_order"].values[row]) for item, row in rows))
+        parts.append(_joined([_row(item, row) for item, row in rows]))
+    revs = int(items[0].attrs["revs_per_cycle"])
+    points = items[0].sizes["cycle_angle"] // revs
+    made = _dataset(parts, np.array(kept_speed), np.stack(excluded, axis=1), np.array(highest), items[0], points)
+    kept = ("phase_reference", "cycle_known", "revs_per_cycle", "max_order")
+    made.attrs = {key: items[0].attrs[key] for key in kept} | {"speed_bin_rpm": speed_bin_rpm}
+    if not comparable:
+        made.attrs |= {"phase_reference": _common(items, "phase_reference", "mixed"), "cycle_known": 0}
+    return with_flags(made, [*(flag for item in items for flag in flags_of(item)), *_left_out_flags(left_out)])
+
+
+def _is_located(item: xr.Dataset) -> bool:
+    """Whether angle 0 of ``item`` is the same as in any other such recording of the test."""
+    known = int(item.attrs["cycle_known"]) or int(item.attrs["revs_per_cycle"]) == 1
+    return bool(known) and item.attrs["phase_reference"] in LOCATED
+
+
+def _common(items: list[xr.Dataset], key: str, otherwise: str) -> str:
+    values = {str(item.attrs[key]) for item in items}
+    return values.pop() if len(values) == 1 else otherwise
+
+
+def _row(item: xr.Dataset, row: int) -> CycleStatistics:
+    return {name: item[name].values[:, row] for name in (*SPREAD, "n_cycles")}
+
+
+def _joined(parts: list[CycleStatistics]) -> CycleStatistics:
+    """Statistics of all cycles of ``parts`` (Chan, Golub and LeVeque 1983, pairwise means and sums of squares)."""
+    if len(parts) == 1:
+        return parts[0]
+    count = np.stack([part["n_cycles"] for part in parts]).astype(np.float64)[..., None]
+    total = np.maximum(count.sum(axis=0), 1.0)
+    means = np.stack([part["mean"] for part in parts])
+    scale = _scale_of(means.swapaxes(0, 1))[:, 0]
+    apart = np.nan_to_num(means / scale)
+    mean = (count * apart).sum(axis=0) / total
+    between = (count * (apart - mean) ** 2).sum(axis=0)
+    spread = np.nan_to_num(np.stack([part["standard_deviation"] for part in parts]) / scale)
+    squares = ((count - 1.0) * spread**2).clip(min=0.0).sum(axis=0) + between
+    deviation = np.sqrt(squares / np.maximum(total - 1.0, 1.0))
+    errors = np.stack([part["standard_error"] for part in parts]) / scale
+    errors = np.where(count == 1.0, deviation, np.nan_to_num(errors))
+    within = ((count / total) ** 2 * errors**2).sum(axis=0)
+    used = np.count_nonzero(count, axis=0)  # where it is one there is nothing between
+    excess = (between / np.maximum(used - 1.0, 1.0) / total).mean(axis=1, keepdims=True)
+    expected = within.mean(axis=1, keepdims=True)
+    ratio = np.divide(excess, expected, out=np.ones_like(excess), where=expected > 0.0)
+    error = np.sqrt(np.where(expected > 0.0, within * np.maximum(ratio, 1.0), excess))
+    none, single = count.sum(axis=0) == 0.0, count.sum(axis=0) < 2.0
+    return {
+        "mean": np.where(none, np.nan, mean * scale),
+        "standard_deviation": np.where(single, np.nan, deviation * scale),
+        "standard_error": np.where(single, np.nan, error * scale),
+        "minimum": np.fmin.reduce([part["minimum"] for part in parts]),
+        "maximum": np.fmax.reduce([part["maximum"] for part in parts]),
+        "n_cycles": count.sum(axis=0)[:, 0],
+    }
+
+
+def _left_out_flags(left_out: int) -> list[QualityFlag]:
+    if not left_out:
+        return []
+    return [
+        {
+            "recording": "",
+            "flag": "cycles_not_joined",
+            "severity": "info",
+            "detail": f"angle 0 is not known to be the same in every recording: {left_out} at like speed left out",
+        }
+    ]

@@ -1,0 +1,275 @@
+"""The operating shapes at one speed: a phasor for every order and channel, with its numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Wedge
+
+from crankorder.report.notation import nominal_order, number_text, order_text, unit_text
+from crankorder.report.style import (
+    FAINT,
+    GRID,
+    INK,
+    LINES,
+    NORMAL,
+    SMALL,
+    axes_at,
+    drawable,
+    house_style,
+    new_figure,
+    quality_note,
+    shortened,
+    text_width_in,
+    title_lines,
+    write,
+)
+from crankorder.settings import ReportSettings
+
+_LEFT, _TOP, _BOTTOM, _RIGHT, _HEADER = 1.3, 0.98, 0.42, 0.2, 0.44  # inches
+_CHANNELS = 12  # side by side; more are continued below
+_ORDERS = 8  # rows, the strongest
+_WIDE = 1.75  # a cell from this width on has its numbers beside the phasor, with their intervals
+_ROW_WIDE, _ROW_NARROW = 0.82, 0.98
+_NAME_SIZE, _BOLD = 9.0, 1.13  # text_width_in measures the regular weight
+_RADIUS_WIDE, _RADIUS_NARROW = 0.33, 0.29
+_NO_PHASE = 90.0  # half an interval of phase from which a direction says nothing
+_SHORT = {"tdc": "TDC", "index": "index", "pulse": "pulse"}
+_ORIGIN = {"tdc": "from top dead centre", "index": "from the index mark", "pulse": "from the pulse"}
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """One order of one channel at the speed shown."""
+
+    amplitude: float
+    low: float
+    high: float
+    phase_deg: float
+    half_phase_deg: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether amplitude and phase are told from nothing (an unknown interval counts as clear)."""
+        return self.amplitude > 0.0 and not self.low <= 0.0 and not self.half_phase_deg >= _NO_PHASE
+
+
+def shapes_figure(
+    shapes: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings, speed_rpm: float | None = None
+) -> Figure:
+    """Phasors of all channels (columns) at the strongest orders (rows), with amplitude, phase and 95 % intervals.
+
+    A hand's length is the amplitude beside the largest of its row in the same unit, its direction the phase, 0° to the
+    right and growing anticlockwise; the pale field is the 95 % interval. ``shapes`` an OperatingShapes; ``findings`` of
+    the same test; ``settings`` of the report; ``speed_rpm`` the speed wanted (the nearest is taken), None for the one
+    with the largest amplitude of all.
+    """
+    with house_style():
+        row = _speed_row(shapes, speed_rpm)
+        one = shapes.isel(speed=row)
+        orders = _strongest(one)
+        channels = range(one.sizes["channel"])
+        blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
+        cell_width = (settings.width_in - _LEFT - _RIGHT) / min(max(len(channels), 1), _CHANNELS)
+        cell_width = min(cell_width, 3.3)
+        height = _ROW_WIDE if cell_width >= _WIDE else _ROW_NARROW
+        block_height = _HEADER + max(len(orders), 1) * height
+        figure = new_figure(settings.width_in, _TOP + _BOTTOM + len(blocks) * block_height)
+        canvas = _canvas(figure)
+        for number, block in enumerate(blocks):
+            top = figure.get_size_inches()[1] - _TOP - number * block_height
+            _draw_block(figure, canvas, one, block, orders, (top, cell_width, height), settings)
+        name = drawable(findings.get("test", ""), settings.max_name_characters)
+        speed = float(one["speed"])
+        said = f" at {speed:.0f} rpm" if math.isfinite(speed) else ""
+        title_lines(figure, 0.25, f"{name} · operating shapes{said}", _subtitle(shapes, len(orders)))
+        quality_note(figure, findings)
+        return figure
+
+
+def _speed_row(shapes: xr.Dataset, speed_rpm: float | None) -> int:
+    """Row of the speed to show."""
+    if speed_rpm is not None:
+        return int(np.argmin(np.abs(np.nan_to_num(shapes["speed"].values) - speed_rpm)))
+    amplitude = np.nan_to_num(shapes["amplitude"].transpose("channel", "order", "speed").values)
+    largest = amplitude.max(axis=(1, 2), initial=0.0)
+    share = amplitude / np.where(largest > 0.0, largest, 1.0)[:, None, None]
+    return int(np.argmax(share.max(axis=1, initial=0.0).sum(axis=0)))
+
+
+def _strongest(one: xr.Dataset) -> list[int]:
+    """Places of the orders to show, ascending: those clear in any channel, by their share of a channel's largest."""
+    amplitude = np.nan_to_num(one["amplitude"].transpose("channel", "order").values)
+    low = one["amplitude_ci95"].transpose("channel", "order", "bound").values[..., 0]
+    swing = np.ptp(one["phase_ci95"].transpose("channel", "order", "bound").values, axis=-1)
+    clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
+    largest = clear.max(axis=1, initial=0.0)
+    share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
+    kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
+    return sorted(kept, key=lambda place: float(one["order"].values[place]))
+
+
+def _subtitle(shapes: xr.Dataset, shown: int) -> str:
+    if not shown:
+        return "No order stands clear of the noise at this speed."
+    total = shapes.sizes["order"]
+    some = f"The {shown} strongest of {total} orders. " if shown < total else ""
+    origins = {str(text) for text in shapes["phase_from"].values}
+    origin = next(iter(origins)) if len(origins) == 1 else ""
+    said = _ORIGIN.get(origin, f"from {drawable(origin, 24)}" if origin else "from what is named at the left")
+    return f"{some}Peak amplitude and phase {said}; a hand's length compares its row; pale: 95 % interval."
+
+
+def _canvas(figure: Figure) -> Axes:
+    """Axes over the whole of ``figure``, in inches."""
+    width, height = figure.get_size_inches()
+    axes = axes_at(figure, 0, 0, width, height)
+    axes.set_xlim(0, width)
+    axes.set_ylim(0, height)
+    axes.axis("off")
+    return axes
+
+
+def _draw_block(
+    figure: Figure,
+    canvas: Axes,
+    one: xr.Dataset,
+    channels: range,
+    orders: list[int],
+    size: tuple[float, float, float],
+    settings: ReportSettings,
+) -> None:
+    """Rows of orders for ``channels``; ``size`` is the top of the block, width and height of a cell, in inches."""
+    top, width, height = size
+    for column, channel in enumerate(channels):
+        left = _LEFT + column * width
+        _name_column(figure, one.isel(channel=channel), left, top, width, settings)
+    for row, order in enumerate(orders):
+        middle = top - _HEADER - (row + 0.5) * height
+        canvas.plot([0.25, _LEFT + len(channels) * width], [middle + height / 2] * 2, color=GRID, linewidth=0.8)
+        _name_row(figure, one.isel(order=order), middle, mixed=len(set(one["phase_from"].values)) > 1)
+        for column, channel in enumerate(channels):
+            cell = _cell(one.isel(channel=channel, order=order))
+            longest = _longest(one.isel(order=order), str(one["unit"].values[channel]))
+            _draw_cell(figure, canvas, cell, longest, (_LEFT + column * width, middle, width))
+
+
+def _name_column(
+    figure: Figure, channel: xr.Dataset, left: float, top: float, width: float, settings: ReportSettings
+) -> None:
+    name = drawable(str(channel["channel"].item()), settings.max_name_characters)
+    direction = str(channel["direction"].item()) if "direction" in channel.coords else ""
+    unit = drawable(unit_text(str(channel["unit"].item())), 24)
+    # where a channel is called by its direction that is said once
+    told = f"{drawable(direction, 12)} · {unit}" if direction and direction.strip("+") != name else unit
+    look: dict[str, Any] = {"ha": "center"}
+    middle, lines = left + width / 2, _two_lines(name, width - 0.08)
+    for above, text in zip((0.14, 0.0)[-len(lines) :], lines, strict=True):
+        write(figure, middle, top - 0.15 + above, text, fontsize=_NAME_SIZE, fontweight="bold", **look)
+    write(figure, middle, top - 0.32, shortened(told, SMALL, width - 0.06), fontsize=SMALL, color=FAINT, **look)
+
+
+def _two_lines(name: str, width_in: float) -> list[str]:
+    """``name`` in one line, or in two where it is wider than ``width_in``; what must go, goes from its middle."""
+    size = _NAME_SIZE * _BOLD
+    if text_width_in(name, size) <= width_in:
+        return [name]
+    breaks = [place for place, char in enumerate(name) if char in " _-./" and 0 < place < len(name) - 1]
+    fitting = [place for place in breaks if text_width_in(name[: place + 1].strip(), size) <= width_in]
+    first = fitting[-1] + 1 if fitting else len(shortened(name, size, width_in)) - 1
+    tail = name[first:].strip()
+    while len(tail) > 2 and text_width_in(tail, size) > width_in:
+        tail = "…" + tail.lstrip("…")[max(1, len(tail) // 12) :]
+    return [name[:first].strip(), tail]
+
+
+def _name_row(figure: Figure, order: xr.Dataset, middle: float, *, mixed: bool) -> None:
+    """Order of a row and, where rows differ in that, what its phases are from."""
+    value = nominal_order(float(order["order"]))
+    write(figure, 0.25, middle + 0.03, f"order {order_text(value)}", fontweight="bold")
+    origin = str(order["phase_from"].item())
+    if mixed:
+        text = shortened(f"from {_SHORT.get(origin, drawable(origin, 24))}", SMALL, _LEFT - 0.3)
+        write(figure, 0.25, middle - 0.12, text, fontsize=SMALL, color=FAINT)
+
+
+def _cell(one: xr.Dataset) -> _Cell:
+    low, high = (float(value) for value in one["amplitude_ci95"].values)
+    first, last = (float(value) for value in one["phase_ci95"].values)
+    return _Cell(float(one["amplitude"]), low, high, float(one["phase"]), 0.5 * (last - first))
+
+
+def _longest(order: xr.Dataset, unit: str) -> float:
+    """Largest amplitude at an order among the channels of a unit."""
+    alike = np.flatnonzero(order["unit"].values == unit)
+    return float(np.nanmax(np.nan_to_num(order["amplitude"].values[alike]), initial=0.0))
+
+
+def _draw_cell(figure: Figure, canvas: Axes, cell: _Cell, longest: float, place: tuple[float, float, float]) -> None:
+    """Phasor and numbers of one cell; ``place`` its left, the height of its middle, and its width, in inches."""
+    left, middle, width = place
+    wide = width >= _WIDE
+    radius = _RADIUS_WIDE if wide else _RADIUS_NARROW
+    x, y = (left + 0.1 + radius, middle) if wide else (left + width / 2, middle + 0.16)
+    color = LINES[0] if cell.clear else FAINT
+    canvas.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=FAINT, linewidth=0.6, alpha=0.7))
+    canvas.plot([x, x + radius], [y, y], color=GRID, linewidth=0.8, zorder=0.9)
+    if math.isfinite(cell.amplitude) and longest > 0.0:
+        _draw_hand(canvas, cell, (x, y), radius / longest, radius, color)
+    amplitude, phase = _numbers(cell, with_intervals=wide)
+    if wide:
+        write(figure, x + radius + 0.1, y + 0.035, amplitude, fontsize=NORMAL, color=INK if cell.clear else FAINT)
+        write(figure, x + radius + 0.1, y - 0.13, phase, fontsize=NORMAL, color=INK if cell.clear else FAINT)
+        return
+    for below, text in ((0.14, amplitude), (0.27, phase)):
+        write(figure, x, y - radius - below, shortened(text, SMALL, width - 0.02), ha="center", fontsize=SMALL,
+              color=INK if cell.clear else FAINT)  # fmt: skip
+
+
+def _draw_hand(canvas: Axes, cell: _Cell, centre: tuple[float, float], scale: float, radius: float, color: str) -> None:
+    """Hand of a phasor from ``centre``, ``scale`` inches per unit, and its interval within ``radius``."""
+    x, y = centre
+    if math.isfinite(cell.half_phase_deg) and math.isfinite(cell.high):
+        outer = min(cell.high * scale, 1.12 * radius)
+        half = min(max(cell.half_phase_deg, 0.5), 179.9)
+        wedge = Wedge(
+            centre, outer, cell.phase_deg - half, cell.phase_deg + half, width=max(outer - cell.low * scale, 0.01)
+        )
+        wedge.set(facecolor=color, alpha=0.25, linewidth=0)
+        canvas.add_patch(wedge)
+    turn = math.radians(cell.phase_deg)
+    length = cell.amplitude * scale
+    end = (x + length * math.cos(turn), y + length * math.sin(turn))
+    canvas.plot([x, end[0]], [y, end[1]], color=color, linewidth=1.8, solid_capstyle="round", gid="hand")
+    canvas.plot([end[0]], [end[1]], marker="o", markersize=3.2, color=color)
+
+
+def _numbers(cell: _Cell, *, with_intervals: bool) -> tuple[str, str]:
+    """Amplitude and phase as text; the phase only where the amplitude is told from zero."""
+    if not math.isfinite(cell.amplitude):
+        return "–", ""
+    amplitude = number_text(cell.amplitude)
+    if not cell.clear:
+        return f"< {number_text(cell.high, digits=2)}", "–"
+    phase = f"{(cell.phase_deg + 180.0) % 360.0 - 180.0:.0f}°".replace("-", "−").replace("−0°", "0°")
+    if with_intervals and math.isfinite(cell.high):
+        amplitude = _with_interval(cell.amplitude, cell.high - cell.amplitude)
+        half = cell.half_phase_deg
+        phase += f" ± {half:.0f}°" if half >= 9.95 else f" ± {half:.1f}°" if half >= 0.05 else ""
+    return amplitude, phase
+
+
+def _with_interval(value: float, half: float) -> str:
+    """``value`` ± ``half``, both to the second digit of the interval."""
+    if not half > 0.0:
+        return number_text(value)
+    decimals = 1 - math.floor(math.log10(half))
+    if 0 <= decimals <= 6 and value < 1e6:
+        return f"{value:.{decimals}f} ± {half:.{decimals}f}"
+    return f"{number_text(value)} ± {number_text(half, digits=2)}"

@@ -1,0 +1,217 @@
+"""Operating shapes: amplitudes and phases of a truth, intervals that cover it, origins that are said."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from crankorder.cli import main
+from crankorder.errors import RequestError
+from crankorder.ingest.manifest import load_manifest
+from crankorder.orders.frames import order_frames
+from crankorder.orders.shapes import operating_shapes
+from crankorder.quantities import check_dataset
+from crankorder.settings import load_settings
+from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.stages import band, ingest, shaft
+from made.frames import frames_of
+from made.recordings import line, steady
+
+SETTINGS = load_settings().orders
+PHASORS = np.array([2.0 * np.exp(0.4j), 0.5 * np.exp(-2.9j), 1.0 * np.exp(1.7j)])
+
+
+def circular(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+
+def shapes_of(spectrum: np.ndarray, orders=(1.0,), reference=None, **options):
+    return operating_shapes([frames_of(spectrum, **options)], orders, settings=SETTINGS, reference=reference)
+
+
+def steady_frames(n_frames: int = 8, n_orders: int = 9) -> np.ndarray:
+    return np.tile(PHASORS[:, None, None], (1, n_frames, n_orders))
+
+
+def degrees_apart(one, other):
+    return (np.asarray(one) - other + 180.0) % 360.0 - 180.0
+
+
+def test_a_steady_line_has_its_amplitude_its_phase_and_no_interval():
+    made = shapes_of(steady_frames(), orders=(0.5, 1.0, 3.0))
+    check_dataset(made, "operating_shapes")
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 1], np.abs(PHASORS), rtol=1e-14)
+    np.testing.assert_allclose(made["phase"].values[:, 0, 1], np.degrees(np.angle(PHASORS)), atol=1e-12)
+    np.testing.assert_allclose(np.diff(made["amplitude_ci95"].values), 0.0, atol=1e-13)
+    np.testing.assert_allclose(np.diff(made["phase_ci95"].values), 0.0, atol=1e-11)
+    np.testing.assert_allclose(made["coherence"].values, 1.0, atol=1e-12)
+    assert made["phase_from"].values.tolist() == ["tdc", "tdc", "tdc"]
+
+
+def test_recordings_of_lines_give_the_shape_that_was_put_in():
+    signals = [line(5.5, abs(c), float(np.angle(c))) for c in PHASORS]
+    frames = order_frames(*steady(signals, speed_rpm=1200.0, duration_s=8.0, rate_hz=2000.0), settings=SETTINGS)
+    made = operating_shapes([frames], [5.5], settings=SETTINGS)
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=2e-6)
+    assert np.abs(degrees_apart(made["phase"].values[:, 0, 0], np.degrees(np.angle(PHASORS)))).max() < 2e-4
+    relative = operating_shapes([frames], [5.5], settings=SETTINGS, reference="C")
+    expected = np.degrees(np.angle(PHASORS / PHASORS[2]))
+    assert np.abs(degrees_apart(relative["phase"].values[:, 0, 0], expected)).max() < 4e-4
+    assert relative.attrs["reference"] == "C"
+
+
+def test_a_reference_takes_the_origin_of_angle_out_and_keeps_the_amplitudes():
+    turns = np.exp(2j * np.pi * np.random.default_rng(1).uniform(size=8))
+    made = shapes_of(steady_frames() * turns[None, :, None], reference="B")
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-12)
+    expected = np.degrees(np.angle(PHASORS / PHASORS[1]))
+    assert np.abs(degrees_apart(made["phase"].values[:, 0, 0], expected)).max() < 1e-9
+    assert made["phase_from"].item() == "B"
+    np.testing.assert_allclose(made["coherence"].values, 1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("orders", "attrs", "origin"),
+    [
+        ((1.0, 1.5), {}, ["tdc", "tdc"]),
+        ((1.0, 1.5), {"cycle_known": 0}, ["tdc", "A"]),
+        ((1.0, 1.5), {"phase_reference": "none"}, ["A", "A"]),
+        ((1.0, 1.2), {}, ["tdc", "A"]),
+    ],
+)
+def test_where_the_crank_gives_no_phase_the_strongest_channel_does_and_it_is_said(orders, attrs, origin):
+    assert shapes_of(steady_frames(), orders=orders, **attrs)["phase_from"].values.tolist() == origin
+
+
+def test_recordings_with_different_marks_are_compared_by_channel_not_by_crank():
+    one, two = frames_of(steady_frames()), frames_of(steady_frames() * np.exp(2.0j), phase_reference="index")
+    made = operating_shapes([one, two], [1.0], settings=SETTINGS)
+    assert made["phase_from"].item() == "A"
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-12)
+
+
+def test_a_line_between_two_bins_keeps_its_amplitude_and_its_shape():
+    signals = [line(5.48, abs(c), float(np.angle(c))) for c in PHASORS]
+    frames = order_frames(*steady(signals, speed_rpm=1200.0, duration_s=20.0, rate_hz=2000.0), settings=SETTINGS)
+    made = operating_shapes([frames], [5.48], settings=SETTINGS, reference="A")
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=2e-3)
+    expected = np.degrees(np.angle(PHASORS / PHASORS[0]))
+    assert np.abs(degrees_apart(made["phase"].values[:, 0, 0], expected)).max() < 0.05
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("n_frames", [3, 8, 30])
+@pytest.mark.parametrize("reference", [None, "A"])
+def test_intervals_cover_the_truth_in_95_of_100_draws(n_frames, reference):
+    draws, sigma = 4000, 0.15
+    rng = np.random.default_rng(n_frames)
+    noise = sigma * circular(rng, 3, n_frames, draws)
+    noise[0] *= 0.0 if reference else 1.0  # the phase of a noisy reference is part of what is asked for
+    made = shapes_of(PHASORS[:, None, None] + noise, np.arange(draws) / 2, reference, overlap=0.0)
+    first = 1 if reference else 0
+    amplitude = made["amplitude_ci95"].values[first:, 0]
+    truth = np.abs(PHASORS[first:, None])
+    inside = (amplitude[..., 0] <= truth) & (truth <= amplitude[..., 1])
+    phase = np.degrees(np.angle(PHASORS[first:] / (PHASORS[0] if reference else 1.0)))
+    half = 0.5 * np.diff(made["phase_ci95"].values[first:, 0])[..., 0]
+    near = np.abs(degrees_apart(made["phase"].values[first:, 0], phase[:, None])) <= half
+    # 8,000 or 12,000 draws know 95 % to 0.25 %
+    assert inside.mean() == pytest.approx(0.95, abs=0.01)
+    assert near.mean() == pytest.approx(0.95, abs=0.01)
+
+
+def test_overlapping_frames_of_noise_do_not_narrow_the_interval():
+    rng = np.random.default_rng(9)
+    covered = []
+    for _ in range(150):
+        noise = 0.3 * rng.standard_normal(12_000)
+        signals = [lambda _t, angle, noise=noise: np.cos(2 * np.pi * 2.0 * angle + 0.3) + noise]
+        frames = order_frames(*steady(signals, speed_rpm=1200.0, duration_s=6.0, rate_hz=2000.0), settings=SETTINGS)
+        made = operating_shapes([frames], [2.0], settings=SETTINGS)
+        low, high = made["amplitude_ci95"].values[0, 0, 0]
+        covered.append(low <= 1.0 <= high)
+    assert 0.90 <= np.mean(covered) <= 0.99  # 150 draws know 95 % to 1.8 %
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e300])
+def test_amplitudes_from_the_least_to_the_largest_come_through(size):
+    spectrum = steady_frames() + 0.1 * circular(np.random.default_rng(2), 3, 8, 9)
+    plain, scaled = shapes_of(spectrum), shapes_of(size * spectrum)
+    np.testing.assert_allclose(scaled["amplitude_ci95"].values / size, plain["amplitude_ci95"].values, rtol=1e-9)
+    for name in ("phase", "phase_ci95", "coherence"):
+        np.testing.assert_allclose(scaled[name].values, plain[name].values, rtol=1e-9)
+
+
+def test_frames_with_a_gap_take_no_part_in_their_channel():
+    spectrum = steady_frames() + 0.1 * circular(np.random.default_rng(3), 3, 8, 9)
+    gap = spectrum.copy()
+    gap[1, 7] = np.nan
+    found = shapes_of(gap, overlap=0.0)
+    expected = shapes_of(spectrum[:, :7], overlap=0.0)
+    np.testing.assert_allclose(found["amplitude_ci95"].values[1], expected["amplitude_ci95"].values[1], rtol=1e-9)
+    np.testing.assert_allclose(found["amplitude"].values[0], shapes_of(spectrum)["amplitude"].values[0])
+
+
+def test_one_frame_has_a_shape_without_interval_and_noise_has_no_phase():
+    one = shapes_of(steady_frames(n_frames=1))
+    np.testing.assert_allclose(one["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-14)
+    assert np.isnan(one["amplitude_ci95"].values).all()
+    assert np.isnan(one["coherence"].values).all()
+    noise = shapes_of(circular(np.random.default_rng(4), 1, 400, 9), orders=np.arange(1, 9) / 2)
+    assert noise["coherence"].values.mean() < 0.02
+    assert np.median(np.diff(noise["phase_ci95"].values)) > 60.0
+
+
+def test_orders_beyond_the_frames_are_missing_and_an_unknown_reference_is_refused():
+    made = shapes_of(steady_frames(), orders=(4.0, 4.6))
+    assert np.isfinite(made["amplitude"].values[..., 0]).all()
+    assert np.isnan(made["amplitude"].values[..., 1]).all()
+    with pytest.raises(RequestError, match="A, B, C"):
+        shapes_of(steady_frames(), reference="Q")
+
+
+def test_frames_of_a_run_up_fall_into_rows_of_like_speed():
+    made = shapes_of(steady_frames(n_frames=9), speed_rpm=np.repeat([900.0, 500.0, 700.0], 3))
+    assert made["speed"].values.tolist() == [500.0, 700.0, 900.0]
+    assert made["n_frames"].values.tolist() == [3, 3, 3]
+
+
+@pytest.mark.slow
+def test_shapes_of_the_reference_campaign_are_those_of_its_truth(tmp_path):
+    outcome = CliRunner().invoke(main, ["synth", "thesis-second-motoring", "--quick", "--out", str(tmp_path), "-q"])
+    assert outcome.exit_code == 0, outcome.output
+    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
+    manifest, settings = load_manifest(tmp_path), load_settings()
+    frames = []
+    for file in sorted(tmp_path.glob("rpm_*.h5")):
+        recording = ingest(file, manifest, settings)
+        angle = shaft(recording, ShaftKnowledge(), settings)
+        frames.append(order_frames(band(recording, angle, settings), angle, settings=settings.orders))
+    orders = sorted({record["order"] for record in truth["orders"] if record["order"] == round(record["order"])})
+    made = operating_shapes(frames, orders, settings=settings.orders)
+    scores = np.array(list(_scores(made, truth["orders"])))
+    assert len(scores) > 150
+    assert np.mean(scores[:, 0] <= 1.0) > 0.90  # lines between two channels of noise and tones: measured below 0.95
+    assert np.mean(scores[:, 1] <= 1.0) > 0.90
+
+
+def _scores(made, records):
+    """Error over half interval of amplitude and phase, where a line stands clear of the noise."""
+    for record in records:
+        if record["order"] not in made["order"].values:
+            continue
+        one = made.sel(channel=record["channel"], order=record["order"])
+        for speed, amplitude, phase in zip(
+            record["speed_rpm"], record["amplitude_by_speed"], record["phase_deg_by_speed"], strict=True
+        ):
+            at = one.isel(speed=int(np.argmin(np.abs(one["speed"].values - speed))))
+            low, high = at["amplitude_ci95"].values
+            first, last = at["phase_ci95"].values
+            if low > 0.5 * at["amplitude"].item():
+                yield (
+                    abs(at["amplitude"].item() - amplitude) / (0.5 * (high - low)),
+                    abs(degrees_apart(at["phase"].item(), phase)) / (0.5 * (last - first)),
+                )
