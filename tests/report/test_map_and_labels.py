@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
 from crankorder.report.labels import EdgeLabel, fitted, spread
-from crankorder.report.style import decade_text, drawable, text_width_in
+from crankorder.report.ticks import decade_text, linear_texts, linear_ticks
+from crankorder.report.typeface import drawable, text_width_in
 
 
 def test_stepped_speeds_reach_half_way_to_their_neighbours() -> None:
@@ -84,3 +85,17 @@ def test_text_that_the_font_does_not_know_is_spelled_out_and_never_warns() -> No
 
 def test_decades_are_written_without_markup() -> None:
     assert [decade_text(value) for value in (1.0, 0.002, 1e-4, 5e-6, 1e6)] == ["1", "0.002", "10⁻⁴", "5·10⁻⁶", "10⁶"]
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(2, 12))
+def test_ticks_are_round_lie_inside_and_their_texts_are_their_values(low: float, span: float, most: int) -> None:
+    places = linear_ticks(low, low + span, most=most)
+    assert len(places) <= most + 1
+    assert all(low - 1e-6 * span <= place <= low + span + 1e-6 * span for place in places)
+    texts = linear_texts(places)
+    assert len(set(texts)) == len(texts)
+    if len(places) > 1 and np.abs(places).max() < 1e5:
+        step = places[1] - places[0]
+        assert all(
+            abs(float(text.replace("−", "-")) - place) < 0.01 * step for text, place in zip(texts, places, strict=True)
+        )

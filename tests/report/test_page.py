@@ -167,6 +167,21 @@ def test_a_test_with_nothing_found_has_a_page_that_says_so(settings: Any) -> Non
         assert word in text
 
 
+def test_findings_that_were_not_asked_for_are_neither_denied_nor_cleared(settings: Any) -> None:
+    unsought: dict[str, Any] = {"test": "t", "not_asked_for": "not asked for: the recipe wants campbell map only"}
+    unsought |= {key: [] for key in ("orders", "modes", "crossings", "bearings", "lines")}
+    unsought |= {
+        "balance": None,
+        "quality": [{"recording": "a.h5", "flag": "clipped", "severity": "bad", "detail": "x"}],
+    }
+    text = " ".join(_Reader(report_page(unsought, pictures=[], provenance={}, settings=settings)).words)
+    assert "Findings were not asked for: the recipe wants campbell map only." in text
+    for falsehood in ("No order", "No natural", "No line", "Nothing that was looked for", "No bearing", "What shakes"):
+        assert falsehood not in text
+    assert "Repeat the recordings that are marked bad." in text
+    assert "a.h5" in text
+
+
 def test_the_page_is_the_same_each_time(campaign: Any, settings: Any, page: str, provenance: dict[str, Any]) -> None:
     pictures = [("campbell_Z.png", "Campbell diagram of channel Z"), ("orders.png", "Orders against speed")]
     assert report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings) == page

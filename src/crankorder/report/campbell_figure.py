@@ -2,73 +2,100 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
 
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
+from crankorder.report.colour_map import level_colours
+from crankorder.report.drawing import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
+from crankorder.report.keys import Key, draw_keys
 from crankorder.report.labels import EdgeLabel, fitted, label_right, label_top
-from crankorder.report.notation import frequency_text, is_number, is_tone, level_reference, nominal_order, order_text
-from crankorder.report.sentences import strongest_sentence
-from crankorder.report.style import (
+from crankorder.report.notation import (
+    frequency_text,
+    is_number,
+    is_tone,
+    level_reference,
+    nominal_order,
+    order_text,
+    scaling_text,
+)
+from crankorder.report.palette import (
+    FAINT,
     INK,
     LARGE,
     MAINS,
     MAINS_ON_MAP,
-    MAP,
     MODE,
+    MODE_DASHES,
     MODE_ON_MAP,
     NOT_MEASURED,
-    NOTE,
     SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quality_note,
-    shortened,
-    title_lines,
-    write,
+    TONE_DASHES,
+    rgb_of,
 )
+from crankorder.report.panel import Panel
+from crankorder.report.sentences import NOT_ASKED_FOR, strongest_sentence
+from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
 _LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
+_WHITE = "#ffffff"
+_MOST_GUIDES = 12
+
+
+@dataclass(frozen=True)
+class _Map:
+    """Amplitudes (speed, frequency) of one channel where its speed is known, slowest first."""
+
+    speed: NDArray[np.float64]
+    frequency: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+    reference: float
+    unit: str
+
+    @property
+    def cells(self) -> NDArray[np.float64]:
+        return speed_cells(self.speed) if len(self.speed) else np.array([[0.0, 1.0]])
 
 
 def campbell_figure(
     campbell: xr.Dataset, channel: str, findings: dict[str, Any], *, settings: ReportSettings
-) -> Figure:
+) -> Drawing:
     """Campbell diagram of one channel, ready for :func:`crankorder.report.figures.png_bytes`.
 
     Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
     speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,
-    natural frequencies dashed lines labelled at the top, mains dotted, excited crossings circles.
+    natural frequencies dashed lines labelled at the top, mains dotted, excited crossings circles. Where no findings
+    were asked for, some whole orders are drawn for orientation.
 
     ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
     report. Raises KeyError for an unknown channel.
     """
-    with house_style():
-        figure = new_figure(settings.width_in, settings.height_in)
-        box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
-        axes = axes_at(figure, *box)
-        one = campbell.sel(channel=channel).dropna("speed", how="all", subset=["amplitude"]).sortby("speed")
-        _draw_map(axes, one, box, settings=settings)
-        orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
-        modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
-        _draw_orders(axes, orders)
-        _draw_modes(axes, modes)
-        circles = _draw_crossings(axes, findings, channel)
-        _label_edges(axes, box, orders, modes)
-        _legend(figure, orders=bool(orders), modes=modes, circles=circles)
-        _title(figure, findings, channel, settings=settings)
-        return figure
+    one = _map_of(campbell, channel, settings)
+    drawing = Drawing(settings.width_in, settings.height_in)
+    box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
+    ends = float(one.frequency[0]), float(one.frequency[-1])
+    panel = Panel(drawing, box, ends, (float(one.cells[0, 0]), float(one.cells[-1, 1])))
+    _draw_map(panel, one, settings=settings)
+    orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
+    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    guides = _guides(panel) if NOT_ASKED_FOR in findings else []
+    _draw_orders(panel, guides or orders)
+    _draw_modes(panel, modes)
+    circles = _draw_crossings(panel, findings, channel)
+    _draw_notes(panel, one)
+    _label_edges(panel, guides or orders, modes)
+    keys = (
+        [Key("order, for orientation", FAINT)] if guides else _keys(orders=bool(orders), modes=modes, circles=circles)
+    )
+    draw_keys(drawing, _LEFT, keys)
+    _title(drawing, findings, channel, settings=settings)
+    return drawing
 
 
 def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dict[str, Any]]:
@@ -78,174 +105,172 @@ def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dic
     return sorted(records[:limit], key=lambda record: float(record["order"]))
 
 
-def _level_limits(one: xr.Dataset, *, settings: ReportSettings) -> tuple[float, float]:
+def _map_of(campbell: xr.Dataset, channel: str, settings: ReportSettings) -> _Map:
+    names = campbell["channel"].values.tolist()
+    if channel not in names:
+        raise KeyError(channel)
+    number, speed = names.index(channel), campbell["speed"].values
+    amplitude = campbell["amplitude"].transpose("channel", "speed", "frequency").values[number]
+    kept = np.flatnonzero(np.isfinite(speed) & np.isfinite(amplitude).any(axis=1))
+    kept = kept[np.argsort(speed[kept], kind="stable")]
+    quantity, unit = str(campbell["quantity"].values[number]), str(campbell["unit"].values[number])
+    reference, level = level_reference(quantity, unit, settings=settings)
+    level = level.replace("(peak)", scaling_text(campbell))
+    return _Map(speed[kept], campbell["frequency"].values, np.nan_to_num(amplitude[kept]), reference, level)
+
+
+def _level_limits(one: _Map, *, settings: ReportSettings) -> tuple[float, float]:
     """Ends of the colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range."""
-    values = one["amplitude"].values
-    values = values[np.isfinite(values) & (values > 0)]
+    values = one.amplitude[one.amplitude > 0]
     if not len(values):
         return 0.0, settings.dynamic_range_db
-    reference, _ = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
-    ends = 5 * np.array(
-        [np.floor(_level(np.quantile(values, 0.05), reference) / 5), np.ceil(_level(values.max(), reference) / 5)]
-    )
+    twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
+    ends = 5 * np.array([np.floor(_level(twentieth, one) / 5), np.ceil(_level(values.max(), one) / 5)])
     low = max(float(ends[0]), float(ends[1]) - settings.dynamic_range_db)
     return min(low, float(ends[1]) - _LEAST_RANGE_DB), float(ends[1])
 
 
-def _level(values: Any, reference: float) -> Any:
-    return 20 * np.log10(np.maximum(values / reference, 1e-300))
+def _level(values: Any, one: _Map) -> Any:
+    """Level in dB; 1e-300 and 1e300 survive."""
+    return 20 * (np.log10(np.maximum(values, 1e-300)) - np.log10(one.reference))
 
 
-def _draw_map(axes: Axes, one: xr.Dataset, box: tuple[float, float, float, float], *, settings: ReportSettings) -> None:
-    frequency, cells = one["frequency"].values, speed_cells(one["speed"].values)
-    amplitude = np.nan_to_num(one["amplitude"].transpose("speed", "frequency").values)
-    values, edges = cells_with_gaps(amplitude, cells)
+def shades(one: _Map, limits: tuple[float, float], rows: int, columns: int) -> NDArray[np.uint8]:
+    """Shade 1…255 of each of ``rows`` by ``columns`` pixels of a map ``one``, the first row the slowest; 0 is unknown.
+
+    ``limits`` of level [dB] are the shades 1 and 255. A pixel shows the largest value under it.
+    """
+    values, edges = cells_with_gaps(one.amplitude, one.cells)
+    frequency = one.frequency
     half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
-    left, right, low, high = (float(end) for end in (frequency[0], frequency[-1], edges[0], edges[-1]))
-    columns, rows = round(box[2] * settings.dpi), round(box[3] * settings.dpi)
-    pooled = pixel_maximum(values, bins, (left, right), n=min(columns, 4 * len(frequency)), axis=1)
-    pooled = pixel_maximum(pooled, edges, (low, high), n=rows, axis=0)
-    reference, unit = level_reference(str(one["quantity"].item()), str(one["unit"].item()), settings=settings)
+    pooled = pixel_maximum(values, bins, (float(frequency[0]), float(frequency[-1])), n=columns, axis=1)
+    share = (_level(pooled, one) - limits[0]) / (limits[1] - limits[0])
+    shade = np.where(pooled < 0, 0, 1 + np.clip(255 * share, 0, 254)).astype(np.uint8)
+    return pixel_maximum(shade, edges, (float(edges[0]), float(edges[-1])), n=rows, axis=0)
+
+
+def _draw_map(panel: Panel, one: _Map, *, settings: ReportSettings) -> None:
+    drawing, box = panel.drawing, panel.box
     limits = _level_limits(one, settings=settings)
-    level: Any = _level(pooled, reference).astype(np.float32)
-    if np.any(pooled < 0):  # a mask doubles the time to draw
-        level = np.ma.masked_where(pooled < 0, level)
-    image = axes.imshow(
-        level, extent=(left, right, low, high), origin="lower",
-        aspect="auto", interpolation="nearest", cmap=MAP, vmin=limits[0], vmax=limits[1],
-    )  # fmt: skip
-    axes.set_facecolor(NOT_MEASURED)
-    axes.set_xlabel("Frequency, Hz")
-    axes.set_ylabel("Speed, rpm")
-    axes.tick_params(length=3)
-    axes.autoscale(False)
-    for start, end in gaps_between(cells):
-        if (end - start) * box[3] > 0.3 * (high - low):
-            axes.text((left + right) / 2, (start + end) / 2, "not measured", **NOTE)
-    if not np.any(pooled > 0):
-        axes.text(0.5, 0.5, "no signal: every value is zero", transform=axes.transAxes, **NOTE)
-    _colour_bar(axes, image, limits, unit, box)
+    if len(one.speed):
+        colours = level_colours().copy()
+        colours[0] = rgb_of(NOT_MEASURED)
+        shade = shades(one, limits, *pixels_of(box, drawing, settings.dpi))
+        drawing.add(Field(colours[shade[::-1]], box))
+    panel.frame(whole=True)
+    panel.x_axis("Frequency, Hz", grid=False)
+    panel.y_axis("Speed, rpm", grid=False)
+    bar = Panel(drawing, (box[0] + box[2] + 0.62, box[1], 0.17, box[3]), (0.0, 1.0), limits)
+    drawing.add(Field(np.repeat(level_colours()[:0:-1, None], 2, axis=1), bar.box))
+    bar.frame(whole=True)
+    ticks = np.arange(10 * np.ceil(limits[0] / 10), limits[1] + 0.1, 10)
+    bar.y_axis(f"Level, {one.unit}", places=ticks.tolist(), grid=False, right=True)
 
 
-def _colour_bar(
-    axes: Axes, image: AxesImage, limits: tuple[float, float], unit: str, box: tuple[float, float, float, float]
-) -> None:
-    figure = axes.figure
-    assert isinstance(figure, Figure)
-    bar = figure.colorbar(image, cax=axes_at(figure, box[0] + box[2] + 0.62, box[1], 0.17, box[3]))
-    bar.set_ticks(np.arange(10 * np.ceil(limits[0] / 10), limits[1] + 0.1, 10).tolist())
-    bar.set_label(f"Level, {unit}", parse_math=False)
-    bar.ax.tick_params(length=3)
-    bar.outline.set_linewidth(0.5)
+def _draw_notes(panel: Panel, one: _Map) -> None:
+    for start, end in gaps_between(one.cells):
+        if (end - start) * panel.box[3] > 0.3 * (panel.y[1] - panel.y[0]):
+            panel.note("not measured", up=float(panel.share((start + end) / 2)))
+    if not np.any(one.amplitude > 0):
+        panel.note("no signal: every value is zero" if len(one.speed) else "no speed is known")
 
 
-def _draw_orders(axes: Axes, orders: list[dict[str, Any]]) -> None:
-    low, high = axes.get_ylim()
+def _draw_orders(panel: Panel, orders: list[dict[str, Any]]) -> None:
+    low, high = panel.y
+    everywhere = np.array([low, high])
     for record in orders:
         order = float(record["order"])
         span = record.get("speed_range_rpm") or [low, high]
         seen = np.clip(np.array([span[0], span[1]], dtype=float), low, high)
-        everywhere = np.array([low, high])
-        look: dict[str, Any] = {"color": "white", "linewidth": 0.7, "gid": f"order-{order_text(nominal_order(record))}"}
-        axes.plot(order * everywhere / 60, everywhere, alpha=0.22, **look)
-        axes.plot(order * seen / 60, seen, alpha=0.45, **look)
+        name = f"order-{order_text(nominal_order(record))}"
+        for speed, alpha in ((everywhere, 0.25), (seen, 0.5)) if "amplitude" in record else ((everywhere, 0.3),):
+            panel.curve(order * speed / 60, speed, color=_WHITE, width=0.7, alpha=alpha, name=name)
 
 
-def _draw_modes(axes: Axes, modes: list[dict[str, Any]]) -> None:
+def _guides(panel: Panel) -> list[dict[str, Any]]:
+    """Whole orders that run through the map, few enough to be told apart; they claim nothing."""
+    highest = 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
+    step = next((one for one in (1, 2, 5, 10, 20, 50, 100) if highest / one <= _MOST_GUIDES), 0)
+    orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
+    return [{"order": order} for order in sorted(orders)]
+
+
+def _draw_modes(panel: Panel, modes: list[dict[str, Any]]) -> None:
     for mode in modes:
         mains = is_tone(mode)
-        axes.axvline(
-            float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP, linewidth=0.8, alpha=0.75,
-            linestyle=(0, (1, 2)) if mains else (0, (5, 4)), gid="tone" if mains else "mode",
+        panel.upright(
+            float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP, alpha=0.75,
+            dashes=TONE_DASHES if mains else MODE_DASHES, name="tone" if mains else "mode",
         )  # fmt: skip
 
 
-def _draw_crossings(axes: Axes, findings: dict[str, Any], channel: str) -> bool:
+def _draw_crossings(panel: Panel, findings: dict[str, Any], channel: str) -> bool:
     places = [
         (float(crossing["mode_hz"]), float(crossing["rpm"]))
         for crossing in findings.get("crossings", [])
         if crossing.get("excited") and crossing.get("in_range") and channel in crossing.get("channels", [channel])
     ]
     if places:
-        axes.plot(
-            *zip(*places, strict=True), linestyle="none", marker="o", markersize=11, markerfacecolor="none",
-            markeredgecolor="white", markeredgewidth=1.5, gid="crossings",
-            path_effects=[withStroke(linewidth=3, foreground="#00000090")],
-        )  # fmt: skip
+        x, y = (np.array(values) for values in zip(*places, strict=True))
+        points = panel.at(x, y)
+        panel.drawing.add(Rings(points, 5.5, "#000000", width=3.0, alpha=0.56))
+        panel.drawing.add(Rings(points, 5.5, _WHITE, width=1.5, name="crossings", values=(x, y)))
     return bool(places)
 
 
-def _label_edges(
-    axes: Axes, box: tuple[float, float, float, float], orders: list[dict[str, Any]], modes: list[dict[str, Any]]
-) -> None:
+def _label_edges(panel: Panel, orders: list[dict[str, Any]], modes: list[dict[str, Any]]) -> None:
     """Orders where their lines leave the diagram, natural frequencies and tones in a tier above them."""
-    figure = axes.figure
-    assert isinstance(figure, Figure)
+    drawing, box = panel.drawing, panel.box
     left, bottom, width, height = box
-    top, side = _order_labels(axes, box, orders)
-    f_low, f_high = axes.get_xlim()
+    top, side = _order_labels(panel, orders)
     named = []
     for number, mode in enumerate(modes):
         frequency_hz = float(mode["frequency_hz"])
-        if f_low <= frequency_hz <= f_high:
-            place = left + width * (frequency_hz - f_low) / (f_high - f_low)
+        if panel.x[0] <= frequency_hz <= panel.x[1]:
+            place = float(panel.at(frequency_hz, panel.y[0])[0, 0])
             text = f"{frequency_text(frequency_hz)} Hz"
             named.append(EdgeLabel(place, text, MAINS if is_tone(mode) else MODE, number))
-    lines = label_top(figure, box, [fitted(top, width), fitted(named, width)])
-    label_right(figure, box, side)
-    look: dict[str, Any] = {"va": "bottom", "fontsize": SMALL, "color": INK}
+    lines = label_top(drawing, box, [fitted(top, width), fitted(named, width)])
+    label_right(drawing, box, side)
     if top:
-        write(figure, left - 0.3, lines[0], "order", ha="right", **look)
+        drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
     if side:
-        write(figure, left + width + 0.06, bottom + height + 0.14, "order", ha="left", **look)
+        drawing.add(Words(left + width + 0.06, bottom + height + 0.135, "order", SMALL, INK))
 
 
-def _order_labels(
-    axes: Axes, box: tuple[float, float, float, float], orders: list[dict[str, Any]]
-) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
+def _order_labels(panel: Panel, orders: list[dict[str, Any]]) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
     """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
-    left, bottom, width, height = box
-    (f_low, f_high), (low, high) = axes.get_xlim(), axes.get_ylim()
+    (f_low, f_high), (low, high) = panel.x, panel.y
     loudest = max((float(record.get("amplitude") or 0) for record in orders), default=0.0)
     top, side = [], []
     for number, record in enumerate(orders):
         order, text = float(record["order"]), order_text(nominal_order(record))
-        weight = "bold" if loudest > 0 and float(record.get("amplitude") or 0) == loudest else "normal"
+        bold = loudest > 0 and float(record.get("amplitude") or 0) == loudest
         if f_low <= order * high / 60 <= f_high:
-            place = left + width * (order * high / 60 - f_low) / (f_high - f_low)
-            top.append(EdgeLabel(place, text, INK, number, weight))
+            top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), text, INK, number, bold))
         elif low < 60 * f_high / order < high:
-            place = bottom + height * (60 * f_high / order - low) / (high - low)
-            side.append(EdgeLabel(place, text, INK, number, weight))
+            side.append(EdgeLabel(float(panel.at(f_high, 60 * f_high / order)[0, 1]), text, INK, number, bold))
     return top, side
 
 
-def _legend(figure: Figure, *, orders: bool, modes: list[dict[str, Any]], circles: bool) -> None:
-    handles = []
-    dark: dict[str, Any] = {"linewidth": 1.2}
-    if orders:
-        handles.append(Line2D([], [], color=INK, label="order found (bold number: strongest)", **dark))
+def _keys(*, orders: bool, modes: list[dict[str, Any]], circles: bool) -> list[Key]:
+    keys = [Key("order found (bold number: strongest)", INK)] if orders else []
     if any(not is_tone(mode) for mode in modes):
-        handles.append(Line2D([], [], color=MODE, linestyle=(0, (5, 3)), label="natural frequency", **dark))
+        keys.append(Key("natural frequency", MODE, MODE_DASHES))
     tones = {str(mode.get("explained_by")) for mode in modes if is_tone(mode)}
     if tones:
         label = "mains" if tones == {"mains"} else "fixed tone" if "mains" not in tones else "mains or fixed tone"
-        handles.append(Line2D([], [], color=MAINS, linestyle=(0, (1, 1.5)), label=label, **dark))
-    if circles:
-        ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4}
-        handles.append(Line2D([], [], color=INK, linestyle="none", label="excited crossing", **ring))
-    if handles:
-        width, height = figure.get_size_inches()
-        figure.legend(
-            handles=handles, loc="lower left", bbox_to_anchor=(_LEFT / width, 0.12 / height), ncols=len(handles),
-            frameon=False, fontsize=SMALL + 0.5, borderpad=0, borderaxespad=0, handlelength=2.6, columnspacing=2.2,
-        )  # fmt: skip
+        keys.append(Key(label, MAINS, TONE_DASHES))
+    return [*keys, Key("excited crossing", INK, ring=True)] if circles else keys
 
 
-def _title(figure: Figure, findings: dict[str, Any], channel: str, *, settings: ReportSettings) -> None:
+def _title(drawing: Drawing, findings: dict[str, Any], channel: str, *, settings: ReportSettings) -> None:
     name = drawable(findings.get("test", ""), settings.max_name_characters)
-    name = shortened(name, LARGE * 1.1, 0.62 * settings.width_in)
+    name = shortened(name, LARGE, 0.62 * settings.width_in, bold=True)
     title = f"{name} · channel {drawable(channel, settings.max_name_characters)}"
-    title_lines(figure, _LEFT, title, drawable(strongest_sentence(findings, channel), 300))
-    quality_note(figure, findings)
+    said = strongest_sentence(findings, channel)
+    if NOT_ASKED_FOR in findings:
+        said = "Level over frequency and speed; findings were not asked for."
+    title_lines(drawing, _LEFT, title, drawable(said, 300))
+    quality_note(drawing, findings)

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_REACH_STEPS = 2.0  # a cell reaches at most so many typical steps into a gap of the tested range …
-_REACH_SHARE = 0.03  # … or this share of the range, whichever is more
+_REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
+_REACH_SHARE = 0.03  # … and more than twice this share of it
 
 
 def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
 
     ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. In a wide gap of the tested range a cell
-    ends before half-way: what lies between was not measured.
+    reaches as far as on its other side: what lies between was not measured.
     """
     speeds = np.asarray(speeds_rpm, dtype=float)
     steps = np.diff(speeds)
@@ -23,9 +23,13 @@ def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
         half = max(0.025 * abs(float(speeds[0])), 1.0)
         return np.array([[speeds[0] - half, speeds[0] + half]])
     reach = max(_REACH_STEPS * float(np.median(steps)), _REACH_SHARE * float(speeds[-1] - speeds[0]))
-    halves = np.minimum(steps / 2, reach)
-    lower = np.maximum(speeds - np.concatenate([halves[:1], halves]), min(0.0, float(speeds[0])))
-    return np.stack([lower, speeds + np.concatenate([halves, halves[-1:]])], axis=1)
+    usual = float(np.median(steps)) / 2
+    halves = np.where(steps / 2 > reach, np.nan, steps / 2)  # NaN: a gap
+    down, up = np.concatenate([[np.nan], halves]), np.concatenate([halves, [np.nan]])
+    down, up = (
+        np.where(np.isnan(one), np.where(np.isnan(two), usual, two), one) for one, two in ((down, up), (up, down))
+    )
+    return np.stack([np.maximum(speeds - down, min(0.0, float(speeds[0]))), speeds + up], axis=1)
 
 
 def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from crankorder.report.style import SMALL, text_width_in, write
+from crankorder.report.drawing import Drawing, Words
+from crankorder.report.palette import SMALL
+from crankorder.report.typeface import text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
@@ -25,7 +24,7 @@ class EdgeLabel:
     text: str
     color: str
     key: int = 0
-    weight: str = "normal"
+    bold: bool = False
 
 
 def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
@@ -53,6 +52,11 @@ def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, hig
     return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
 
 
+def label_width_in(label: EdgeLabel, size: float) -> float:
+    """Room in inches that ``label`` needs at ``size`` points."""
+    return text_width_in(label.text, size, bold=label.bold) + GAP_IN
+
+
 def fitted(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL) -> list[EdgeLabel]:
     """Those of ``labels`` that fit side by side into ``length_in`` inches at ``size`` points.
 
@@ -61,7 +65,7 @@ def fitted(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL
     kept = sorted(labels, key=lambda label: label.target_in)
 
     def needed() -> float:
-        return sum(text_width_in(label.text, size) + GAP_IN for label in kept)
+        return sum(label_width_in(label, size) for label in kept)
 
     if needed() > length_in:
         kept = [replace(label, text=label.text.removesuffix(" Hz")) for label in kept]
@@ -71,15 +75,12 @@ def fitted(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL
     return kept
 
 
-def _leader(figure: Figure, points_in: Sequence[tuple[float, float]], color: str, dashes: Any) -> None:
-    width, height = figure.get_size_inches()
-    xs, ys = zip(*points_in, strict=True)
-    line = Line2D(np.divide(xs, width), np.divide(ys, height), color=color, linewidth=0.7, linestyle=dashes, alpha=0.85)
-    figure.add_artist(line)
+def _leader(drawing: Drawing, points_in: Sequence[tuple[float, float]], color: str) -> None:
+    drawing.line(points_in, color=color, width=0.7, alpha=0.85)
 
 
 def label_top(
-    figure: Figure,
+    drawing: Drawing,
     box_in: tuple[float, float, float, float],
     tiers: Sequence[Sequence[EdgeLabel]],
     *,
@@ -89,8 +90,8 @@ def label_top(
 
     Leaders of the upper tiers pass between the labels of the lower ones.
 
-    ``figure`` to draw on; ``box_in`` left, bottom, width and height of the diagram in inches; ``tiers`` labels from the
-    lowest tier up, targets in inches from the figure's left; ``size`` of the text in points.
+    ``drawing`` to draw on; ``box_in`` left, bottom, width and height of the diagram in inches; ``tiers`` labels from
+    the lowest tier up, targets in inches from the drawing's left; ``size`` of the text in points.
     """
     left, bottom, width, height = box_in
     level, lines = bottom + height, []
@@ -101,33 +102,33 @@ def label_top(
             continue
         through = [key for key in at if key[0] >= row]
         through.sort(key=lambda key: at[key])
-        widths = [
-            text_width_in(waiting[key[0]][key[1]].text, size) + GAP_IN if key[0] == row else GAP_IN for key in through
-        ]
+        widths = [label_width_in(waiting[key[0]][key[1]], size) if key[0] == row else GAP_IN for key in through]
         places = spread([at[key] for key in through], widths, low=left - 0.15, high=left + width + 0.15)
         fan, text_at = level + 0.11, level + 0.11 + LINE_HEIGHT_IN
         for key, place in zip(through, places, strict=True):
             label = waiting[key[0]][key[1]]
             points = [(at[key], level), (at[key], level + 0.03), (float(place), fan)]
             if key[0] == row:
-                write(figure, float(place), fan + 0.01, label.text, ha="center", va="bottom", fontsize=size,
-                      color=label.color, fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip
+                drawing.add(
+                    Words(float(place), fan + 0.025, label.text, size, label.color, label.bold, "centre",
+                          name=f"label-{label.key}")
+                )  # fmt: skip
             else:
                 points.append((float(place), text_at))
-            _leader(figure, points, label.color, "-")
+            _leader(drawing, points, label.color)
             at[key] = float(place)
         level = text_at
-        lines.append(fan + 0.01)
+        lines.append(fan + 0.025)
     return [*lines, level]
 
 
 def label_right(
-    figure: Figure, box_in: tuple[float, float, float, float], labels: Sequence[EdgeLabel], *, size: float = SMALL
+    drawing: Drawing, box_in: tuple[float, float, float, float], labels: Sequence[EdgeLabel], *, size: float = SMALL
 ) -> None:
     """Labels right of a diagram, each with a leader from its place on the right edge.
 
-    ``figure`` to draw on; ``box_in`` left, bottom, width, height of the diagram in inches; ``labels`` with targets in
-    inches from the figure's bottom; ``size`` of the text in points.
+    ``drawing`` to draw on; ``box_in`` left, bottom, width, height of the diagram in inches; ``labels`` with targets in
+    inches from the drawing's bottom; ``size`` of the text in points.
     """
     left, bottom, width, height = box_in
     ordered = sorted(labels, key=lambda label: label.target_in)
@@ -135,11 +136,9 @@ def label_right(
     places = spread([label.target_in for label in ordered], room, low=bottom - 0.05, high=bottom + height + 0.05)
     edge = left + width
     for label, place in zip(ordered, places, strict=True):
-        _leader(
-            figure,
-            [(edge, label.target_in), (edge + 0.03, label.target_in), (edge + 0.12, float(place))],
-            label.color,
-            "-",
-        )
-        write(figure, edge + 0.14, float(place), label.text, ha="left", va="center_baseline", fontsize=size,
-              color=label.color, fontweight=label.weight, gid=f"label-{label.key}")  # fmt: skip
+        bend = (edge + 0.03, label.target_in)
+        _leader(drawing, [(edge, label.target_in), bend, (edge + 0.12, float(place))], label.color)
+        drawing.add(
+            Words(edge + 0.15, float(place), label.text, size, label.color, label.bold, "left", "centre",
+                  name=f"label-{label.key}")
+        )  # fmt: skip

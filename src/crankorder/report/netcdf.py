@@ -5,16 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError, UnsafeInputError, printable
+from crankorder.report.netcdf_layout import (
+    BARE_DIMENSION,
+    Variable,
+    dims_of,
+    file_image,
+    netcdf4_file,
+    read_attrs,
+    write_attrs,
+    write_variables,
+)
 
 CONVENTIONS = "CF-1.11"
 COMPRESSION_LEVEL = (
@@ -37,13 +47,12 @@ def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any])
     with ``_real`` and ``_imag``, estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of
     the file: text and numbers stay, None is left out, anything else becomes JSON. No time of writing is stored.
     """
-    buffer = BytesIO()
-    # v110 checksums the metadata too and is readable by every HDF5 since 1.10
-    with h5netcdf.File(buffer, "w", track_order=False, libver=("v110", "v110")) as file:
-        _write_attrs(file, {"Conventions": CONVENTIONS, **attrs})
-        for name in sorted(groups):
-            _write_group(file.create_group(name), groups[name])
-    return buffer.getvalue()
+    file = netcdf4_file()
+    write_attrs(file.id, {"Conventions": CONVENTIONS, **_plain(attrs)})
+    number = count()
+    for name in sorted(groups):
+        _write_group(file.require_group(name), groups[name], number)
+    return file_image(file)
 
 
 def as_stored(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
@@ -57,24 +66,22 @@ def _as_stored(values: xr.DataArray) -> xr.DataArray:
     return values.copy(data=_narrow(str(values.name), values.values))
 
 
-def _write_group(group: Any, dataset: xr.Dataset) -> None:
-    _write_attrs(group, dataset.attrs)
-    group.dimensions = {str(name): size for name, size in sorted(dataset.sizes.items(), key=lambda item: str(item[0]))}
+def _write_group(group: h5py.Group, dataset: xr.Dataset, number: Iterator[int]) -> None:
+    """Write ``dataset`` into ``group``; ``number`` counts the dimensions of the file."""
+    write_attrs(group.id, _plain(dataset.attrs))
+    outer = " ".join(sorted(str(coord) for coord in dataset.coords if coord not in dataset.sizes))
+    variables: dict[str, Variable] = {}
     for name in sorted(str(name) for name in dataset.variables):
         variable = dataset.variables[name]
-        outer = sorted(str(coord) for coord in dataset.coords if coord not in dataset.sizes)
-        about = dict(variable.attrs)
-        if name in dataset.data_vars and outer:
-            about["coordinates"] = " ".join(outer)
+        about = _plain(variable.attrs)
+        if outer and name in dataset.data_vars:
+            about["coordinates"] = outer
+        dims = tuple(str(dim) for dim in variable.dims)
         for suffix, values in _stored(name, np.asarray(variable.values)):
-            dims = tuple(str(dim) for dim in variable.dims)
             packed = values.ndim > 0 and values.size > 0 and values.dtype.kind in "iuf"
-            filters: dict[str, Any] = {}
-            if packed:
-                filters = {"compression": "gzip", "compression_opts": COMPRESSION_LEVEL, "shuffle": True}
-                filters |= {"fletcher32": True, "chunks": _chunks(values)}
-            dtype = h5py.string_dtype() if values.dtype.kind == "O" else values.dtype
-            _write_attrs(group.create_variable(name + suffix, dims, dtype, data=values, **filters), about)
+            chunks = _chunks(values) if packed else None
+            variables[name + suffix] = Variable(dims, values, about, chunks, COMPRESSION_LEVEL)
+    write_variables(group, {str(name): size for name, size in dataset.sizes.items()}, variables, number)
 
 
 def _stored(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -109,9 +116,10 @@ def _chunks(values: NDArray[Any]) -> tuple[int, ...]:
     return tuple(shape)
 
 
-def _write_attrs(owner: Any, attrs: Mapping[str, Any]) -> None:
-    for name in sorted(attrs, key=str):
-        value = attrs[name]
+def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes as numbers, arrays of numbers and text, whatever they were; None is left out."""
+    plain: dict[str, Any] = {}
+    for name, value in attrs.items():
         if value is None:
             continue
         if isinstance(value, bool | np.bool_):
@@ -122,7 +130,8 @@ def _write_attrs(owner: Any, attrs: Mapping[str, Any]) -> None:
             value = "\n".join(printable(line, 10**6) for line in value.split("\n"))
         elif not isinstance(value, int | float | np.integer | np.floating):
             value = json.dumps(value, ensure_ascii=False, sort_keys=True, default=str)
-        owner.attrs[printable(name).replace("/", "_")] = value
+        plain[printable(name).replace("/", "_")] = value
+    return plain
 
 
 def findings_datasets(findings: Mapping[str, Any]) -> dict[str, xr.Dataset]:
@@ -190,12 +199,12 @@ def read_results(path: Path) -> dict[str, xr.Dataset]:
         with h5py.File(image, "r") as file:
             conventions = str(file.attrs.get("Conventions", ""))
             names = _safe_groups(file, path)
+            groups = {name: _read_group(file[name]) for name in names} if conventions.startswith("CF-") else {}
         if not conventions.startswith("CF-"):
             raise InputError(
                 "not a results file of crankorder", file=path, place="attribute Conventions", found=conventions
             )
-        with h5netcdf.File(image, "r") as results:
-            return {name: _read_group(results[name]) for name in names}
+        return groups
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
             raise
@@ -203,18 +212,23 @@ def read_results(path: Path) -> dict[str, xr.Dataset]:
         raise InputError("cannot be read as NetCDF-4", file=path, found=error, remedy=remedy) from None
 
 
-def _read_group(group: Any) -> xr.Dataset:
-    variables, coords = {}, {str(name) for name in group.dimensions}
-    for name, variable in group.variables.items():
-        values, attrs = np.asarray(variable[...]), dict(variable.attrs)
+def _read_group(group: h5py.Group) -> xr.Dataset:
+    stored = {name: item for name, item in group.items() if isinstance(item, h5py.Dataset)}
+    coords = {name for name, item in stored.items() if item.is_scale}
+    variables = {}
+    for name, item in stored.items():
+        if item.is_scale and bytes(item.attrs.get("NAME", b"")).startswith(BARE_DIMENSION):
+            continue
+        values, attrs = np.asarray(item[...]), read_attrs(item)
         coords |= set(str(attrs.pop("coordinates", "")).split())
-        variables[name] = (variable.dimensions, _text(values) if values.dtype.kind == "O" else values, attrs)
+        values = _text(values) if values.dtype.kind == "O" else values
+        variables[name] = (dims_of(item), values, attrs)
     for name in [
         name.removesuffix("_real") for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables
     ]:
         (dims, real, attrs), (_, imaginary, _) = variables.pop(f"{name}_real"), variables.pop(f"{name}_imag")
         variables[name] = (dims, real + 1j * imaginary, attrs)
-    return xr.Dataset(variables, attrs=dict(group.attrs)).set_coords(sorted(coords & set(variables)))
+    return xr.Dataset(variables, attrs=read_attrs(group)).set_coords(sorted(coords & set(variables)))
 
 
 def _text(values: NDArray[Any]) -> NDArray[Any]:

@@ -30,6 +30,11 @@ def unit_text(unit: str) -> str:
     return _TYPOGRAPHY.get(unit, printable(unit, 24))
 
 
+def scaling_text(dataset: Any) -> str:
+    """``"(peak)"`` or ``"(RMS)"``: what the amplitudes of a map ``dataset`` are, by its ``amplitude_scaling``."""
+    return "(RMS)" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "(peak)"
+
+
 def order_text(order: float) -> str:
     """Shortest text of an ``order`` to three decimals: ``"2"``, ``"5.5"``, ``"61.2"``."""
     return f"{order:.3f}".rstrip("0").rstrip(".")

@@ -2,231 +2,232 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from crankorder.report.cells import gaps_between, speed_cells
+from crankorder.report.drawing import Box, Drawing, Words, quality_note, title_lines
 from crankorder.report.labels import EdgeLabel, label_right
 from crankorder.report.notation import nominal_order, order_text, unit_text
-from crankorder.report.style import (
-    BAND_FACTOR,
-    FAINT,
-    INK,
-    NORMAL,
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    line_look,
-    log_scale,
-    new_figure,
-    quality_note,
-    quiet_frame,
-    shortened,
-    title_lines,
-    write,
-)
+from crankorder.report.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
+from crankorder.report.panel import Panel
+from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
-_LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.92, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis
+_LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.7, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis
 _COLUMNS = 4
+_COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
+_ALL_COLOURED = 8  # … but not for the sake of one or two
 _LOG_RATIO = 15.0  # orders whose largest amplitudes differ by more than this need a logarithmic axis
 _CLEAR = 3.0  # standard errors above zero from which a line is drawn; its phase means nothing below
 _WITHOUT_MARKERS = 60  # more speeds than this are a curve, not points
+_JOINED_DEG = 90.0  # phases further apart are points, not a curve: they wrap, or nothing locks them to the shaft
 _PHASE_OF = {
-    "tdc": "Phase from top dead centre, °",
-    "index": "Phase from the index mark, °",
-    "pulse": "Phase from the first pulse, °",
-    "mixed": "Phase (references differ), °",
+    "tdc": "Phase from\ntop dead centre, °",
+    "index": "Phase from\nthe index mark, °",
+    "pulse": "Phase from\nthe first pulse, °",
+    "mixed": "Phase\n(references differ), °",
 }
 
 
-def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Figure:
+@dataclass(frozen=True)
+class _Tracks:
+    """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0 is the strongest."""
+
+    speed: NDArray[np.float64]
+    orders: NDArray[np.float64]
+    rank: NDArray[np.int64]
+    amplitude: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    phase: NDArray[np.float64]
+    units: list[str]
+    reference: str
+
+    @property
+    def coloured(self) -> NDArray[np.bool_]:
+        """True for the orders that are drawn in a colour of their own."""
+        return np.asarray(self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED))
+
+    def color(self, number: int) -> str:
+        """Colour of an order, the same in all channels; light where it is only there for comparison."""
+        return LINES[int(self.coloured[:number].sum())] if self.coloured[number] else LIGHT
+
+
+def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
     """Peak amplitude with its 95 % band, and phase, of the strongest orders against speed, for every channel.
 
-    Each line is labelled with its order at its right end. The axis is logarithmic where the orders differ much;
-    channels of one unit share it. ``tracks`` an OrderTracks; ``findings`` of the same test; ``settings`` of the report.
+    Of many orders the strongest six are coloured, the others light; each line is labelled with its order at its right
+    end. The axis is logarithmic where the orders differ much; channels of one unit share it.
+
+    ``tracks`` an OrderTracks (its ``amplitude_low`` and ``amplitude_high`` are the band where it has them, else the
+    standard error); ``findings`` of the same test; ``settings`` of the report.
     """
-    with house_style():
-        channels = [str(name) for name in tracks["channel"].values]
-        columns = min(len(channels), _COLUMNS)
-        rows = -(-len(channels) // columns)
-        block = settings.height_in - _BOTTOM - _TOP
-        figure = new_figure(settings.width_in, _TOP + rows * (block + _BOTTOM))
-        tracks = tracks.sortby("speed")
-        orders = _strongest(tracks, limit=settings.max_labelled_orders)
-        for number, channel in enumerate(channels):
-            width = (settings.width_in - _LEFT - columns * _GUTTER + 0.25) / columns
-            left = _LEFT + (number % columns) * (width + _GUTTER)
-            bottom = _BOTTOM + (rows - 1 - number // columns) * (block + _BOTTOM)
-            _draw_channel(figure, tracks, channel, orders, (left, bottom, width, block), settings=settings)
-        title = f"{drawable(findings.get('test', ''), settings.max_name_characters)} · orders against speed"
-        title_lines(figure, _LEFT, title, _subtitle(tracks, len(orders)))
-        quality_note(figure, findings)
-        return figure
+    channels = [str(name) for name in tracks["channel"].values]
+    columns = min(len(channels), _COLUMNS)
+    rows = -(-len(channels) // columns)
+    block = settings.height_in - _BOTTOM - _TOP
+    drawing = Drawing(settings.width_in, _TOP + rows * block + (rows - 1) * (_BOTTOM + 0.3) + _BOTTOM)
+    shown = _shown(tracks, limit=settings.max_labelled_orders)
+    for number, channel in enumerate(channels):
+        width = (settings.width_in - _LEFT - columns * _GUTTER + 0.25) / columns
+        left = _LEFT + (number % columns) * (width + _GUTTER)
+        bottom = _BOTTOM + (rows - 1 - number // columns) * (block + _BOTTOM + 0.3)
+        _draw_channel(drawing, shown, number, (left, bottom, width, block))
+        name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
+        drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
+    title = f"{drawable(findings.get('test', ''), settings.max_name_characters)} · orders against speed"
+    title_lines(drawing, _LEFT, title, _subtitle(tracks.sizes["order"], len(shown.orders)))
+    quality_note(drawing, findings)
+    return drawing
 
 
-def _strongest(tracks: xr.Dataset, *, limit: int) -> list[float]:
-    """Orders by their largest amplitude relative to their channel's largest; the ``limit`` first, ascending."""
-    peak = np.nanmax(
-        np.nan_to_num(tracks["amplitude"].transpose("channel", "order", "speed").values), axis=2, initial=0.0
-    )
+def _shown(tracks: xr.Dataset, *, limit: int) -> _Tracks:
+    """The ``limit`` orders that are largest relative to their channel's largest, ascending."""
+    dims = ("channel", "order", "speed")
+    at = np.argsort(tracks["speed"].values, kind="stable")
+    values = {
+        name: tracks[name].transpose(*dims).values[..., at]
+        for name in ("amplitude", "phase", "standard_error", "amplitude_low", "amplitude_high")
+        if name in tracks
+    }
+    amplitude, error = values["amplitude"], values["standard_error"]
+    peak = np.max(np.nan_to_num(amplitude), axis=2, initial=0.0)
     share = (peak / np.maximum(peak.max(axis=1, initial=0.0, keepdims=True), 1e-300)).max(axis=0, initial=0.0)
-    kept = np.argsort(-share, kind="stable")[:limit]
-    return sorted(float(order) for order in tracks["order"].values[kept])
+    ranked = np.argsort(-share, kind="stable")[:limit]
+    kept = np.sort(ranked)
+    reach = BAND_FACTOR * np.nan_to_num(error)
+    low = np.maximum(values.get("amplitude_low", amplitude - reach), 0)
+    high = values.get("amplitude_high", amplitude + reach)
+    # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
+    clear = (amplitude > 0) & ~(amplitude < _CLEAR * error) & ~(low <= 0)
+    amplitude, low, high, phase = (
+        np.where(clear, item, np.nan)[:, kept] for item in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
+    )
+    return _Tracks(
+        tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
+        amplitude, low, high, phase,
+        [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
+    )  # fmt: skip
 
 
-def _subtitle(tracks: xr.Dataset, shown: int) -> str:
-    many = f"The {shown} strongest of {tracks.sizes['order']} orders. " if shown < tracks.sizes["order"] else ""
+def _subtitle(n_orders: int, shown: int) -> str:
     if not shown:
         return "No order was found."
-    colour = " in the colours of their lines" if shown > 1 else ""
-    return (
-        f"{many}Peak amplitude with 95 % band, drawn where it exceeds 3 standard errors; orders at the right{colour}."
-    )
+    many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else ""
+    light = f", {_COLOURED} of them in colour," if shown > _ALL_COLOURED else ""
+    if light and not many:
+        many = f" of {shown} orders"
+    return f"Peak amplitude with 95 % band{many}{light} where it stands clear of the noise; orders at the right."
 
 
-def _draw_channel(
-    figure: Figure,
-    tracks: xr.Dataset,
-    channel: str,
-    orders: list[float],
-    box: tuple[float, float, float, float],
-    *,
-    settings: ReportSettings,
-) -> None:
+def _draw_channel(drawing: Drawing, shown: _Tracks, channel: int, box: Box) -> None:
     left, bottom, width, height = box
     phase_height = 0.3 * height
+    low, high = float(shown.speed[0]), float(shown.speed[-1])
+    margin = 0.03 * (high - low) if high > low else max(0.05 * abs(low), 1.0)
+    ends = low - margin, high + (0 if high > low else margin)
+    alike = [number for number, unit in enumerate(shown.units) if unit == shown.units[channel]]
+    limits, logarithmic = _scale(shown.amplitude[alike])
     upper_box = (left, bottom + phase_height + 0.22, width, height - phase_height - 0.22)
-    upper, lower = axes_at(figure, *upper_box), axes_at(figure, left, bottom, width, phase_height)
-    one = tracks.sel(channel=channel)
-    unit = str(one["unit"].item())
-    alike = tracks.isel(channel=np.flatnonzero(tracks["unit"].values == unit))
-    with_phase = str(tracks.attrs.get("phase_reference", "none")) in _PHASE_OF
-    for number, order in enumerate(orders):
-        line = one.sel(order=order)
-        _draw_line(upper, line, line_look(number), order)
-        if with_phase:
-            _draw_phase(lower, line, line_look(number))
-    logarithmic = _scale(upper, alike.sel(order=orders))
-    _speed_axes(upper, lower, one["speed"].values, width)
-    _phase_axes(lower, str(tracks.attrs.get("phase_reference", "none")), first=left == _LEFT)
-    name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width)
-    write(figure, left, upper_box[1] + upper_box[3] + 0.07, name, fontsize=NORMAL + 1, fontweight="bold")
-    if left == _LEFT or unit != str(tracks["unit"].values[0]):
-        upper.set_ylabel(f"Amplitude (peak), {drawable(unit_text(unit), 24)}", parse_math=False)
-    _label_lines(figure, upper, upper_box, one, orders, logarithmic=logarithmic)
+    upper = Panel(drawing, upper_box, ends, limits, logarithmic)
+    lower = Panel(drawing, (left, bottom, width, phase_height), ends, (-190.0, 190.0))
+    first = left == _LEFT
+    _draw_axes(upper, lower, shown, channel, first=first)
+    for number in np.argsort(-shown.rank):  # the strongest lies on top
+        _draw_line(upper, shown, channel, int(number))
+        if shown.reference in _PHASE_OF and shown.coloured[number]:
+            _draw_phase(lower, shown, channel, int(number))
+    if shown.reference not in _PHASE_OF:
+        lower.note("no phase reference")
+    _label_lines(upper, shown, channel)
 
 
-def _sure(line: xr.Dataset) -> NDArray[np.bool_]:
-    """Where a line stands clear of its noise (an unknown error counts as clear)."""
-    return np.asarray(
-        (line["amplitude"].values > 0) & ~(line["amplitude"].values < _CLEAR * line["standard_error"].values)
-    )
+def _scale(clear: NDArray[np.float64]) -> tuple[tuple[float, float], bool]:
+    """Limits of the amplitude axis for values (channels, orders, speeds) of one unit, and whether it is logarithmic."""
+    if not np.any(np.isfinite(clear)):
+        return (0.0, 1.0), False
+    peaks = np.max(np.nan_to_num(clear), axis=2)
+    top = float(peaks.max())
+    if top < _LOG_RATIO * float(peaks[peaks > 0].min()):
+        return (0.0, 1.08 * top), False
+    return (max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), min(1.6 * top, 1e307)), True
+
+
+def _draw_axes(upper: Panel, lower: Panel, shown: _Tracks, channel: int, *, first: bool) -> None:
+    ticks = int(np.clip(1.8 * upper.box[2], 3, 10))
+    upper.x_axis(most=ticks, whole=True, named=False)
+    lower.x_axis("Speed, rpm", most=ticks, whole=True)
+    named = first or shown.units[channel] != shown.units[0]
+    label = f"Amplitude (peak), {drawable(unit_text(shown.units[channel]), 24)}" if named else ""
+    empty = not np.isfinite(shown.amplitude[channel]).any() and not upper.log_y and upper.y == (0.0, 1.0)
+    upper.y_axis(label, most=7, places=[] if empty else None)
+    phase = _PHASE_OF.get(shown.reference, "Phase") if first else ""
+    lower.y_axis(phase, places=[-180, -90, 0, 90, 180])
+    upper.frame()
+    lower.frame()
 
 
 def _broken(speed: NDArray[np.float64], values: NDArray[np.float64], *, wrap: float = np.inf) -> NDArray[np.intp]:
     """Places before which a curve must break: gaps of the tested range, and jumps of more than ``wrap``."""
-    starts = {high for _, high in gaps_between(speed_cells(speed))}
-    gap = np.isin(speed_cells(speed)[1:, 0], sorted(starts))
-    jump = np.array([abs(two - one) > wrap for one, two in pairwise(values)], dtype=bool)
-    return np.asarray(np.flatnonzero(gap | jump) + 1)
+    cells = speed_cells(speed)
+    starts = {high for _, high in gaps_between(cells)}
+    gap = np.isin(cells[1:, 0], sorted(starts))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.flatnonzero(gap | (np.abs(np.diff(values)) > wrap)) + 1)
 
 
-def _draw_line(axes: Axes, line: xr.Dataset, look: dict[str, Any], order: float) -> None:
-    speed = line["speed"].values
-    amplitude = np.where(_sure(line), line["amplitude"].values, np.nan)
-    reach = np.nan_to_num(BAND_FACTOR * line["standard_error"].values)
-    size: dict[str, Any] = {"markersize": 2.4 if len(speed) <= _WITHOUT_MARKERS else 0}
+def _draw_line(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
+    speed, amplitude = shown.speed, shown.amplitude[channel, number]
+    coloured, color = shown.coloured[number], shown.color(number)
+    low, high = shown.low[channel, number], shown.high[channel, number]
     if len(speed) == 1:
-        axes.errorbar(speed, amplitude, yerr=reach, color=look["color"], capsize=3, linewidth=1)
+        panel.curve(np.repeat(speed, 2), np.array([low[0], high[0]]), color=color, width=1.0)
     breaks = _broken(speed, amplitude)
-    speed, amplitude, reach = (np.insert(values, breaks, np.nan) for values in (speed, amplitude, reach))
-    axes.fill_between(
-        speed, np.maximum(amplitude - reach, 0), amplitude + reach, color=look["color"], alpha=0.22, linewidth=0
+    if coloured:
+        panel.band(
+            np.insert(speed, breaks, np.nan), np.insert(low, breaks, np.nan), np.insert(high, breaks, np.nan),
+            color=color, alpha=0.2,
+        )  # fmt: skip
+    name = f"order-{order_text(nominal_order(float(shown.orders[number])))}"
+    width = 1.3 if coloured else 0.9
+    panel.curve(
+        np.insert(speed, breaks, np.nan), np.insert(amplitude, breaks, np.nan), color=color, width=width, name=name
     )
-    axes.plot(speed, amplitude, gid=f"order-{order_text(nominal_order(order))}", **look, **size)
+    if len(speed) <= _WITHOUT_MARKERS:
+        panel.dots(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
 
 
-def _draw_phase(axes: Axes, line: xr.Dataset, look: dict[str, Any]) -> None:
-    """Phase where the line stands clear of its noise, broken where it wraps."""
-    phase = (np.where(_sure(line), line["phase"].values, np.nan) + 180) % 360 - 180
-    speed = line["speed"].values
-    size: dict[str, Any] = {"markersize": 2.0 if len(speed) <= _WITHOUT_MARKERS else 0}
-    breaks = _broken(speed, phase, wrap=180)
-    axes.plot(np.insert(speed, breaks, np.nan), np.insert(phase, breaks, np.nan), **look | {"linewidth": 0.8}, **size)
+def _draw_phase(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
+    """Phase where the line stands clear of its noise, joined where it goes on."""
+    phase, speed, color = shown.phase[channel, number], shown.speed, shown.color(number)
+    locked = 2 * nominal_order(float(shown.orders[number])) % 1 == 0  # the phase of a slipping order just turns
+    breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
+    panel.curve(
+        np.insert(speed, breaks, np.nan), np.insert(phase, breaks, np.nan), color=color, width=0.9, name="phase"
+    )
+    panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
 
 
-def _scale(axes: Axes, alike: xr.Dataset) -> bool:
-    """Set the amplitude axis from all channels of the unit; True where it became logarithmic."""
-    clear = np.where(_sure(alike), alike["amplitude"].values, np.nan)
-    if not np.any(np.isfinite(clear)):
-        axes.set_ylim(0, 1)
-        axes.set_yticks([])
-        return False
-    peaks = np.nanmax(np.nan_to_num(clear), axis=alike["amplitude"].dims.index("speed"))
-    top = float(peaks.max())
-    if top < _LOG_RATIO * float(peaks[peaks > 0].min()):
-        axes.set_ylim(0, 1.08 * top)
-        axes.yaxis.set_major_locator(MaxNLocator(6))
-        return False
-    log_scale(axes, max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), 1.6 * top, most_ticks=8)
-    return True
-
-
-def _speed_axes(upper: Axes, lower: Axes, speed: NDArray[np.float64], width_in: float) -> None:
-    low, high = float(speed[0]), float(speed[-1])
-    margin = 0.03 * (high - low) if high > low else max(0.05 * abs(low), 1.0)
-    for axes in (upper, lower):
-        quiet_frame(axes)
-        axes.set_xlim(low - margin, high + (0 if high > low else margin))
-        axes.xaxis.set_major_locator(MaxNLocator(int(np.clip(1.5 * width_in, 3, 10)), integer=True))
-    upper.tick_params(labelbottom=False)
-    lower.set_xlabel("Speed, rpm")
-
-
-def _phase_axes(axes: Axes, reference: str, *, first: bool) -> None:
-    axes.set_ylim(-190, 190)
-    axes.yaxis.set_major_locator(FixedLocator([-180, -90, 0, 90, 180]))
-    if first:
-        axes.set_ylabel("\n".join(_PHASE_OF.get(reference, "Phase").replace(" from", "\nfrom").split("\n")), color=INK)
-    if reference not in _PHASE_OF:
-        axes.text(0.5, 0.5, "no phase reference", transform=axes.transAxes, **NOTE)
-
-
-def _label_lines(
-    figure: Figure,
-    axes: Axes,
-    box: tuple[float, float, float, float],
-    one: xr.Dataset,
-    orders: list[float],
-    *,
-    logarithmic: bool,
-) -> None:
-    low, high = axes.get_ylim()
+def _label_lines(panel: Panel, shown: _Tracks, channel: int) -> None:
+    low, high = panel.y
     labels = []
-    for number, order in enumerate(orders):
-        line = one.sel(order=order)
-        known = line["amplitude"].values[_sure(line)]
+    for number, order in enumerate(shown.orders):
+        amplitude = shown.amplitude[channel, number]
+        known = amplitude[np.isfinite(amplitude)]
         if not len(known):
             continue
-        value = float(np.clip(known[-1], low, high))
-        share = np.log(value / low) / np.log(high / low) if logarithmic else (value - low) / (high - low)
-        labels.append(
-            EdgeLabel(
-                box[1] + box[3] * float(share), order_text(nominal_order(order)), line_look(number)["color"], number
-            )
-        )
-    label_right(figure, box, labels)
+        height = panel.box[1] + panel.box[3] * float(panel.share(float(np.clip(known[-1], low, high))))
+        color = shown.color(number) if shown.coloured[number] else FAINT
+        labels.append(EdgeLabel(height, order_text(nominal_order(float(order))), color, number))
+    label_right(panel.drawing, panel.box, labels)
     if not labels:
-        axes.text(0.5, 0.5, "no order stands clear\nof the noise", transform=axes.transAxes, **NOTE)
+        panel.note("no order stands clear", up=0.53)
+        panel.note("of the noise", up=0.47)
     else:
-        write(figure, box[0] + box[2] + 0.1, box[1] + box[3] + 0.09, "order", fontsize=SMALL, color=FAINT)
+        left, bottom, width, height = panel.box
+        panel.drawing.add(Words(left + width + 0.1, bottom + height + 0.09, "order", SMALL, FAINT))

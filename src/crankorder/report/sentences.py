@@ -36,6 +36,10 @@ _LINE_NAMES = {
 }
 
 
+NOT_ASKED_FOR = "not_asked_for"
+"""Key of findings that were not sought: its text says why, and their empty lists mean nothing."""
+
+
 class Story(TypedDict):
     """The four answers that a page gives first, each a list of sentences."""
 
@@ -50,6 +54,8 @@ def headline(findings: dict[str, Any]) -> list[str]:
 
     ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
+    if NOT_ASKED_FOR in findings:
+        return [f"Findings were {named(findings[NOT_ASKED_FOR], limit=400)}."]
     story = story_of(findings)
     return [*story["what"][:1], *bearing_sentences(findings)[:1], *avoid_sentences(findings)[:1]]
 
@@ -61,7 +67,9 @@ ALL_CLEAR = (
 
 
 def story_of(findings: dict[str, Any]) -> Story:
-    """What shakes, why, how sure and what to do, from ``findings``."""
+    """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
+    if NOT_ASKED_FOR in findings:
+        return Story(what=[], why=[], how_sure=_quality_sentences(findings), what_to_do=_repeat_sentences(findings))
     return Story(
         what=_what(findings),
         why=[
@@ -232,6 +240,11 @@ def _how_sure(findings: dict[str, Any]) -> list[str]:
         known = float(fraction) == 0
         text = "All the energy of the lines that were found has a known cause."
         sentences.append(text if known else f"{share} % of the energy of the lines that were found has no known cause.")
+    return [*sentences, *_quality_sentences(findings)]
+
+
+def _quality_sentences(findings: dict[str, Any]) -> list[str]:
+    sentences = []
     count = Counter(str(flag.get("severity", "info")) for flag in findings.get("quality", []))
     if count["bad"]:
         sentences.append(f"{_remarks(count['bad'])} bad: those data took no part in the averages.")
@@ -281,6 +294,9 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
         sentences.append("The table of crossings names all speeds to avoid.")
     if bearing_sentences(findings):
         sentences.append(RE_RUN_RULE)
-    if any(flag.get("severity") == "bad" for flag in findings.get("quality", [])):
-        sentences.append("Repeat the recordings that are marked bad.")
-    return sentences or [ALL_CLEAR]
+    return [*sentences, *_repeat_sentences(findings)] or [ALL_CLEAR]
+
+
+def _repeat_sentences(findings: dict[str, Any]) -> list[str]:
+    bad = any(flag.get("severity") == "bad" for flag in findings.get("quality", []))
+    return ["Repeat the recordings that are marked bad."] if bad else []

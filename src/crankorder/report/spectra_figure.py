@@ -6,146 +6,155 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from crankorder.report.drawing import Box, Drawing, Words, quality_note, title_lines
 from crankorder.report.labels import EdgeLabel, fitted, label_top
-from crankorder.report.notation import frequency_text, is_number, is_tone, nominal_order, order_text, unit_text
-from crankorder.report.style import (
-    INK,
-    LINES,
-    MAINS,
-    MODE,
-    NORMAL,
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    log_scale,
-    new_figure,
-    quality_note,
-    quiet_frame,
-    shortened,
-    title_lines,
-    write,
+from crankorder.report.notation import (
+    frequency_text,
+    is_number,
+    is_tone,
+    nominal_order,
+    order_text,
+    scaling_text,
+    unit_text,
 )
+from crankorder.report.palette import INK, LINES, MAINS, MODE, MODE_DASHES, NORMAL, SMALL, TONE_DASHES
+from crankorder.report.panel import Panel
+from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
-_LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.92, 1.06, 0.95, 0.3, 0.16  # inches
+_LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches
 _LEAST_ROW = 1.2  # a row of panels is never lower than this
 _DECADES = 7.0  # shown below the strongest line
+_LABEL_AT = 0.6  # of the name of a channel from its panel, in inches
+
+Mark = tuple[float, str, str]
+"""Place along the axis, text and colour of what is named above a column."""
 
 
-def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Figure:
+def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
     """Per channel the median power spectral density over all speeds, and the peak spectrum at the highest speed.
 
     Natural frequencies are marked and named over the left column, orders over the right one. ``campbell`` a
     CampbellMap; ``findings`` of the same test; ``settings`` of the report.
     """
-    with house_style():
-        campbell = campbell.sortby("speed")
-        n = campbell.sizes["channel"]
-        row = max((settings.height_in - _BOTTOM - _TOP - (n - 1) * _ROW_GAP) / n, _LEAST_ROW)
-        figure = new_figure(settings.width_in, _TOP + _BOTTOM + n * row + (n - 1) * _ROW_GAP)
-        width = (settings.width_in - _LEFT - _BETWEEN - _RIGHT) / 2
-        boxes = [_BOTTOM + (n - 1 - k) * (row + _ROW_GAP) for k in range(n)]
-        left = [axes_at(figure, _LEFT, bottom, width, row) for bottom in boxes]
-        right = [axes_at(figure, _LEFT + width + _BETWEEN, bottom, width, row) for bottom in boxes]
-        rpm = float(campbell["speed"].values[-1])
-        draw_column(left, campbell, "frequency", _median_psd(campbell), "²/Hz", settings=settings)
-        draw_column(
-            right, campbell, "frequency", campbell["amplitude"].isel(speed=-1).values, " (peak)", settings=settings
-        )
-        modes = _mark_modes(left, findings)
-        orders = _mark_orders(right, campbell, findings, rpm, limit=settings.max_labelled_orders)
-        top = boxes[0], row
-        label_column(figure, (_LEFT, top[0], width, top[1]), left[0], modes, "")
-        label_column(figure, (_LEFT + width + _BETWEEN, top[0], width, top[1]), right[0], orders, "order")
-        name = drawable(findings.get("test", ""), settings.max_name_characters)
-        title_lines(figure, _LEFT, f"{name} · spectra", _subtitle(campbell.sizes["speed"], rpm))
-        quality_note(figure, findings)
-        return figure
+    speed = campbell["speed"].values
+    fastest = int(np.argmax(np.nan_to_num(speed)))
+    drawing, boxes = column_boxes(campbell.sizes["channel"], _LEFT, settings)
+    width = (settings.width_in - _LEFT - _BETWEEN - _RIGHT) / 2
+    second = _LEFT + width + _BETWEEN
+    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    peak = campbell["amplitude"].transpose("channel", "speed", "frequency").values[:, fastest]
+    scaling = scaling_text(campbell)
+    median, frequency = _median(campbell), campbell["frequency"].values
+    places = [[(x, y, width, h) for y, h in boxes] for x in (_LEFT, second)]
+    left = column_panels(drawing, places[0], campbell, "frequency", median, "²/Hz", settings=settings)
+    right = column_panels(drawing, places[1], campbell, "frequency", peak, f" {scaling}", settings=settings)
+    for panel in left:
+        for mode in modes:
+            tone = is_tone(mode)
+            look: dict[str, Any] = {"color": MAINS, "dashes": TONE_DASHES} if tone else {"color": MODE}
+            panel.upright(float(mode["frequency_hz"]), alpha=0.7, **{"dashes": MODE_DASHES} | look)
+    orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
+    draw_spectra(left, frequency, median)
+    draw_spectra(right, frequency, peak)
+    label_column(left[0], [_mode_mark(mode) for mode in modes], "")
+    label_column(right[0], orders, "order")
+    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    title_lines(
+        drawing,
+        _LEFT,
+        f"{name} · spectra",
+        _subtitle(len(speed), float(speed[fastest]), "peak amplitude" if "peak" in scaling else "RMS"),
+    )
+    quality_note(drawing, findings)
+    return drawing
 
 
-def _subtitle(n_speeds: int, rpm: float) -> str:
+def column_boxes(n: int, left: float, settings: ReportSettings) -> tuple[Drawing, list[tuple[float, float]]]:
+    """Drawing for columns of ``n`` panels, and bottom and height of each panel in inches, the first the highest.
+
+    ``left`` edge of the first column; ``settings`` give the size of the drawing, which grows with ``n``.
+    """
+    row = max((settings.height_in - _BOTTOM - _TOP - (n - 1) * _ROW_GAP) / n, _LEAST_ROW)
+    drawing = Drawing(settings.width_in, _TOP + _BOTTOM + n * row + (n - 1) * _ROW_GAP)
+    return drawing, [(_BOTTOM + (n - 1 - k) * (row + _ROW_GAP), row) for k in range(n)]
+
+
+def _subtitle(n_speeds: int, rpm: float, kind: str) -> str:
     left = f"median over {n_speeds} speeds" if n_speeds > 1 else "the one speed"
     which = "highest speed" if n_speeds > 1 else "same speed"
     left = f"Left: power spectral density, {left}, with natural frequencies."
-    return f"{left} Right: peak amplitude, {which}, {rpm:.0f} rpm, with orders."
+    at = f"{which}, {rpm:.0f} rpm" if np.isfinite(rpm) else "speed unknown"
+    return f"{left} Right: {kind}, {at}, with orders."
 
 
-def _median_psd(campbell: xr.Dataset) -> NDArray[np.float64]:
+def _median(campbell: xr.Dataset) -> NDArray[np.float64]:
     """Median over speeds: lines that move with speed vanish, what stays put remains."""
     return np.asarray(np.median(campbell["psd"].transpose("channel", "speed", "frequency").values, axis=1), dtype=float)
 
 
-def draw_column(
-    panels: list[Axes],
+def column_panels(
+    drawing: Drawing,
+    boxes: list[Box],
     dataset: xr.Dataset,
     along: str,
     values: NDArray[Any],
     unit_tail: str,
     *,
     settings: ReportSettings,
-) -> None:
-    """Draw ``values`` (channels, bins) of ``dataset``, one of ``panels`` per channel, on logarithmic axes.
+) -> list[Panel]:
+    """Panels over ``boxes`` of ``drawing`` with logarithmic axes for ``values`` (channels, bins); one unit, one scale.
 
-    ``along`` is the axis of the bins: "frequency" or "order"; ``unit_tail`` follows each channel's unit; ``settings``
-    cut long names.
+    ``along`` of ``dataset`` is the axis of the bins: "frequency" or "order"; ``unit_tail`` follows each channel's unit;
+    ``settings`` cut long names.
     """
     place, units = dataset[along].values, dataset["unit"].values.astype(str)
-    height_in = float(panels[0].get_position().height * panels[0].figure.get_size_inches()[1])  # type: ignore[union-attr]
-    for number, axes in enumerate(panels):
-        quiet_frame(axes)
-        own = values[number]
-        alike = values[units == units[number]]
-        axes.set_xlim(float(place[0]), float(place[-1]))
-        _log_axis(axes, alike)
-        if np.any(own > 0):
-            axes.plot(place, np.where(own > 0, own, np.nan), color=INK, linewidth=0.8, gid="spectrum")
-        else:
-            axes.text(0.5, 0.5, "no signal", transform=axes.transAxes, **NOTE)
-        axes.tick_params(labelbottom=axes is panels[-1])
-        name = shortened(drawable(dataset["channel"].values[number], settings.max_name_characters), NORMAL, height_in)
+    title = "Frequency, Hz" if along == "frequency" else "Order (cycles per crank revolution)"
+    panels = []
+    for number, box in enumerate(boxes):
+        limits = _log_limits(values[units == units[number]])
+        panel = Panel(drawing, box, (float(place[0]), float(place[-1])), limits or (0.0, 1.0), limits is not None)
+        last = number == len(boxes) - 1
+        panel.x_axis(title if last else "", most=10, named=last)
+        name = drawable(dataset["channel"].values[number], settings.max_name_characters)
         unit = drawable(unit_text(units[number]), 24)
         squared = f"({unit})" if "²/Hz" in unit_tail and "/" in unit else unit
-        axes.set_ylabel(f"{name}\n{squared}{unit_tail}", parse_math=False, labelpad=3)
-    panels[-1].set_xlabel("Frequency, Hz" if along == "frequency" else "Order (cycles per crank revolution)")
+        label = f"{shortened(name, NORMAL, box[3])}\n{squared}{unit_tail}"
+        panel.y_axis(label, most=5, places=None if panel.log_y else [], at_in=_LABEL_AT)
+        panel.frame()
+        panels.append(panel)
+    return panels
 
 
-def _log_axis(axes: Axes, values: NDArray[Any]) -> None:
+def draw_spectra(panels: list[Panel], place: NDArray[Any], values: NDArray[Any]) -> None:
+    """Draw each row of ``values`` (channels, bins) over ``place`` (bins,) in its one of ``panels``."""
+    for panel, own in zip(panels, values, strict=True):
+        if np.any(own > 0):
+            panel.curve(place, np.where(own > 0, own, np.nan), color=INK, width=0.8, name="spectrum")
+        else:
+            panel.note("no signal")
+
+
+def _log_limits(values: NDArray[Any]) -> tuple[float, float] | None:
     positive = values[np.isfinite(values) & (values > 0)]
     if not len(positive):
-        axes.set_yticks([])
-        return
+        return None
     top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
-    log_scale(axes, max(quiet / 2, top * 10**-_DECADES), 2.5 * top, most_ticks=6)
+    return max(quiet / 2, top * 10**-_DECADES), min(2.5 * top, 1e307)
 
 
-def _mark_modes(panels: list[Axes], findings: dict[str, Any]) -> list[tuple[float, str, str]]:
-    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
-    for axes in panels:
-        for mode in modes:
-            look: dict[str, Any] = {
-                "color": MAINS if is_tone(mode) else MODE,
-                "linestyle": (0, (1, 2) if is_tone(mode) else (5, 4)),
-            }
-            axes.axvline(float(mode["frequency_hz"]), linewidth=0.8, alpha=0.7, zorder=0.8, **look)
-    return [
-        (
-            float(mode["frequency_hz"]),
-            f"{frequency_text(float(mode['frequency_hz']))} Hz",
-            MAINS if is_tone(mode) else MODE,
-        )
-        for mode in modes
-    ]
+def _mode_mark(mode: dict[str, Any]) -> Mark:
+    frequency_hz = float(mode["frequency_hz"])
+    return frequency_hz, f"{frequency_text(frequency_hz)} Hz", MAINS if is_tone(mode) else MODE
 
 
 def _mark_orders(
-    panels: list[Axes], campbell: xr.Dataset, findings: dict[str, Any], rpm: float, *, limit: int
-) -> list[tuple[float, str, str]]:
+    panels: list[Panel], campbell: xr.Dataset, findings: dict[str, Any], rpm: float, *, limit: int
+) -> list[Mark]:
+    if not np.isfinite(rpm):
+        return []
     strength: dict[float, float] = {}
     found: set[tuple[str, float]] = set()
     for record in findings.get("orders", []):
@@ -153,37 +162,24 @@ def _mark_orders(
         strength[order] = max(strength.get(order, 0.0), float(record.get("amplitude") or 0))
         found.add((str(record.get("channel")), order))
     kept = sorted(sorted(strength, key=lambda order: -strength[order])[:limit])
-    for axes, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
+    for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
         for order in kept:
-            alpha = 0.55 if (channel, order) in found else 0.2
-            axes.axvline(
-                order * rpm / 60,
-                color=LINES[1],
-                linewidth=0.7,
-                alpha=alpha,
-                zorder=0.8,
-                gid=f"order-{order_text(order)}",
-            )
+            alpha = 0.6 if (channel, order) in found else 0.25
+            panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{order_text(order)}")
     return [(order * rpm / 60, order_text(order), LINES[1]) for order in kept]
 
 
-def label_column(
-    figure: Figure,
-    box: tuple[float, float, float, float],
-    axes: Axes,
-    marks: list[tuple[float, str, str]],
-    caption: str,
-) -> None:
-    """Write ``marks`` (place, text, colour) over the panel ``axes`` of ``figure``, which fills ``box`` (inches).
+def label_column(panel: Panel, marks: list[Mark], caption: str) -> None:
+    """Write ``marks`` (place, text, colour) over the first ``panel`` of a column.
 
     ``caption`` stands before them: what the marks are.
     """
-    low, high = axes.get_xlim()
+    low, high = panel.x
     labels = [
-        EdgeLabel(box[0] + box[2] * (place - low) / (high - low), text, color, number)
+        EdgeLabel(float(panel.at(place, panel.y[1])[0, 0]), text, color, number)
         for number, (place, text, color) in enumerate(marks)
         if low <= place <= high
     ]
-    lines = label_top(figure, box, [fitted(labels, box[2])])
+    lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2])])
     if labels and caption:
-        write(figure, box[0] - 0.25, lines[0], caption, ha="right", va="bottom", fontsize=SMALL, color=LINES[1])
+        panel.drawing.add(Words(panel.box[0] - 0.25, lines[0], caption, SMALL, LINES[1], along="right"))

@@ -1,4 +1,4 @@
-"""The look of the pictures: colours, type, margins, and text that stays text."""
+"""The look of the pictures that matplotlib draws: type, margins, and text that stays text."""
 
 from __future__ import annotations
 
@@ -18,28 +18,22 @@ from matplotlib.font_manager import get_font
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from crankorder.errors import printable
+from crankorder.report.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
+from crankorder.report.ticks import decade_text
+from crankorder.report.typeface import drawable
 
-INK = "#1f2933"
-FAINT = "#7b8794"
-GRID = "#e4e7eb"
-NOT_MEASURED = "#dfe3e8"
-MODE = "#00718f"
-MODE_ON_MAP = "#7fe3ff"
-MAINS = "#a03c78"
-MAINS_ON_MAP = "#ff9ad5"
-MAP = "inferno"
-BAND_FACTOR = 1.959964  # half a 95 % interval in standard errors of a normal estimate
-LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
-DASHES: tuple[Any, ...] = ("-", (0, (4, 1.4)), (0, (1, 1.2)))
+__all__ = [
+    "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",
+    "house_style", "log_scale", "new_figure", "quality_note", "quiet_frame", "shortened", "text_width_in",
+    "title_lines", "write",
+]  # fmt: skip
+
 NOTE: dict[str, Any] = {
     "ha": "center",
     "va": "center",
     "color": FAINT,
     "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 2},
 }
-MARKERS = ("o", "s", "^")
-SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
 
 _FONT = (
     Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
@@ -108,18 +102,6 @@ def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> T
     return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
 
 
-def drawable(value: object, limit: int) -> str:
-    """Text from a file as a picture can show it: ``value`` escaped, cut at ``limit``, unknown glyphs as ``\\uNNNN``."""
-    known = _glyphs()
-    text = "".join(char if ord(char) in known else f"\\u{ord(char):04x}" for char in printable(value, limit))
-    return printable(text, limit)
-
-
-@cache
-def _glyphs() -> frozenset[int]:
-    return frozenset(get_font(str(_FONT)).get_charmap())
-
-
 @cache
 def text_width_in(text: str, size: float) -> float:
     """Width in inches of ``text`` in the house's font at ``size`` points."""
@@ -143,23 +125,7 @@ def quiet_frame(axes: Axes) -> None:
     axes.tick_params(length=3)
 
 
-def line_look(number: int) -> dict[str, Any]:
-    """Colour, dash and marker of the ``number``-th line (0…): colours first, so that 30 lines differ."""
-    turn = number // len(LINES) % len(DASHES)
-    return {"color": LINES[number % len(LINES)], "linestyle": DASHES[turn], "marker": MARKERS[turn]}
-
-
 _FEW_DECADES = 2.0
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def decade_text(value: float, _position: int | None = None) -> str:
-    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0; no ``_position``."""
-    exponent = int(np.floor(np.log10(value) + 1e-9))
-    if -3 <= exponent <= 3:
-        return f"{value:g}"
-    mantissa = f"{value / 10.0**exponent:.0f}·"
-    return ("" if mantissa == "1·" else mantissa) + "10" + str(exponent).translate(_RAISED)
 
 
 def log_scale(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
@@ -172,4 +138,4 @@ def log_scale(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
     subs = (1.0, 2.0, 5.0) if np.log10(high / low) < _FEW_DECADES else (1.0,)
     axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
     axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(decade_text))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, TypedDict
 
 from crankorder.report.notation import estimate_text, is_number, named, number_text, order_text, unit_of
+from crankorder.report.sentences import NOT_ASKED_FOR
 
 _LINES = 60  # rows of a table that a page shows at once; the files hold all
 _PROVENANCE_ROWS = 400
@@ -52,7 +53,12 @@ def _table(
 
 
 def tables_of(findings: dict[str, Any], *, limit: int) -> list[tuple[str, Table]]:
-    """Anchor and table of every list in ``findings``; texts from files are cut at ``limit`` characters."""
+    """Anchor and table of every list in ``findings``; texts from files are cut at ``limit`` characters.
+
+    Of findings that were not asked for only the remarks on the recordings: an empty list of orders would deny them.
+    """
+    if NOT_ASKED_FOR in findings:
+        return [("quality", _quality(findings, limit))]
     return [
         ("orders", _orders(findings, limit)),
         ("modes", _modes(findings, limit)),

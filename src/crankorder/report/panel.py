@@ -1,0 +1,168 @@
+"""Axes with limits, ticks and labels at a place of a drawing, and what is drawn against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.report.drawing import Area, Box, Drawing, Rings, Stroke, Words
+from crankorder.report.palette import FAINT, GRID, NORMAL
+from crankorder.report.ticks import decade_text, linear_texts, linear_ticks, log_ticks
+from crankorder.report.typeface import text_width_in
+
+TICK_SIZE = 8.5
+_TICK_IN, _PAD_IN = 3 / 72, 0.05
+_LINE_IN = 0.165
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes over ``box`` of ``drawing`` from ``x`` (low, high) and ``y`` (low, high), the latter logarithmic or not."""
+
+    drawing: Drawing
+    box: Box
+    x: tuple[float, float]
+    y: tuple[float, float]
+    log_y: bool = False
+
+    def at(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Places (n, 2) in inches of values ``x``, ``y``; values ≤ 0 of a logarithmic axis are NaN."""
+        left, bottom, width, height = self.box
+        along = left + width * (np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0])
+        return np.stack(np.broadcast_arrays(along, bottom + height * self.share(y)), axis=-1).reshape(-1, 2)
+
+    def share(self, y: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Height of values ``y`` as a share of the panel."""
+        values = np.asarray(y, dtype=float)
+        if not self.log_y:
+            return np.asarray((values - self.y[0]) / (self.y[1] - self.y[0]))
+        ratio = np.where(values > 0, values, np.nan) / self.y[0]
+        return np.asarray(np.log(ratio) / np.log(self.y[1] / self.y[0]))
+
+    def curve(
+        self,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        *,
+        color: str,
+        width: float = 1.3,
+        alpha: float = 1.0,
+        dashes: tuple[float, float] = (0.0, 0.0),
+        name: str = "",
+    ) -> None:
+        """Line through ``x``, ``y`` in ``color``, ``width`` in points, ``alpha``, ``dashes``; called ``name``."""
+        places, values = self.at(x, y), (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        self.drawing.add(Stroke(places, color, width, dashes, alpha, self.box, name=name, values=values))
+
+    def band(
+        self, x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], *, color: str, alpha: float
+    ) -> None:
+        """Area over ``x`` from ``low`` to ``high`` in ``color`` with opacity ``alpha``."""
+        bottom = self.y[0] if self.log_y else -np.inf
+        ends = [self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan))[:, 1] for end in (low, high)]
+        self.drawing.add(Area(self.at(x, self.y[1])[:, 0], ends[0], ends[1], color, alpha, self.box, "band"))
+
+    def dots(self, x: NDArray[np.float64], y: NDArray[np.float64], *, color: str, radius: float) -> None:
+        """Discs at ``x``, ``y`` in ``color``; ``radius`` in points."""
+        values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        self.drawing.add(Rings(self.at(x, y), radius, color, within=_grown(self.box, radius / 72), values=values))
+
+    def upright(
+        self,
+        x: float,
+        *,
+        color: str,
+        width: float = 0.8,
+        alpha: float = 1.0,
+        dashes: tuple[float, float] = (0.0, 0.0),
+        name: str = "",
+    ) -> None:
+        """Line over the whole height at ``x``: ``color``, ``width`` in points, ``alpha``, ``dashes``; its ``name``."""
+        ends = np.array([self.y[0], self.y[1]])
+        values = (np.array([x, x], dtype=float), ends)
+        place = self.at(np.array([x, x]), ends)
+        self.drawing.add(Stroke(place, color, width, dashes, alpha, self.box, square=True, name=name, values=values))
+
+    def note(self, text: str, *, across: float = 0.5, up: float = 0.5) -> None:
+        """``text`` on a white ground at shares ``across`` and ``up`` of the panel."""
+        left, bottom, width, height = self.box
+        x, y = left + across * width, bottom + up * height
+        half = text_width_in(text, NORMAL) / 2 + 0.05
+        ground = np.array([[x - half, y], [x + half, y]])
+        self.drawing.add(Stroke(ground, "#ffffff", 14.0))
+        self.drawing.add(Words(x, y, text, NORMAL, FAINT, along="centre", across="centre"))
+
+    def frame(self, *, whole: bool = False) -> None:
+        """Left and bottom edges, or all four where ``whole``."""
+        left, bottom, width, height = self.box
+        corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
+        if whole:
+            corners += [(left + width, bottom + height), (left, bottom + height)]
+        for one, two in pairwise(corners):
+            self._edge(one, two)
+
+    def _edge(self, one: tuple[float, float], two: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
+        self.drawing.add(Stroke(np.array([one, two]), color, width, square=True))
+
+    def x_axis(
+        self, label: str = "", *, most: int = 8, whole: bool = False, named: bool = True, grid: bool = True
+    ) -> None:
+        """Ticks below, at most ``most``, whole numbers or not, ``named`` or bare, a ``grid`` and a ``label``."""
+        left, bottom, width, height = self.box
+        places = linear_ticks(*self.x, most=most, whole=whole)
+        for (x, _), text in zip(self.at(places, np.full(len(places), self.y[1])), linear_texts(places), strict=True):
+            if grid:
+                self._edge((x, bottom), (x, bottom + height), GRID, 0.6)
+            self._edge((x, bottom), (x, bottom - _TICK_IN))
+            if named:
+                low = bottom - _TICK_IN - _PAD_IN
+                self.drawing.add(Words(x, low, text, TICK_SIZE, along="centre", across="top", name="tick"))
+        if label:
+            self.drawing.add(
+                Words(left + width / 2, bottom - 0.36, label, NORMAL, along="centre", across="baseline", name="x label")
+            )
+
+    def y_axis(
+        self,
+        label: str = "",
+        *,
+        most: int = 7,
+        places: Sequence[float] | None = None,
+        grid: bool = True,
+        right: bool = False,
+        at_in: float | None = None,
+    ) -> None:
+        """Ticks beside the panel at ``places`` or at most ``most`` round ones, with a ``grid``, and ``label`` lines.
+
+        ``right``: on that side. ``at_in``: distance of the last line of ``label`` from the panel, where not next to the
+        ticks' texts.
+        """
+        left, bottom, width, height = self.box
+        if places is not None:
+            marks = np.asarray(places, dtype=float)
+        else:
+            marks = log_ticks(*self.y, most=most) if self.log_y else linear_ticks(*self.y, most=most)
+        texts = [decade_text(float(mark)) for mark in marks] if self.log_y else linear_texts(marks)
+        edge, out = (left + width, 1) if right else (left, -1)
+        for (_, y), text in zip(self.at(np.full(len(marks), self.x[1]), marks), texts, strict=True):
+            if grid:
+                self._edge((left, y), (left + width, y), GRID, 0.6)
+            self._edge((edge, y), (edge + out * _TICK_IN, y))
+            x = edge + out * (_TICK_IN + _PAD_IN)
+            self.drawing.add(
+                Words(x, y, text, TICK_SIZE, along="left" if right else "right", across="centre", name="tick")
+            )
+        widest = max((text_width_in(text, TICK_SIZE) for text in texts), default=0.0)
+        gap = at_in if at_in is not None else _TICK_IN + 2 * _PAD_IN + widest + 0.03
+        lines = label.split("\n") if label else []
+        for number, line in enumerate(lines):
+            x = edge + gap + 0.12 + number * _LINE_IN if right else edge - gap - (len(lines) - 1 - number) * _LINE_IN
+            self.drawing.add(Words(x, bottom + height / 2, line, NORMAL, along="centre", upward=True, name="y label"))
+
+
+def _grown(box: Box, by: float) -> Box:
+    return box[0] - by, box[1] - by, box[2] + 2 * by, box[3] + 2 * by

@@ -1,0 +1,82 @@
+"""Every picture of a test by file name: which ones there are, and how each is drawn on its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.report.figures import (
+    campbell_figure,
+    order_spectra_figure,
+    orders_figure,
+    png_bytes,
+    spectra_figure,
+    speed_figure,
+)
+from crankorder.report.speed_figure import changing_recordings
+from crankorder.settings import ReportSettings
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture to be drawn: its ``caption`` for the page, and ``figure``, which makes it."""
+
+    caption: str
+    figure: Callable[[], Any]
+    dpi: int
+
+    def png(self) -> bytes:
+        """PNG of the picture; may be called in any thread or process, with the same bytes."""
+        return png_bytes(self.figure(), dpi=self.dpi)
+
+
+def prepare() -> None:
+    """Load fonts and shapes that every page needs: call it in a thread of its own while recordings are analysed."""
+    speeds, ones = np.array([1000.0, 2000.0]), np.ones((1, 2, 3))
+    dims = ("channel", "speed", "frequency")
+    map_ = xr.Dataset(
+        {"amplitude": (dims, ones)},
+        {"channel": ["Z"], "unit": ("channel", ["m/s2"]), "quantity": ("channel", ["acceleration"])}
+        | {"speed": speeds, "frequency": np.array([0.0, 250.0, 500.0])},
+    )
+    from crankorder.settings import load_settings
+
+    Picture("", partial(campbell_figure, map_, "Z", {"test": ""}, settings=load_settings().report), 130).png()
+
+
+def pictures_of(
+    groups: Mapping[str, xr.Dataset],
+    findings: dict[str, Any],
+    *,
+    settings: ReportSettings,
+    name_of: Callable[[str], str],
+) -> dict[str, Picture]:
+    """Pictures of a test by file name, in the order of the page, none of them drawn yet.
+
+    ``groups`` datasets of the results by name, of which any may be missing; ``findings`` of the test; ``settings`` of
+    the report; ``name_of`` a channel that part of a file name that stands for it (never the same for two).
+    """
+    made: dict[str, Picture] = {}
+
+    def plan(file: str, caption: str, figure: Callable[..., Any], *given: Any) -> None:
+        made[file] = Picture(caption, partial(figure, *given, findings, settings=settings), settings.dpi)
+
+    campbell, tracks = groups.get("campbell_map"), groups.get("order_tracks")
+    if campbell is not None and campbell.sizes["speed"]:
+        for channel in campbell["channel"].values.tolist():
+            plan(f"campbell_{name_of(channel)}.png", f"Campbell diagram, {channel}", campbell_figure, campbell, channel)
+    if "shaft" in groups and changing_recordings(groups["shaft"]):
+        plan("speed.png", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
+    if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
+        plan("orders.png", "Orders against speed: amplitude and phase", orders_figure, tracks)
+    if "order_map" in groups:
+        caption = "Order spectra: what shakes, order by order"
+        plan("order_spectra.png", caption, order_spectra_figure, groups["order_map"])
+    if campbell is not None and campbell.sizes["speed"]:
+        plan("spectra.png", "Spectra: what stays and what moves with speed", spectra_figure, campbell)
+    return made

@@ -1,0 +1,92 @@
+"""Speed against time of the recordings whose speed changes: how the machine was driven."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.report.drawing import Drawing, quality_note, title_lines
+from crankorder.report.labels import EdgeLabel, label_right
+from crankorder.report.palette import FAINT, LIGHT, LINES, SMALL
+from crankorder.report.panel import Panel
+from crankorder.report.typeface import drawable, shortened
+from crankorder.settings import ReportSettings
+
+_LEFT, _BOTTOM, _TOP, _RIGHT, _HEIGHT = 0.95, 0.7, 0.84, 1.6, 3.8  # inches
+_CHANGES = 1.1  # highest over lowest speed of a recording whose speed changes
+_SMOOTH = 20  # the ends of a trace are told from the means of so many pieces of it
+_COLOURED = 6
+
+
+def changing_recordings(shaft: xr.Dataset) -> list[int]:
+    """Numbers of the recordings of ``shaft`` (the group of the results) whose speed changes by a tenth and more.
+
+    Motion within an engine cycle does not count. None where the group holds no ``speed_trace``.
+    """
+    if "speed_trace" not in shaft:
+        return []
+    return [
+        number
+        for number, trace in enumerate(shaft["speed_trace"].transpose("recording", "knot").values)
+        if _spread(trace) > _CHANGES
+    ]
+
+
+def _spread(trace: NDArray[np.float64]) -> float:
+    known = trace[np.isfinite(trace)]
+    if len(known) < 2:
+        return 1.0
+    means = np.array([piece.mean() for piece in np.array_split(known, min(_SMOOTH, len(known)))])
+    return float(means.max() / max(float(means.min()), 1e-3))
+
+
+def speed_figure(shaft: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+    """Speed [rpm] against time [s] of every recording whose speed changes, with its swing as a band.
+
+    ``shaft`` the group of that name of the results, with ``trace_time``, ``speed_trace`` and where known
+    ``speed_trace_low``, ``speed_trace_high`` (recording, knot); ``findings`` of the same test; ``settings`` of the
+    report.
+    """
+    numbers = changing_recordings(shaft)
+    time, speed = (shaft[name].transpose("recording", "knot").values for name in ("trace_time", "speed_trace"))
+    time = time - np.nanmin(time, axis=1, keepdims=True, initial=np.inf)
+    low, high = (
+        shaft[name].transpose("recording", "knot").values if name in shaft else speed
+        for name in ("speed_trace_low", "speed_trace_high")
+    )
+    drawing = Drawing(settings.width_in, _HEIGHT)
+    box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, _HEIGHT - _BOTTOM - _TOP)
+    top = float(np.nanmax(high[numbers], initial=1.0))
+    panel = Panel(drawing, box, (0.0, float(np.nanmax(time[numbers], initial=1e-3))), (0.0, 1.05 * top))
+    panel.x_axis("Time from the first pulse, s", most=10)
+    panel.y_axis("Speed, rpm", most=6)
+    panel.frame()
+    labels = []
+    for place, number in enumerate(numbers):
+        color = LINES[place] if place < _COLOURED else LIGHT
+        panel.band(time[number], low[number], high[number], color=color, alpha=0.25)
+        panel.curve(time[number], speed[number], color=color, name=f"speed-{number}")
+        known = speed[number][np.isfinite(speed[number])]
+        name = drawable(shaft["recording"].values[number], settings.max_name_characters)
+        height = box[1] + box[3] * float(panel.share(float(known[-1])))
+        labels.append(
+            EdgeLabel(height, shortened(name, SMALL, _RIGHT - 0.3), LINES[place] if place < _COLOURED else FAINT)
+        )
+    label_right(drawing, box, labels if len(labels) <= 2 * _COLOURED else labels[:_COLOURED])
+    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    title_lines(drawing, _LEFT, f"{name} · speed against time", _said(shaft, numbers))
+    quality_note(drawing, findings)
+    return drawing
+
+
+def _said(shaft: xr.Dataset, numbers: list[int]) -> str:
+    speed = shaft["speed_trace"].transpose("recording", "knot").values[numbers]
+    rest = shaft.sizes["recording"] - len(numbers)
+    more = f" {rest} other{'s keep their' if rest > 1 else ' keeps its'} speed." if rest else ""
+    return (
+        f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
+        f"the band is the swing of the speed within each piece of time.{more}"
+    )

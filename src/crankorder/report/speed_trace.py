@@ -1,0 +1,61 @@
+"""Speed against time of every recording, short enough to keep with the results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+KNOTS = 500
+"""Knots of a trace: two pixels each where it is drawn across a page."""
+
+_UNITS = {
+    "trace_time": ("s", "middle of the piece of time"),
+    "speed_trace": ("min-1", "mean speed in the piece of time"),
+    "speed_trace_low": ("min-1", "lowest speed in the piece of time"),
+    "speed_trace_high": ("min-1", "highest speed in the piece of time"),
+}
+
+
+def speed_trace(
+    time_s: NDArray[np.float64], speed_rpm: NDArray[np.float64], *, knots: int = KNOTS
+) -> tuple[NDArray[np.float64], ...]:
+    """Time, mean, lowest and highest speed of ``knots`` equal pieces of time, NaN where a piece holds nothing.
+
+    ``time_s`` ascending and ``speed_rpm``, both (n,). The mean is that over time (trapezes), so that knots that crowd
+    in a fast part of a turn count no more than others. Recordings of fewer than ``knots`` knots are kept as they are,
+    with NaN behind them.
+    """
+    known = np.isfinite(time_s) & np.isfinite(speed_rpm)
+    time, speed = np.asarray(time_s, dtype=float)[known], np.asarray(speed_rpm, dtype=float)[known]
+    made = np.full((4, knots), np.nan)
+    if len(time) <= knots:
+        made[:, : len(time)] = time, speed, speed, speed
+        return tuple(made)
+    ends = np.linspace(time[0], time[-1], knots + 1)
+    turned = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
+    made[0] = (ends[:-1] + ends[1:]) / 2
+    made[1] = np.diff(np.interp(ends, time, turned)) / np.diff(ends)
+    first = np.searchsorted(time, ends[:-1])
+    held = np.diff(np.append(first, len(time))) > 0
+    made[2] = np.where(held, np.minimum.reduceat(speed, np.minimum(first, len(speed) - 1)), made[1])
+    made[3] = np.where(held, np.maximum.reduceat(speed, np.minimum(first, len(speed) - 1)), made[1])
+    return tuple(made)
+
+
+def trace_variables(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> dict[str, xr.Variable]:
+    """Variables (recording, knot) of the group ``shaft`` of the results: the traces of ``shafts``, of ``knots`` each.
+
+    ``trace_time`` [s], ``speed_trace``, ``speed_trace_low`` and ``speed_trace_high`` [rpm]; ``shafts`` are ShaftAngles
+    in the order of the recordings.
+    """
+    traces = np.array([speed_trace(item["time"].values, item["speed"].values, knots=knots) for item in shafts])
+    traces = traces.reshape(len(shafts), len(_UNITS), knots)
+    return {
+        name: xr.Variable(
+            ("recording", "knot"), traces[:, number].astype(np.float32), {"units": unit, "long_name": text}
+        )
+        for number, (name, (unit, text)) in enumerate(_UNITS.items())
+    }
