@@ -18,6 +18,7 @@ from crankorder.errors import ManyErrors, RequestError
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+ResultName = Literal["order_map", "campbell_map", "order_tracks", "findings"]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """What the unit g stands for (3rd CGPM, 1901), exact and no setting: here, because units are read before NumPy is."""
@@ -91,6 +92,10 @@ class CampbellSettings(StageSettings):
     max_frequency_hz: Positive
     resolution_hz: Positive
     overlap: Annotated[float, Field(ge=0, lt=1)]
+    window: Literal["hann", "flat-top", "blackman-harris", "kaiser"]
+    kaiser_beta: Positive
+    amplitude_scaling: Literal["peak", "rms"]
+    sweep_order: Positive
 
 
 class IdentifySettings(StageSettings):
@@ -111,8 +116,9 @@ class IdentifySettings(StageSettings):
 
 
 class ReportSettings(StageSettings):
-    """Pictures and page (``6-report.toml``)."""
+    """What is made, pictures and page (``6-report.toml``)."""
 
+    results: tuple[ResultName, ...] = Field(strict=False, min_length=1)
     width_in: Positive
     height_in: Positive
     dpi: Count

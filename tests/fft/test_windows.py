@@ -1,15 +1,74 @@
-"""Laws of the window and its scalings."""
+"""Laws of the windows and their scalings, and the figures that their authors give."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from crankorder.fft.windows import hann
+from crankorder.fft.windows import NAMES, blackman_harris, flat_top, hann, kaiser, rectangular, window_named
 
 
 def test_a_hann_window_has_the_noise_bandwidth_of_harris_1978():
     assert hann(1000).enbw_bins == pytest.approx(1.5, rel=1e-12)
+
+
+# Heinzel et al. 2002, section D.3.4 (HFT144D); Harris 1978, table 1
+@pytest.mark.parametrize(
+    ("window", "enbw_bins", "scalloping_db", "side_lobe_db", "first_bin"),
+    [
+        (flat_top(1024), 4.5386, 0.0021, -144.1, 7),
+        (blackman_harris(1024), 2.0, 0.83, -92.0, 4),
+        (hann(1024), 1.5, 1.42, -31.5, 2),
+        (rectangular(1024), 1.0, 3.92, -13.2, 1),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_windows_have_the_figures_of_their_authors(window, enbw_bins, scalloping_db, side_lobe_db, first_bin):
+    assert window.enbw_bins == pytest.approx(enbw_bins, abs=6e-3 if enbw_bins == 2.0 else 6e-5)
+    assert abs(window.scalloping_db) == pytest.approx(scalloping_db, abs=6e-3 if scalloping_db > 0.01 else 6e-5)
+    lobes = window.response(np.arange(first_bin, 60.0, 0.02))
+    assert 20 * np.log10(lobes.max()) == pytest.approx(side_lobe_db, abs=0.15)
+
+
+def test_a_kaiser_window_falls_to_the_side_lobes_of_its_parameter():
+    # main lobe ends at sqrt(pi^2 + beta^2) / pi; side lobes follow as 20 log10(0.217 beta / sinh beta) (Kaiser 1980)
+    lobes = kaiser(2048, 14.0).response(np.arange((1.0 + (14.0 / np.pi) ** 2) ** 0.5, 40.0, 0.005))
+    assert 20 * np.log10(lobes.max()) == pytest.approx(20 * np.log10(0.217234 * 14.0 / np.sinh(14.0)), abs=0.1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("n_samples", [999, 1000])
+def test_a_window_is_periodic_and_finds_amplitude_rms_and_density(name, n_samples):
+    window = window_named(name, n_samples)
+    assert window.name == name
+    np.testing.assert_allclose(window.values[1:], window.values[1:][::-1], atol=1e-12)
+    wave = 0.7 * np.cos(2 * np.pi * 100 * np.arange(n_samples) / n_samples + 1.0)
+    magnitude = np.abs(np.fft.rfft(wave * window.values)[100])
+    assert magnitude * window.tone_scale == pytest.approx(0.7, rel=1e-6)
+    assert magnitude * window.rms_scale == pytest.approx(0.7 / 2**0.5, rel=1e-6)
+    noise = np.random.default_rng(3).standard_normal((2000, n_samples))
+    power = np.mean(np.abs(np.fft.rfft(noise * window.values)[:, 20:400]) ** 2) * window.tone_scale**2
+    assert power * window.psd_scale(rate_hz=50.0) == pytest.approx(1.0 / 25.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "largest_db"), [("hann", 0.0075), ("flat-top", 0.0022), ("blackman-harris", 0.005), ("kaiser", 0.005)]
+)
+def test_the_weights_make_a_tone_read_right_wherever_it_lies(name, largest_db):
+    window = window_named(name, 512)
+    own, side = window.tone_weights
+    assert (side == 0.0) == (name == "flat-top")
+    error = []
+    for offset in np.linspace(-0.5, 0.5, 101):
+        wave = np.exp(2j * np.pi * (100 + offset) * np.arange(512) / 512)
+        power = np.abs(np.fft.fft(wave * window.values) / window.values.sum()) ** 2
+        error.append(10 * np.log10(own * power[100] + side * (power[99] + power[101])))
+    assert np.abs(error).max() < largest_db
+
+
+def test_another_name_is_refused():
+    with pytest.raises(ValueError, match="no window is called 'hamming'"):
+        window_named("hamming", 10)
 
 
 def test_half_overlapping_hann_frames_correlate_by_one_sixth():

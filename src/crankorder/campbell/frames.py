@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.fft.transforms import FrameTransform, frame_starts
-from crankorder.fft.windows import hann
-from crankorder.quantities import channel_coords
+from crankorder.campbell.sweep import FrameSpeeds, frame_speeds, sweep_limit_s
+from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import decimation_factor
+from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
+from crankorder.fft.windows import Window, window_named
+from crankorder.quantities import QualityFlag, channel_coords, with_flags
 from crankorder.settings import CampbellSettings
-from crankorder.shaft.angle import angle_at, knots_of
+
+PADDING = 8
+"""A record shorter than 1 / resolution is padded to this many times its length, at least: bins close enough that a
+tone reads right to 0.02 dB on the nearest one."""
+
+SQUARES_FIT = {"f": 1e8, "d": 1e100}
+"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
+
+
+@dataclass(frozen=True)
+class FramePlan:
+    """Window, transform length and hop of the frames of a recording; ``spacing`` bins lie a window's bin apart."""
+
+    window: Window
+    n_fft: int
+    hop: int
+    spacing: int
+    tone_weights: tuple[float, float]
 
 
 def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellSettings) -> xr.Dataset:
@@ -20,53 +41,123 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle. A recording by crank angle is taken as one at constant
     speed; without a speed it has no frequencies and gives no frame. A recording shorter than
-    1 / ``settings.resolution_hz`` is padded with zeros onto the same frequencies.
+    1 / ``settings.resolution_hz`` is padded with zeros; where the speed sweeps, frames are a whole number of times
+    shorter and padded to the length that the resolution asks for. Frames that touch an unusable sample are NaN in
+    that channel. Float32 signals give float32 power.
     """
-    rate = _rate_hz(band)
-    signals = np.asarray(band["signal"].values, dtype=np.float64)
+    band = _in_shown_band(band, settings)
+    rate, signals = _rate_hz(band), band["signal"].values
     if math.isnan(rate):
         signals, rate = signals[:, :0], 2.0 * settings.max_frequency_hz
-    n_fft = round(rate / settings.resolution_hz)
-    window = hann(min(n_fft, max(2, signals.shape[1])))
-    hop = max(1, round(len(window.values) * (1.0 - settings.overlap)))
-    starts = frame_starts(signals.shape[1], len(window.values), hop)
-    resolution = rate / n_fft
-    highest = min(settings.max_frequency_hz, (n_fft // 2) * resolution)  # nothing is known beyond
-    n_shown = math.floor(highest / settings.resolution_hz * (1 + 1e-9)) + 1
-    frequency = np.arange(n_shown, dtype=np.float64) * settings.resolution_hz
-    n_bins = math.ceil(frequency[-1] / resolution * (1 - 1e-9)) + 1
-    spectra = FrameTransform(window, n_fft=n_fft, n_bins=n_bins).spectra(signals, starts)
-    power = spectra.real**2 + spectra.imag**2
-    speed = _frame_speed(band, shaft, starts, len(window.values), rate)
-    if not math.isclose(resolution, settings.resolution_hz, rel_tol=1e-9):
-        power = _on_grid(power, np.arange(power.shape[2], dtype=np.float64) * resolution, frequency)
-    frames = _dataset(band, power, frequency, speed)
+    plan = frame_plan(band, shaft, n_samples=signals.shape[1], rate_hz=rate, settings=settings)
+    length = len(plan.window.values)
+    starts = frame_starts(signals.shape[1], length, plan.hop)
+    resolution = rate / plan.n_fft
+    # nothing is known beyond half of the rate
+    highest_hz = min(settings.max_frequency_hz, (plan.n_fft // 2) * resolution)
+    n_bins = math.ceil(highest_hz / resolution * (1 - 1e-9)) + 1 + plan.spacing
+    scales = _scales(signals)
+    transform = FrameTransform(plan.window, n_fft=plan.n_fft, n_bins=n_bins)
+    power = transform.power(signals, starts, scales=scales)
+    if "usable" in band:
+        power[~whole_frames(band["usable"].values, starts, length)] = np.nan
+    speeds = frame_speeds(band, shaft, starts, length, rate)
+    frames = _dataset(band, power, np.arange(power.shape[2], dtype=np.float64) * resolution, speeds)
+    if np.any(scales != 1.0):
+        frames["scale"] = ("channel", scales, {"units": "1", "long_name": "power is that of the signal times this"})
     frames.attrs = {key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs}
     frames.attrs |= {
-        "window": window.name,
-        "enbw_bins": window.enbw_bins * n_fft / len(window.values),
-        "resolution_hz": settings.resolution_hz,
-        "overlap": 1.0 - hop / len(window.values),
-        "zero_padded": int(n_fft > len(window.values)),
+        "window": plan.window.name,
+        "enbw_bins": plan.window.enbw_bins * plan.n_fft / length,
+        "resolution_hz": resolution,
+        "grid_hz": settings.resolution_hz,
+        "highest_hz": highest_hz,
+        "rate_hz": rate,
+        "overlap": 1.0 - plan.hop / length,
+        "amplitude_scaling": settings.amplitude_scaling,
+        "tone_weight": plan.tone_weights[0],
+        "tone_neighbour_weight": plan.tone_weights[1],
+        "tone_spacing_bins": plan.spacing,
+        "sweep_hz_per_order": float(np.nanmax(np.abs(speeds.change_rpm), initial=0.0)) / 60.0,
     }
-    return frames
+    return with_flags(frames, _sweep_flags(frames, settings))
+
+
+def frame_plan(
+    band: xr.Dataset, shaft: xr.Dataset, *, n_samples: int, rate_hz: float, settings: CampbellSettings
+) -> FramePlan:
+    """FramePlan for ``band`` with ``n_samples`` at ``rate_hz`` and the speeds of ``shaft``, as ``settings`` ask.
+
+    Frames are as long as ``settings.resolution_hz`` asks for, or the whole record, or, where the order
+    ``settings.sweep_order`` would sweep further than the noise bandwidth, a whole number of times shorter.
+    """
+    whole = round(rate_hz / settings.resolution_hz)
+    held = max(2, n_samples)
+    limit_s = sweep_limit_s(
+        band, shaft, min(whole, held) / rate_hz, enbw_bins=_window(settings, 64).enbw_bins, order=settings.sweep_order
+    )
+    # a quarter more than the limit is nearer to it than the next whole number of times
+    times = max(1, math.ceil(whole / (limit_s * rate_hz) - 0.25)) if math.isfinite(limit_s) else 1
+    times = next((n for n in range(times, int(1.25 * times) + 1) if whole % n == 0), times)
+    if held < whole // times:
+        window = _window(settings, held)
+        times = -(-PADDING * held // whole)
+        weights = (window.response(np.array([0.0, 0.5 * held / (times * whole)])).prod() ** -1.0, 0.0)
+        return FramePlan(window, times * whole, held, 0, weights)
+    length = max(2, whole // times)
+    window = _window(settings, length)
+    hop = max(1, round(length * (1.0 - settings.overlap)))
+    return FramePlan(window, length * times, hop, times, _tone_weights(settings))
+
+
+def _window(settings: CampbellSettings, n_samples: int) -> Window:
+    return window_named(settings.window, n_samples, kaiser_beta=settings.kaiser_beta)
+
+
+def _tone_weights(settings: CampbellSettings) -> tuple[float, float]:
+    """Weights of the window asked for: a matter of its shape, so a short one serves all lengths."""
+    return _window(settings, 1024).tone_weights
+
+
+def _in_shown_band(band: xr.Dataset, settings: CampbellSettings) -> xr.Dataset:
+    """``band`` decimated further where the orders needed more of it than the map shows."""
+    if band.attrs["domain"] != "time":
+        return band
+    shown = settings.max_frequency_hz
+    if decimation_factor(float(band.attrs["rate_hz"]), shown, grid_hz=settings.resolution_hz) == 1:
+        return band
+    return band_limited(band, band_hz=shown, grid_hz=settings.resolution_hz)
+
+
+def _scales(signals: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Power of two per channel that brings samples whose squares leave the range of their type near 1; else 1."""
+    scales = np.ones(len(signals))
+    fit = SQUARES_FIT.get(signals.dtype.char, SQUARES_FIT["d"])
+    for channel, row in enumerate(signals):
+        largest = max(float(row.max()), -float(row.min())) if len(row) else 0.0
+        if largest > 0.0 and not 1.0 / fit <= largest <= fit:
+            limit = 1000 if signals.dtype == np.float64 else 120
+            scales[channel] = 2.0 ** -min(max(math.frexp(largest)[1], -limit), limit)
+    return scales
 
 
 def _dataset(
-    band: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64], speed: NDArray[np.float64]
+    band: xr.Dataset, power: NDArray[np.floating], frequency: NDArray[np.float64], speeds: FrameSpeeds
 ) -> xr.Dataset:
+    change = {"units": "min-1", "long_name": "change of speed within the frame"}
     return xr.Dataset(
         {
             "power": (
                 ("channel", "frame", "frequency"),
                 power,
                 {"units": "see unit, squared", "long_name": "tone power"},
-            )
+            ),
+            "speed_change": ("frame", speeds.change_rpm, change),
         },
         coords={
             **channel_coords(band),
             "frequency": ("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
-            "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
+            "speed": ("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
         },
     )
 
@@ -77,22 +168,18 @@ def _rate_hz(band: xr.Dataset) -> float:
     return float(band.attrs["rate_hz"])
 
 
-def _frame_speed(
-    band: xr.Dataset, shaft: xr.Dataset, starts: NDArray[np.int64], length: int, rate_hz: float
-) -> NDArray[np.float64]:
-    """Mean speed in rpm of each frame: revolutions that the shaft made over the time they took."""
-    if band.attrs["domain"] == "crank_angle":
-        return np.full(len(starts), float(band.attrs["speed_rpm"]))
-    knots = knots_of(shaft)
-    begin = float(band.attrs.get("start_s", 0.0)) + starts / rate_hz
-    span = (float(shaft["time"].values[0]), float(shaft["time"].values[-1]))
-    first, last = np.clip(begin, *span), np.clip(begin + length / rate_hz, *span)
-    return np.asarray(60.0 * (angle_at(last, **knots) - angle_at(first, **knots)) / (last - first))
-
-
-def _on_grid(
-    power: NDArray[np.float64], have_hz: NDArray[np.float64], want_hz: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Power interpolated linearly from frequencies ``have_hz`` onto ``want_hz``: the same bins for every recording."""
-    flat = power.reshape(-1, power.shape[2])
-    return np.stack([np.interp(want_hz, have_hz, row) for row in flat]).reshape(*power.shape[:2], len(want_hz))
+def _sweep_flags(frames: xr.Dataset, settings: CampbellSettings) -> list[QualityFlag]:
+    """Remark where even short frames smear a line over twice the noise bandwidth."""
+    swept_hz = settings.sweep_order * float(frames.attrs["sweep_hz_per_order"])
+    enbw_hz = float(frames.attrs["enbw_bins"]) * float(frames.attrs["resolution_hz"])
+    if swept_hz <= 2.0 * enbw_hz:
+        return []
+    return [
+        {
+            "recording": str(frames.attrs["recording"]),
+            "flag": "swept_lines",
+            "severity": "info",
+            "detail": f"within a frame the speed changes so far that order {settings.sweep_order:g} sweeps over "
+            f"{swept_hz:.3g} Hz, more than the noise bandwidth of {enbw_hz:.3g} Hz: its line reads low",
+        }
+    ]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numba as nb
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -10,28 +13,39 @@ from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_fl
 from crankorder.shaft.speed_groups import speed_groups
 
 
+@nb.njit(cache=True, nogil=True)
+def _add_frames(power, group, sums, counts):  # type: ignore[no-untyped-def]
+    """Add ``power`` (channel, frame, bin) to ``sums`` (channel, group, bin), but for frames that are NaN."""
+    for channel in range(power.shape[0]):
+        for frame in range(power.shape[1]):
+            row = power[channel, frame]
+            if not np.isnan(row[0]):
+                into = sums[channel, group[frame]]
+                counts[channel, group[frame]] += 1
+                for k in range(row.shape[0]):
+                    into[k] += row[k]
+
+
 def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
     """CampbellMap of a test from the FrequencyFrames of its recordings.
 
     Of all ``frames``, those whose speeds differ by less than ``speed_bin_rpm`` are averaged by energy. ``amplitude``
-    is the peak of a tone wherever it lies between two bins (the energy of three bins of a Hann window), so that an
-    order line does not fade at every other speed; ``psd`` is the one-sided power spectral density.
+    is the peak (or RMS, as the frames ask) of a tone wherever it lies between two bins, so that an order line does not
+    fade at every other speed; ``psd`` is the one-sided power spectral density. A frame that a gap touches is left out
+    of the channel concerned (then ``n_frames_used`` counts the others); a channel without any is NaN at that speed.
     """
     frames = [item for item in frames if item.sizes["frame"]] or frames[:1]
-    n_bins = min(item.sizes["frequency"] for item in frames)
-    power = np.concatenate([item["power"].values[..., :n_bins] for item in frames], axis=1)
-    tone = np.concatenate([_tone_power(item)[..., :n_bins] for item in frames], axis=1)
-    speed = np.concatenate([item["speed"].values for item in frames])
-    enbw_hz = np.concatenate(
-        [np.full(item.sizes["frame"], item.attrs["enbw_bins"] * item.attrs["resolution_hz"]) for item in frames]
-    )
-    groups = speed_groups(speed, width_rpm=speed_bin_rpm)
-    density = power / (2.0 * enbw_hz[None, :, None])
     first = frames[0]
+    grid_hz = float(first.attrs["grid_hz"])
+    n_shown = [math.floor(float(item.attrs["highest_hz"]) / grid_hz * (1 + 1e-9)) + 1 for item in frames]
+    frequency = np.arange(min(n_shown), dtype=np.float64) * grid_hz
+    speed = np.concatenate([item["speed"].values for item in frames])
+    groups = speed_groups(speed, width_rpm=speed_bin_rpm)
+    tone, density, counts, scale = _group_means(frames, groups, frequency)
     result = xr.Dataset(
         coords={
             **channel_coords(first),
-            "frequency": first["frequency"][:n_bins],
+            "frequency": ("frequency", frequency, first["frequency"].attrs),
             "speed": (
                 "speed",
                 np.array([speed[group].mean() for group in groups]),
@@ -40,56 +54,118 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
         }
     )
     dims = ("channel", "speed", "frequency")
-    amplitude = np.sqrt(_group_means(tone, groups))
-    result["amplitude"] = (dims, amplitude, {"units": "see unit", "long_name": "peak amplitude of a tone"})
-    psd = _group_means(density, groups)
+    rms = first.attrs["amplitude_scaling"] == "rms"
+    amplitude = np.sqrt(tone * (0.5 if rms else 1.0)) / scale
+    name = "root mean square" if rms else "peak amplitude"
+    result["amplitude"] = (dims, amplitude, {"units": "see unit", "long_name": f"{name} of a tone"})
+    with np.errstate(over="ignore"):
+        psd = density / scale / scale
     result["psd"] = (dims, psd, {"units": "see unit, squared per Hz", "long_name": "power spectral density"})
-    counts = np.array([len(group) for group in groups], dtype=np.int64)
-    result["n_frames"] = (("speed",), counts, {"units": "1", "long_name": "frames averaged"})
+    _count(result, np.array([len(group) for group in groups], dtype=np.int64), counts)
     result.attrs = {
         "window": first.attrs["window"],
-        "enbw_hz": max(item.attrs["enbw_bins"] * item.attrs["resolution_hz"] for item in frames),
-        "resolution_hz": first.attrs["resolution_hz"],
-        "amplitude_scaling": "peak",
+        "enbw_hz": max(_enbw_hz(item) for item in frames),
+        "resolution_hz": grid_hz,
+        "amplitude_scaling": "rms" if rms else "peak",
         "speed_bin_rpm": speed_bin_rpm,
+        "sweep_hz_per_order": max(float(item.attrs["sweep_hz_per_order"]) for item in frames),
     }
     flags = [flag for item in frames for flag in flags_of(item)]
-    return with_flags(result, flags + _cut_flags(frames, n_bins))
+    return with_flags(result, flags + _cut_flags(frames, n_shown, grid_hz))
 
 
-def _cut_flags(frames: list[xr.Dataset], n_bins: int) -> list[QualityFlag]:
+def _count(result: xr.Dataset, lengths: NDArray[np.int64], used: NDArray[np.int64]) -> None:
+    """Add to ``result`` how many frames each group has and, where gaps keep some out, how many each channel used."""
+    result["n_frames"] = (("speed",), lengths, {"units": "1", "long_name": "frames averaged"})
+    if np.any(used != lengths):
+        words = {"units": "1", "long_name": "frames averaged that no gap touches"}
+        result["n_frames_used"] = (("channel", "speed"), used, words)
+
+
+def _enbw_hz(frames: xr.Dataset) -> float:
+    return float(frames.attrs["enbw_bins"]) * float(frames.attrs["resolution_hz"])
+
+
+def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> list[QualityFlag]:
     """Remark on the recording whose sample rate ends the map, where others reach further."""
-    lowest = min(frames, key=lambda item: int(item.sizes["frequency"]))
-    if all(item.sizes["frequency"] == n_bins for item in frames):
+    if min(n_shown) == max(n_shown):
         return []
-    ends = float(lowest["frequency"].values[-1])
     return [
         {
-            "recording": str(lowest.attrs["recording"]),
+            "recording": str(frames[n_shown.index(min(n_shown))].attrs["recording"]),
             "flag": "map_cut",
             "severity": "info",
-            "detail": f"its sample rate ends the map of the whole test at {ends:g} Hz",
+            "detail": f"its sample rate ends the map of the whole test at {(min(n_shown) - 1) * grid_hz:g} Hz",
         }
     ]
 
 
-def _group_means(values: NDArray[np.float64], groups: list[NDArray[np.int64]]) -> NDArray[np.float64]:
-    """Means (channels, groups, bins) of ``values`` (channels, frames, bins) over the frames of each group."""
-    if not groups:
-        return values[:, :0]
-    return np.stack([values[:, group].mean(axis=1) for group in groups], axis=1)
+def _group_means(
+    frames: list[xr.Dataset], groups: list[NDArray[np.int64]], frequency: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Mean tone power and density (channel, group, frequency), frames used (channel, group), scale (channel, 1, 1).
 
-
-def _tone_power(frames: xr.Dataset) -> NDArray[np.float64]:
-    """Power of a tone near each bin: the energy of three bins over the noise bandwidth of the window.
-
-    For a Hann window this is true to 0.1 dB wherever the tone lies (0.25 dB after interpolation onto the frequencies
-    of the test); a zero-padded spectrum needs no such sum.
+    The signals were taken times ``scale``, a power of two, which keeps their squares in range.
     """
-    power = frames["power"].values
-    if int(frames.attrs["zero_padded"]):
-        return np.asarray(power)
-    total = power.copy()
-    total[..., 1:] += power[..., :-1]
-    total[..., :-1] += power[..., 1:]
-    return np.asarray(total / float(frames.attrs["enbw_bins"]))
+    n_channels = frames[0].sizes["channel"]
+    tone = np.zeros((n_channels, len(groups), len(frequency)))
+    density, counts = np.zeros_like(tone), np.zeros(tone.shape[:2], dtype=np.int64)
+    group_of = np.empty(sum(item.sizes["frame"] for item in frames), dtype=np.int64)
+    for number, group in enumerate(groups):
+        group_of[group] = number
+    scales = [item["scale"].values if "scale" in item else np.ones(n_channels) for item in frames]
+    common = np.min(scales, axis=0)
+    first = 0
+    for item, scale in zip(frames, scales, strict=True):
+        mine, local = np.unique(group_of[first : first + item.sizes["frame"]], return_inverse=True)
+        first += item.sizes["frame"]
+        sums = np.zeros((n_channels, len(mine), item.sizes["frequency"]))
+        used = np.zeros(sums.shape[:2], dtype=np.int64)
+        _add_frames(item["power"].values, local, sums, used)
+        sums *= ((common / scale) ** 2)[:, None, None]
+        tone[:, mine] += _tone_on_grid(item, sums, frequency)
+        density[:, mine] += _density_on_grid(item, sums, frequency)
+        counts[:, mine] += used
+    with np.errstate(invalid="ignore"):
+        return tone / counts[..., None], density / counts[..., None], counts, common[:, None, None]
+
+
+def _without_image(item: xr.Dataset) -> list[int]:
+    """Bins of the spectrum that have no mirror image: the first, and the one at half of the rate."""
+    n_bins = item.sizes["frequency"]
+    at_half = round(float(item.attrs["rate_hz"]) / float(item.attrs["resolution_hz"])) == 2 * (n_bins - 1)
+    return [0, n_bins - 1] if at_half and n_bins > 1 else [0]
+
+
+def _tone_on_grid(item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Power of a tone near each of ``frequency``: that of the bins nearest to it, with their neighbours' shares.
+
+    A bin half-way to the next frequency counts for both, so that no tone falls between; the peak amplitude of a
+    constant is the constant.
+    """
+    spacing, resolution = int(item.attrs["tone_spacing_bins"]), float(item.attrs["resolution_hz"])
+    total = power * float(item.attrs["tone_weight"])
+    if spacing and (weight := float(item.attrs["tone_neighbour_weight"])):
+        mirrored = np.concatenate([power[..., spacing:0:-1], power, power[..., -2 : -spacing - 2 : -1]], axis=2)
+        total += weight * (mirrored[..., : -2 * spacing] + mirrored[..., 2 * spacing :])
+    total[..., _without_image(item)] *= 0.25
+    near = 0.5 * ((float(frequency[1]) if len(frequency) > 1 else resolution) + resolution) * (1 - 1e-9)
+    low = np.maximum(np.ceil((frequency - near) / resolution).astype(np.int64), 0)
+    high = np.minimum(np.floor((frequency + near) / resolution).astype(np.int64), power.shape[2] - 1)
+    made = total[..., low]
+    for step in range(1, int((high - low).max(initial=0)) + 1):
+        np.maximum(made, total[..., np.minimum(low + step, high)], out=made)
+    return np.asarray(made)
+
+
+def _density_on_grid(
+    item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """One-sided power spectral density at each of ``frequency``, linear between the bins."""
+    bins_hz = item["frequency"].values
+    density = power / (2.0 * _enbw_hz(item))
+    density[..., _without_image(item)] *= 0.5
+    at = np.minimum(frequency / float(item.attrs["resolution_hz"]), len(bins_hz) - 1.0)
+    low = np.minimum(np.floor(at + 1e-9).astype(np.int64), max(0, len(bins_hz) - 2))
+    share = at - low
+    return np.asarray(density[..., low] * (1.0 - share) + density[..., np.minimum(low + 1, len(bins_hz) - 1)] * share)

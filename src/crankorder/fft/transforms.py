@@ -1,25 +1,58 @@
-"""Planned spectra of frames: a plan owns its window, its buffers and its axis."""
+"""Planned spectra of frames: many frames at a time, in the precision of the signals."""
 
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from functools import cached_property
+from typing import Any
 
+import numba as nb
 import numpy as np
 import pyfftw
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import Window
 
+BATCH_BYTES = 262_144
+"""Size of the frames transformed at a time: they and their spectra stay in the second-level cache."""
+
+MOST_FRAMES = 64
+"""Frames transformed at a time at most: more gain nothing."""
+
+MOST_PLANS = 24
+"""Plans that a thread keeps; the one not used for longest goes first."""
+
 _planner = threading.Lock()
 _of_thread = threading.local()
 
 
+@nb.njit(cache=True, nogil=True)
+def _fill(signals, starts, window, scales, first, frames):  # type: ignore[no-untyped-def]
+    """Windowed ``frames`` (frame, sample) from number ``first`` on, counted channel by channel."""
+    n = len(window)
+    for row in range(frames.shape[0]):
+        channel, frame = divmod(first + row, len(starts))
+        piece = signals[channel, starts[frame] : starts[frame] + n]
+        into, scale = frames[row, :n], scales[channel]
+        for k in range(n):
+            into[k] = (piece[k] * scale) * window[k]
+
+
+@nb.njit(cache=True, nogil=True, fastmath={"contract"})
+def _squares(parts, out):  # type: ignore[no-untyped-def]
+    """Squared magnitudes ``out`` (frame, bin) of spectra given as ``parts`` (frame, real and imaginary in turn)."""
+    for row in range(out.shape[0]):
+        part, into = parts[row], out[row]
+        for k in range(out.shape[1]):
+            into[k] = part[2 * k] * part[2 * k] + part[2 * k + 1] * part[2 * k + 1]
+
+
 class FrameTransform:
-    """Complex spectra, in peak amplitude of a tone, of windowed frames of real signals.
+    """Spectra, in peak amplitude of a tone, of windowed frames of real signals in float32 or float64.
 
     FFTW plans are made by estimate, never by measurement, so that the same input gives the same bytes; each thread
-    keeps its own plan because a plan holds its buffers.
+    keeps its own plans because a plan holds its buffers.
     """
 
     def __init__(self, window: Window, *, n_fft: int | None = None, n_bins: int | None = None) -> None:
@@ -33,30 +66,78 @@ class FrameTransform:
     def _scaled_window(self) -> NDArray[np.float64]:
         return self.window.values * self.window.tone_scale
 
-    def _plan(self) -> pyfftw.FFTW:
-        plans: dict[int, pyfftw.FFTW] = _of_thread.__dict__.setdefault("plans", {})
-        if self.n_fft not in plans:
-            source = pyfftw.zeros_aligned(self.n_fft, dtype="float64")
-            target = pyfftw.empty_aligned(self.n_fft // 2 + 1, dtype="complex128")
-            with _planner:
-                plans[self.n_fft] = pyfftw.FFTW(source, target, flags=("FFTW_ESTIMATE",))
-        return plans[self.n_fft]
-
-    def spectra(self, signals: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.complex128]:
+    def spectra(self, signals: NDArray[np.floating], starts: NDArray[np.int64]) -> NDArray[np.complexfloating]:
         """Spectra (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
 
         ``signals`` is (channels, samples) and holds every frame whole; phases are those at each frame's first sample.
+        float32 signals give complex64, all others complex128.
         """
-        plan = self._plan()
-        source, target = plan.input_array, plan.output_array
-        source[self.n_frame :] = 0.0
-        spectra = np.empty((len(signals), len(starts), self.n_bins), dtype=np.complex128)
-        for channel, signal in enumerate(signals):
-            for frame, start in enumerate(starts):
-                np.multiply(signal[start : start + self.n_frame], self._scaled_window, out=source[: self.n_frame])
-                plan.execute()
-                spectra[channel, frame] = target[: self.n_bins]
-        return spectra
+        signals = _real(signals)
+        kind = np.complex64 if signals.dtype == np.float32 else np.complex128
+        made = np.empty((len(signals), len(starts), self.n_bins), dtype=kind)
+        rows = made.reshape(-1, self.n_bins)
+        for first, count, spectrum in self._batches(signals, starts, np.ones(len(signals))):
+            rows[first : first + count] = spectrum[:count, : self.n_bins]
+        return made
+
+    def power(
+        self,
+        signals: NDArray[np.floating],
+        starts: NDArray[np.int64],
+        *,
+        scales: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.floating]:
+        """Squared peak amplitudes (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
+
+        ``signals`` is (channels, samples), each channel taken times its ``scales`` (channels,) first: powers of two
+        keep the squares of very large and very small amplitudes in range. float32 signals give float32.
+        """
+        signals = _real(signals)
+        made = np.empty((len(signals), len(starts), self.n_bins), dtype=signals.dtype)
+        rows = made.reshape(-1, self.n_bins)
+        for first, count, spectrum in self._batches(
+            signals, starts, np.ones(len(signals)) if scales is None else scales
+        ):
+            _squares(spectrum.view(made.dtype), rows[first : first + count])
+        return made
+
+    def _batches(self, signals: NDArray[np.floating], starts: NDArray[np.int64], scales: NDArray[np.float64]) -> Any:
+        """First number, count and spectra of one batch of frames after the other, counted channel by channel."""
+        if len(starts) and (starts.min() < 0 or starts.max() + self.n_frame > signals.shape[1]):
+            raise ValueError(f"frames must lie within the {signals.shape[1]} samples")
+        total = len(signals) * len(starts)
+        plan = self._plan(total, signals.dtype)
+        frames, spectra = plan.input_array, plan.output_array
+        frames[:, self.n_frame :] = 0.0
+        window, starts = self._scaled_window.astype(signals.dtype), np.ascontiguousarray(starts, dtype=np.int64)
+        scales = scales.astype(signals.dtype)
+        for first in range(0, total, len(frames)):
+            count = min(len(frames), total - first)
+            _fill(signals, starts, window, scales, first, frames[:count])
+            plan.execute()
+            yield first, count, spectra
+
+    def _plan(self, n_frames: int, dtype: np.dtype[Any]) -> pyfftw.FFTW:
+        """Plan of this thread for as many frames at a time as fit the cache, and no more than ``n_frames`` need."""
+        fit = max(1, min(MOST_FRAMES, BATCH_BYTES // (dtype.itemsize * self.n_fft)))
+        batch = min(1 << (fit.bit_length() - 1), 1 << max(0, n_frames - 1).bit_length())
+        plans: OrderedDict[Any, pyfftw.FFTW] = _of_thread.__dict__.setdefault("plans", OrderedDict())
+        key = (self.n_fft, batch, dtype.char)
+        if key not in plans:
+            frames = pyfftw.zeros_aligned((batch, self.n_fft), dtype=dtype)
+            kind = "complex64" if dtype == np.float32 else "complex128"
+            spectra = pyfftw.zeros_aligned((batch, self.n_fft // 2 + 1), dtype=kind)
+            with _planner:
+                plans[key] = pyfftw.FFTW(frames, spectra, axes=(1,), flags=("FFTW_ESTIMATE",))
+            if len(plans) > MOST_PLANS:
+                plans.popitem(last=False)
+        plans.move_to_end(key)
+        return plans[key]
+
+
+def _real(signals: NDArray[np.floating]) -> NDArray[np.floating]:
+    """``signals`` as contiguous float32 or float64."""
+    return np.ascontiguousarray(signals, dtype=np.float32 if signals.dtype == np.float32 else np.float64)
 
 
 def frame_starts(n_samples: int, n_frame: int, hop: int) -> NDArray[np.int64]:
@@ -64,3 +145,15 @@ def frame_starts(n_samples: int, n_frame: int, hop: int) -> NDArray[np.int64]:
     if n_samples < n_frame:
         return np.empty(0, dtype=np.int64)
     return np.arange(0, n_samples - n_frame + 1, max(1, hop), dtype=np.int64)
+
+
+def whole_frames(usable: NDArray[np.bool_], starts: NDArray[np.int64], n_frame: int) -> NDArray[np.bool_]:
+    """Whether all samples of each frame can be used (channels, frames): the frames of ``n_frame`` from ``starts`` on.
+
+    ``usable`` (channels, samples) says which samples can.
+    """
+    made = np.empty((len(usable), len(starts)), dtype=np.bool_)
+    for row, out in zip(usable, made, strict=True):
+        bad = np.flatnonzero(~row)
+        out[:] = np.searchsorted(bad, starts) == np.searchsorted(bad, starts + n_frame)
+    return made

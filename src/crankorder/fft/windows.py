@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+
+BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
+"""Four-term window with side lobes below -92 dB (Harris 1978, table 1)."""
+
+FLAT_TOP = (1.0, 1.96760033, 1.57983607, 0.81123644, 0.22583558, 0.02773848, 0.00090360)
+"""HFT144D of Heinzel, Rüdiger and Schilling (2002, appendix D): flat within 0.0021 dB, side lobes below -144 dB."""
+
+NAMES = ("hann", "flat-top", "blackman-harris", "kaiser", "rectangular")
 
 
 @dataclass(frozen=True)
@@ -21,10 +31,51 @@ class Window:
         return 2.0 / float(self.values.sum())
 
     @property
+    def rms_scale(self) -> float:
+        """Factor that turns the magnitude of a one-sided spectrum into the RMS of a tone on a bin."""
+        return self.tone_scale / math.sqrt(2.0)
+
+    @property
     def enbw_bins(self) -> float:
         """Equivalent noise bandwidth in bins (Harris 1978, eq. 11): 1.5 for a Hann window."""
         values = self.values
         return float(len(values) * (values @ values) / values.sum() ** 2)
+
+    def psd_scale(self, rate_hz: float) -> float:
+        """Factor from the squared peak amplitude of a bin to one-sided power spectral density at ``rate_hz``.
+
+        The bins at 0 and at half of the rate have no mirror image: there it is half of this factor's result.
+        """
+        return len(self.values) / (2.0 * self.enbw_bins * rate_hz)
+
+    def response(self, offset_bins: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Share of a tone's amplitude that a bin shows from which the tone lies ``offset_bins`` away."""
+        n = len(self.values)
+        centred = (np.arange(n) - 0.5 * n) / n
+        turned = np.exp(-2j * np.pi * np.outer(np.asarray(offset_bins, dtype=np.float64), centred))
+        return np.asarray(np.abs(turned @ self.values) / self.values.sum())
+
+    @property
+    def scalloping_db(self) -> float:
+        """Loss in dB of a tone half-way between two bins (Harris 1978, eq. 17): 1.42 for a Hann window."""
+        return float(-20.0 * np.log10(self.response(np.array([0.5]))[0]))
+
+    @cached_property
+    def tone_weights(self) -> tuple[float, float]:
+        """Weight of a bin's power and of each of its neighbours' in the power of a tone.
+
+        With these a tone within half a bin reads alike on the bin and between bins, and right in the middle of what
+        remains: within 0.008 dB for a Hann window (from the energy of the three bins alone: 0.09 dB). A window that is
+        flat within 0.005 dB needs no neighbours.
+        """
+        offset = np.linspace(0.0, 0.5, 17)
+        near, left, right = (self.response(offset + shift) ** 2 for shift in (0.0, 1.0, -1.0))
+        neighbours = 0.0
+        if near[0] / near[-1] > 10.0**0.001:
+            neighbours = float((near[0] - near[-1]) / (left[-1] + right[-1] - left[0] - right[0]))
+        total = near + neighbours * (left + right)
+        middle = float(np.sqrt(total.min() * total.max()))
+        return 1.0 / middle, neighbours / middle
 
     def independent_frames(self, hop_samples: int, n_frames: int, *, power: bool) -> float:
         """Independent frames that ``n_frames`` overlapping ones, ``hop_samples`` apart, are worth in an average.
@@ -43,6 +94,47 @@ class Window:
         return n_frames / factor
 
 
+def _cosines(name: str, n_samples: int, terms: tuple[float, ...]) -> Window:
+    """Periodic sum of cosines with alternating signs; its largest value is 1."""
+    phase = 2.0 * np.pi * np.arange(n_samples) / n_samples
+    values = sum((-1) ** k * term * np.cos(k * phase) for k, term in enumerate(terms))
+    return Window(name, np.asarray(values / sum(terms)))
+
+
 def hann(n_samples: int) -> Window:
     """Periodic Hann window of ``n_samples``: a tone on a bin reaches only its two neighbours."""
     return Window("hann", 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n_samples) / n_samples))
+
+
+def flat_top(n_samples: int) -> Window:
+    """Periodic flat-top window of ``n_samples`` (HFT144D): a tone reads its amplitude wherever it lies."""
+    return _cosines("flat-top", n_samples, FLAT_TOP)
+
+
+def blackman_harris(n_samples: int) -> Window:
+    """Periodic four-term Blackman-Harris window of ``n_samples``: side lobes below -92 dB."""
+    return _cosines("blackman-harris", n_samples, BLACKMAN_HARRIS)
+
+
+def kaiser(n_samples: int, beta: float) -> Window:
+    """Periodic Kaiser window of ``n_samples`` (Kaiser 1974): ``beta`` lowers the side lobes."""
+    return Window("kaiser", np.kaiser(n_samples + 1, beta)[:-1])
+
+
+def rectangular(n_samples: int) -> Window:
+    """Window of ones of ``n_samples``: narrow, but a tone between two bins reads 3.9 dB low and leaks everywhere."""
+    return Window("rectangular", np.ones(n_samples))
+
+
+@lru_cache(maxsize=32)
+def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Window:
+    """Window ``name`` (one of NAMES) of ``n_samples``; ``kaiser_beta`` is the parameter of ``kaiser``.
+
+    Raises ValueError for another name.
+    """
+    if name == "kaiser":
+        return kaiser(n_samples, kaiser_beta)
+    made = {"hann": hann, "flat-top": flat_top, "blackman-harris": blackman_harris, "rectangular": rectangular}
+    if name not in made:
+        raise ValueError(f"no window is called {name!r}: {', '.join(NAMES)}")
+    return made[name](n_samples)
