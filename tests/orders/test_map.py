@@ -153,3 +153,43 @@ def test_the_error_of_a_line_on_a_resonance_that_noise_excites_is_that_of_the_re
     errors = np.array([item["standard_error"].sel(order=2.0).item() for item in made])
     # the memory of the resonance is estimated from the frames: measured 0.8 of the true scatter
     assert np.sqrt(np.mean(errors**2)) > 0.75 * amplitudes.std()
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e300])
+def test_amplitudes_from_1e_minus_300_to_1e300_survive_map_and_tracks(scale):
+    plain = frames_of(total(line(2.0, 1.0, 0.4), noise(5, 0.1)))
+    scaled = plain.copy(deep=True)
+    scaled["spectrum"].values[:] *= scale
+    one, other = order_map([plain], settings=SETTINGS), order_map([scaled], settings=SETTINGS)
+    for name in ("amplitude", "coherent_amplitude", "standard_error", "coherent_amplitude_low"):
+        np.testing.assert_allclose(other[name].values / scale, one[name].values, rtol=1e-9)
+    np.testing.assert_allclose(other["phase"].values, one["phase"].values, atol=1e-9)
+    np.testing.assert_allclose(other["spectral_kurtosis"].values, one["spectral_kurtosis"].values, rtol=1e-9)
+    tracks = [order_tracks(item, [2.0, 3.13], settings=SETTINGS) for item in (one, other)]
+    for name in ("amplitude", "amplitude_high", "standard_error", "band_rms"):
+        np.testing.assert_allclose(tracks[1][name].values / scale, tracks[0][name].values, rtol=1e-9)
+
+
+def test_frames_in_a_gap_of_one_channel_are_left_out_and_counted():
+    whole = frames_of(*(total(line(2.0, 1.0), noise(k, 0.1)) for k in range(2)))
+    gappy = whole.copy(deep=True)
+    gappy["spectrum"].values[1, [3, 4, 9]] = np.nan
+    made, full = order_map([gappy], settings=SETTINGS), order_map([whole], settings=SETTINGS)
+    frames = whole.sizes["frame"]
+    assert made["frames_used"].values.tolist() == [[frames], [frames - 3]]
+    assert made["n_frames"].values.tolist() == [frames - 3]
+    np.testing.assert_allclose(made["coherent_amplitude"].values[0], full["coherent_amplitude"].values[0], rtol=1e-12)
+    kept = np.delete(whole["spectrum"].values[1], [3, 4, 9], axis=0)
+    np.testing.assert_allclose(made["coherent_amplitude"].values[1, 0], np.abs(kept.mean(axis=0)), rtol=1e-12)
+    np.testing.assert_allclose(made["amplitude"].values[1, 0] ** 2, np.mean(np.abs(kept) ** 2, axis=0), rtol=1e-12)
+    assert np.isfinite(made["standard_error"].values[..., 2:]).all()
+
+
+def test_the_interval_of_a_track_between_two_bins_holds_the_truth():
+    signals = [total(line(6.13, 0.8), noise(k, 0.5)) for k in range(26)]  # a line that slips, 26 draws as channels
+    made = order_map([frames_of(*signals, duration_s=20.0)], settings=SETTINGS)
+    track = order_tracks(made, [6.13], settings=SETTINGS).isel(order=0, speed=0)
+    hits = (track["amplitude_low"] <= 0.8) & (track["amplitude_high"] >= 0.8)
+    assert hits.mean() > 0.95 - 4 * np.sqrt(0.05 * 0.95 / 26)
+    assert (track["amplitude_high"] - track["amplitude_low"]).mean() < 6 * np.std(track["amplitude"])
+    assert np.isnan(track["phase"]).all()

@@ -19,13 +19,16 @@ from crankorder.fft.decimation import (
 )
 from crankorder.quantities import channel_coords
 
+LARGEST_LOSS = 0.02
+"""A recording of which the filters' ends would cost a larger share keeps its rate: short ones are cheap anyway."""
+
 
 def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, tolerance: float = TOLERANCE) -> xr.Dataset:
     """BandRecording: the signals of ``recording`` without their mean, low-passed to ``band_hz`` and decimated.
 
     The new rate is a multiple of ``grid_hz`` where that costs little; within the band the amplitudes are right to
-    ``tolerance`` (the attribute ``decimation_error`` says what is predicted). float32 stays float32. A recording by
-    crank angle has no rate to reduce: it only loses its mean. Where samples are missing (NaN) or were not usable
+    ``tolerance`` (the attribute ``decimation_error`` says what is predicted). float32 stays float32. A short recording
+    keeps its rate, for the filters would take away its ends. A recording by crank angle has no rate to reduce: it only loses its mean. Where samples are missing (NaN) or were not usable
     before, the variable ``usable`` is False as far as the filters reach. Encoder data are left out, for the shaft
     angle has been made from them.
     """
@@ -38,8 +41,10 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
     if axis == "time":
         rate = float(attrs["rate_hz"])
         factor = decimation_factor(rate, band_hz, grid_hz=grid_hz)
-        error = decimation_error(rate, band_hz, factor, tolerance)
         reach = decimation_reach(decimation_stages(rate, band_hz, factor, tolerance))
+        if 2 * reach > LARGEST_LOSS * signals.shape[1]:
+            factor, reach = 1, 0
+        error = decimation_error(rate, band_hz, factor, tolerance)
         signals, rate, start = decimate(
             signals, rate_hz=rate, band_hz=band_hz, factor=factor, tolerance=tolerance, offset=offset
         )

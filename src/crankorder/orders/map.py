@@ -2,26 +2,77 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.fft.windows import hann
-from crankorder.orders.floor import floor_bins, local_floor
+from crankorder.orders.intervals import (
+    FEW_CONTRASTS,
+    Contrasts,
+    amplitude_interval,
+    beside_bins,
+    contrasts,
+    energy_interval,
+    frame_correlation,
+    noise_beside,
+    noise_of_mean,
+    phase_interval_deg,
+)
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
-RESIDUAL_FRAMES = 1.8
-"""From so many frames on their scatter tells the noise; with fewer it is taken from quiet bins beside the line."""
+SWEPT_SHARE = 0.1
+"""Share of a speed bin from which frames in it are taken to differ in speed."""
 
-SHAPE_SAMPLES = 1024
-"""Samples on which the shape of the window is evaluated where only its overlap matters."""
+Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
+"""Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
 
-RESIDUAL_OFFSETS = (-3, -2, 2, 3)
-"""Bins beside a line that hold noise only: the main lobe of a Hann window ends at two."""
+Columns = NDArray[np.float64]
+"""Something of every channel and order of a group of frames: (channels, orders)."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
+
+    spectrum: NDArray[np.complex128]
+    owner: NDArray[np.int64]
+    begin_rev: NDArray[np.float64]
+    speed_rpm: NDArray[np.float64]
+
+    def of(self, which: NDArray[Any]) -> Frames:
+        """Those of the frames that ``which`` (numbers that grow, or a mask) picks; a view where they are neighbours."""
+        if which.dtype != np.bool_ and len(which) and which[-1] - which[0] == len(which) - 1:
+            which = slice(int(which[0]), int(which[-1]) + 1)  # type: ignore[assignment]
+        return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
+
+
+@dataclass(frozen=True)
+class Average:
+    """Averages of a group of frames, each (channels, orders).
+
+    ``energy`` is the mean power, ``coherent`` the complex mean (the root of the mean of the recordings' coherent
+    powers where ``apart``, their number, is over one), ``noise`` the noise power of one frame by the frames' own
+    scatter with ``own`` complex degrees of freedom, ``share`` what of it is left in ``coherent``, ``bias`` what
+    it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones.
+    """
+
+    energy: Columns
+    coherent: NDArray[np.complex128]
+    kurtosis: Columns
+    apart: Columns
+    noise: Columns
+    own: Columns
+    share: Columns
+    bias: Columns
+    powers: Columns
+    phases: Columns
+    count: Columns
 
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
@@ -36,43 +87,104 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     common = _common_length(frames)
     used = [item for item in frames if int(item.attrs["revs_per_frame"]) == common]
     order = used[0]["order"].values
-    speed = np.concatenate([item["speed"].values for item in used])
-    owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
-    spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1)
-    groups = _groups(speed, owner, settings)
+    every, exponent = _joined(used)
+    groups = _groups(every.speed_rpm, every.owner, settings)
     comparable = _comparable(used, order)
-    count = np.array([len(group) for group in groups], dtype=np.int64)
-    independent, independent_phase = _independent(count, float(used[0].attrs["overlap"]))
-    parts = [
-        _average(spectrum[:, group], owner[group], comparable, n_independent)
-        for group, n_independent in zip(groups, independent, strict=True)
-    ]
-    energy = np.stack([part[0] for part in parts], axis=1)
-    coherent = np.stack([part[1] for part in parts], axis=1)
-    kurtosis = np.stack([part[2] for part in parts], axis=1)
-    apart = np.stack([part[3] for part in parts])[None]
-    memory = np.stack([part[4] for part in parts], axis=1)
-    kept = count[:, None] * (1.0 - memory) / (1.0 + memory)
-    n_coherent = np.maximum(1.0, np.minimum(kept, independent_phase[None, :, None])) / apart
-    line_step = 1.0 / int(used[0].attrs["revs_per_cycle"])
-    bins = floor_bins(order, line_step=line_step, guard_bins=settings.guard_bins, n_bins=settings.floor_bins)
-    floor = local_floor(np.abs(coherent) ** 2, bins, n_averages=apart)
-    residual = _residual_power(energy, coherent, n_coherent)
-    enough = (independent_phase[None, :, None] >= RESIDUAL_FRAMES) & (apart == 1) & np.isfinite(residual)
-    floor = np.where(enough, residual, floor)
-    result = _dataset(used[0], order, np.array([np.mean(speed[group]) for group in groups]), settings)
-    dims = ("channel", "speed", "order")
-    _put(result, "amplitude", dims, np.sqrt(energy), "peak amplitude, energy average")
-    _put(result, "coherent_amplitude", dims, np.abs(coherent), "peak amplitude, coherent average")
-    referenced = all(item.attrs["phase_reference"] != "none" for item in used)
-    phase = np.where((apart == 1) & referenced, np.degrees(np.angle(coherent)), np.nan)
-    _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
-    _put(result, "standard_error", dims, np.sqrt(floor / 2.0), "standard error of coherent_amplitude")
-    _put(result, "spectral_kurtosis", dims, kurtosis, "spectral kurtosis", "1")
-    _put(result, "n_frames", ("speed",), count, "frames averaged", "1")
-    _put(result, "n_independent", ("speed",), independent, "independent power spectra", "1")
-    _put(result, "n_coherent", dims, n_coherent, "independent complex spectra", "1")
+    parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
+    speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
+    result = _dataset(used[0], order, speed, settings)
+    whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
+    unit = np.ldexp(1.0, exponent)[:, None, None]
+    bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]))
+    made: Variables = {}
+    _put_averages(made, whole, unit)
+    _put_intervals(made, whole, unit, bins, worth)
+    if any(item.attrs["phase_reference"] == "none" for item in used):
+        made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
+    result = result.assign(made)
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(frames, common))
+
+
+def _joined(used: Sequence[xr.Dataset]) -> tuple[Frames, NDArray[np.int64]]:
+    """Frames of all recordings, and the exponent (channels,) of the power of two that is taken out of each channel.
+
+    Only where squares would leave the range of numbers is anything taken out.
+    """
+    largest = np.max([_largest(item["spectrum"].values) for item in used], axis=0)
+    exponent = np.where(np.isfinite(largest) & (largest > 0.0), np.frexp(largest)[1], 0)
+    exponent = np.where(np.abs(exponent) > 64, exponent, 0)
+    spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1, dtype=np.complex128)
+    if exponent.any():
+        half = exponent // 2  # the power of two itself may not be a number
+        spectrum = spectrum * np.ldexp(1.0, -half)[:, None, None] * np.ldexp(1.0, half - exponent)[:, None, None]
+    owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
+    begin = np.concatenate([item["crank_angle"].values for item in used])
+    return Frames(spectrum, owner, begin, np.concatenate([item["speed"].values for item in used])), exponent
+
+
+def _largest(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Largest real or imaginary part of each channel, NaN left out."""
+    parts = np.ascontiguousarray(spectrum).reshape(len(spectrum), -1)
+    parts = parts.view(parts.real.dtype)
+    return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
+
+
+def _put_averages(result: Variables, whole: Average, unit: NDArray[np.float64]) -> None:
+    """Averages of ``whole`` (channel, speed, order) into ``result``; amplitudes are multiples of ``unit``."""
+    dims = ("channel", "speed", "order")
+    _put(result, "amplitude", dims, unit * np.sqrt(whole.energy), "peak amplitude, energy average")
+    _put(result, "coherent_amplitude", dims, unit * np.abs(whole.coherent), "peak amplitude, coherent average")
+    phase = np.where(whole.apart == 1, np.degrees(np.angle(whole.coherent)), np.nan)
+    _put(result, "phase", dims, phase, "phase from top dead centre", "degree")
+    _put(result, "spectral_kurtosis", dims, whole.kurtosis, "spectral kurtosis", "1")
+    used = np.max(whole.count, axis=2)
+    _put(result, "frames_used", ("channel", "speed"), used.astype(np.int64), "frames averaged of the channel", "1")
+    fewest = np.where(used > 0, used, np.inf).min(axis=0)
+    fewest = np.where(np.isfinite(fewest), fewest, 0.0).astype(np.int64)
+    _put(result, "n_frames", ("speed",), fewest, "frames averaged", "1")
+    least = np.where(whole.powers > 0.0, whole.powers, np.inf).min(axis=(0, 2))
+    least = np.where(np.isfinite(least), least, 1.0)
+    _put(result, "n_independent", ("speed",), least, "independent power spectra", "1")
+    _put(result, "n_coherent", dims, whole.phases / whole.apart, "independent complex spectra", "1")
+
+
+def _put_intervals(
+    result: Variables, whole: Average, unit: NDArray[np.float64], bins: NDArray[np.int64], worth: NDArray[np.float64]
+) -> None:
+    """Standard error, degrees of freedom and 95 % intervals of ``whole`` (channel, speed, order) into ``result``.
+
+    Where the frames' own scatter says too little the ``bins`` beside are asked too, ``worth`` so many independent ones.
+    """
+    dims = ("channel", "speed", "order")
+    noise, own = np.nan_to_num(whole.noise), whole.own
+    few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
+    if len(few):
+        beside = noise_beside(whole.energy[:, few], bins)
+        helping = np.where((own[:, few] < FEW_CONTRASTS) & np.isfinite(beside), worth * whole.powers[:, few], 0.0)
+        both = own[:, few] + helping
+        pooled = own[:, few] * noise[:, few] + helping * np.nan_to_num(beside)
+        noise[:, few] = pooled / np.maximum(both, 1e-9)
+        own = own.copy()
+        own[:, few] = both
+    dof = np.floor(2.0 * own + 0.5)
+    coherent = np.abs(whole.coherent)
+    power = np.where(own > 0.0, noise * whole.share, np.nan)
+    low, high = amplitude_interval(coherent, power, dof)
+    if (whole.apart > 1).any():
+        alone = energy_interval(
+            coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise * whole.bias * power, dof=dof
+        )
+        low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
+    missing = np.isnan(coherent)
+    error = np.where(missing, np.nan, np.sqrt(power / 2.0))
+    _put(result, "standard_error", dims, unit * error, "standard error of coherent_amplitude")
+    _put(result, "degrees_of_freedom", dims, np.where(missing, 0.0, dof), "degrees of freedom of standard_error", "1")
+    ends = ((low, "lower"), (high, "upper"))
+    for values, end in ends:
+        name = f"coherent_amplitude_{'low' if end == 'lower' else 'high'}"
+        _put(result, name, dims, unit * values, f"{end} end of the 95 % interval of coherent_amplitude")
+    half = np.where(whole.apart > 1, np.nan, phase_interval_deg(coherent, power, dof))
+    _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
 
 
 def _common_length(frames: list[xr.Dataset]) -> int:
@@ -88,32 +200,6 @@ def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: Orde
     return [*known, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
 
 
-def _independent(count: NDArray[np.int64], overlap: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Independent power and complex spectra that ``count`` (speeds,) frames with ``overlap`` are worth."""
-    window = hann(SHAPE_SAMPLES)
-    hop = max(1, round(SHAPE_SAMPLES * (1.0 - overlap)))
-    worth = [[window.independent_frames(hop, int(n), power=power) for n in count] for power in (True, False)]
-    return np.array(worth[0]), np.array(worth[1])
-
-
-def _residual_power(
-    energy: NDArray[np.float64], coherent: NDArray[np.complex128], n: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Noise power (channels, speeds, orders) of a ``coherent`` average of ``n`` independent frames.
-
-    The median of the bin's own scatter about the average and of the ``energy`` two and three bins beside it, where a
-    Hann window shows nothing of a line: local, so that a resonance near the line does not count. A resonance on the
-    line, narrower than that, shows in the bin's own scatter alone, which goes first where it is larger.
-    """
-    own = (energy - np.abs(coherent) ** 2) * n / np.maximum(n - 1.0, 0.5)
-    reach = max(RESIDUAL_OFFSETS)
-    padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), mode="reflect")
-    n_bins = energy.shape[-1]
-    beside = [padded[..., reach + k : reach + k + n_bins] for k in RESIDUAL_OFFSETS]
-    middle = np.median(np.stack([own, *beside]), axis=0) / (1.0 - 1.0 / (9.0 * n)) ** 3
-    return np.asarray(np.maximum(np.maximum(middle, own), 0.0) / n)
-
-
 def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:
     """For each order, whether phases of different recordings may be averaged."""
     referenced = all(item.attrs["phase_reference"] != "none" for item in used)
@@ -122,48 +208,129 @@ def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[n
     return np.full(len(order), referenced) & (whole | cycle_known)
 
 
-def _average(
-    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], comparable: NDArray[np.bool_], n_independent: float
-) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Mean energy, coherent mean and kurtosis (channels, orders) of ``spectrum`` (channels, frames, orders) of a group.
+def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings) -> Average:
+    """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
 
-    The fourth result (orders,) is the number of recordings whose coherent powers had to be averaged without phase, the
-    fifth (channels, orders) the memory of the frames.
+    Where some are, columns (one channel, one order) with the same frames are averaged together.
     """
-    power = np.abs(spectrum) ** 2
-    energy = _mean(power, axis=1)
-    kurtosis = _spectral_kurtosis(power, energy, n_independent)
-    whole = _mean(spectrum, axis=1)
-    names = np.unique(owner)
-    n_coherent = np.where(comparable, 1.0, float(len(names)))
-    if len(names) > 1 and not comparable.all():
-        means = np.stack([_mean(spectrum[:, owner == name], axis=1) for name in names])
-        weights = np.array([np.count_nonzero(owner == name) for name in names], dtype=float)
-        squared = np.tensordot(weights / weights.sum(), np.abs(means) ** 2, axes=1)
-        whole = np.where(comparable, whole, np.sqrt(squared))
-    return energy, whole, kurtosis, n_coherent, _memory(spectrum, owner, power)
+    seen = np.isfinite(frames.spectrum.real)
+    if seen.all():
+        return _average_whole(frames, comparable, attrs, settings)
+    n_channels, _, n_orders = frames.spectrum.shape
+    columns = np.moveaxis(frames.spectrum, 1, 2).reshape(n_channels * n_orders, -1)
+    patterns, which = np.unique(np.moveaxis(seen, 1, 2).reshape(n_channels * n_orders, -1), axis=0, return_inverse=True)
+    made = [np.full(n_channels * n_orders, np.nan, dtype=complex) for _ in fields(Average)]
+    for number, pattern in enumerate(patterns):
+        at = np.flatnonzero(which.ravel() == number)
+        if not pattern.any():
+            continue
+        part = Frames(np.ascontiguousarray(columns[at].T)[None], frames.owner, frames.begin_rev, frames.speed_rpm)
+        mean = _average_whole(part.of(pattern), comparable[at % n_orders], attrs, settings)
+        for target, item in zip(made, fields(Average), strict=True):
+            target[at] = getattr(mean, item.name)[0]
+    shaped = [values.reshape(n_channels, n_orders) for values in made]
+    filled = Average(*(values if k == 1 else values.real for k, values in enumerate(shaped)))
+    none = {name: np.nan_to_num(getattr(filled, name)) for name in ("own", "powers", "phases", "count")}
+    return replace(filled, apart=np.nan_to_num(filled.apart, nan=1.0), **none)
 
 
-def _memory(
-    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], power: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Correlation (channels, orders), 0 to 1, of each frame's scatter about the mean with the next frame's.
+def _average_whole(
+    frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings
+) -> Average:
+    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`_comparable`."""
+    spectrum, shape = frames.spectrum, _shape(frames, attrs, settings)
+    n_frames, columns = spectrum.shape[1], (len(spectrum), spectrum.shape[2])
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
+    energy = power.mean(axis=1)
+    mean = spectrum.mean(axis=1)
+    kept = _without_memory(spectrum, mean, frames.owner, energy)
+    phases = np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance))
+    own = np.full(columns, float(len(shape.rows)) if shape.dof > 0.0 else 0.0) * (
+        shape.dof / max(2.0 * len(shape.rows), 1.0)
+    )
+    share = np.full(columns, shape.mean_variance)
+    noise = noise_of_mean(spectrum, shape) / shape.mean_variance
+    made = Average(
+        energy=energy,
+        coherent=mean,
+        kurtosis=_spectral_kurtosis(power, energy, shape.independent_powers),
+        apart=np.ones(columns),
+        noise=noise,
+        own=own,
+        share=share,
+        bias=share,
+        powers=np.full(columns, shape.independent_powers),
+        phases=phases,
+        count=np.full(columns, float(n_frames)),
+    )
+    if comparable.all() or (frames.owner == frames.owner[0]).all():
+        return made
+    return _without_common_phase(frames, made, comparable, attrs, settings)
 
-    Frames correlate by their overlap and, where noise excites a resonance, by its decay: so many fewer of them are
-    independent, (1 - r) / (1 + r) of all for a first-order memory r. Its square is relieved of what chance adds, 1/n.
+
+def _shape(frames: Frames, attrs: dict[str, Any], settings: OrderSettings) -> Contrasts:
+    """How ``frames`` overlap, and whether their speeds differ so much that amplitudes may follow them."""
+    correlation = frame_correlation(
+        frames.begin_rev, frames.owner, revs_per_frame=float(attrs["revs_per_frame"]), window=str(attrs["window"])
+    )
+    swept = float(np.ptp(frames.speed_rpm)) > SWEPT_SHARE * settings.speed_bin_rpm  # False where unknown
+    return contrasts(correlation, frames.speed_rpm if swept else None)
+
+
+def _without_common_phase(
+    frames: Frames, made: Average, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings
+) -> Average:
+    """``made`` with the orders whose phases in different recordings say nothing averaged by coherent power instead."""
+    names, counts = np.unique(frames.owner, return_counts=True)
+    weights = counts / counts.sum()
+    power, noise, own, share, bias = (np.zeros(made.energy.shape) for _ in range(5))
+    for name, weight in zip(names, weights, strict=True):
+        part = frames.of(frames.owner == name)
+        shape = _shape(part, attrs, settings)
+        mean = part.spectrum.mean(axis=1)
+        power += weight * (np.square(mean.real) + np.square(mean.imag))
+        noise += 0.5 * shape.dof * np.nan_to_num(noise_of_mean(part.spectrum, shape) / shape.mean_variance)
+        own += 0.5 * shape.dof
+        share += weight**2 * shape.mean_variance
+        bias += weight * shape.mean_variance
+    noise /= np.maximum(own, 1e-9)
+    return replace(
+        made,
+        coherent=np.where(comparable, made.coherent, np.sqrt(power)),
+        apart=np.where(comparable, 1.0, float(len(names))) * np.ones(made.energy.shape),
+        noise=np.where(comparable, made.noise, noise),
+        own=np.where(comparable, made.own, own),
+        share=np.where(comparable, made.share, share),
+        bias=np.where(comparable, made.bias, bias),
+    )
+
+
+def _without_memory(
+    spectrum: NDArray[np.complex128], mean: NDArray[np.complex128], owner: NDArray[np.int64], energy: Columns
+) -> Columns:
+    """Independent complex spectra (channels, orders) that the frames are worth, for their memory of one another.
+
+    Each frame's scatter about the ``mean`` correlates with the next one's by their overlap and, where noise excites a
+    resonance, by its decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r. Its square is
+    relieved of what chance adds, 1/n.
     """
     n_frames = spectrum.shape[1]
     if n_frames < 3:
-        return np.zeros(power[:, 0].shape)
-    scatter = spectrum - _mean(spectrum, axis=1)[:, None]
-    next_to = owner[1:] == owner[:-1]
-    product = np.nan_to_num(scatter[:, 1:] * scatter[:, :-1].conj())[:, next_to].sum(axis=1)
-    total = np.nan_to_num(np.abs(scatter) ** 2).sum(axis=1)
-    squared = np.abs(product) ** 2 / np.maximum(total**2, np.finfo(np.float64).tiny) - 1.0 / n_frames
-    return np.asarray(np.sqrt(np.clip(squared, 0.0, 1.0)))
+        return np.full(energy.shape, float(n_frames))
+    scatter = spectrum - mean[:, None]
+    first, second = scatter[:, :-1], scatter[:, 1:]
+    if owner[0] != owner[-1]:
+        next_to = owner[1:] == owner[:-1]
+        first, second = first[:, next_to], second[:, next_to]
+    product = np.einsum("cko,cko->co", second, first.conj())
+    parts = scatter.view(np.float64)
+    total = np.einsum("cko,cko->co", parts, parts).reshape(*energy.shape, 2).sum(axis=-1)
+    squared = (np.square(product.real) + np.square(product.imag)) / np.maximum(total**2, np.finfo(np.float64).tiny)
+    memory = np.sqrt(np.clip(squared - 1.0 / n_frames, 0.0, 1.0))
+    return np.asarray(n_frames * (1.0 - memory) / (1.0 + memory))
 
 
-def _spectral_kurtosis(power: NDArray[np.float64], energy: NDArray[np.float64], n: float) -> NDArray[np.float64]:
+def _spectral_kurtosis(power: NDArray[np.float64], energy: Columns, n: float) -> Columns:
     """Spectral kurtosis (channels, orders) of ``power`` (channels, frames, orders) with the mean ``energy``.
 
     Unbiased for Gaussian noise whose frames are worth ``n`` independent ones (Antoni 2006; Vrabie et al. 2003); NaN
@@ -172,22 +339,12 @@ def _spectral_kurtosis(power: NDArray[np.float64], energy: NDArray[np.float64], 
     if n < 2.0:
         return np.full(energy.shape, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = _mean(power**2, axis=1) / energy**2
+        ratio = np.einsum("cko,cko->co", power, power) / power.shape[1] / energy**2
     return np.asarray(((n + 1.0) * ratio - 2.0 * n) / (n - 1.0))
 
 
-def _mean(values: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Mean without NaN; NaN where all are (without numpy's warning)."""
-    missing = np.isnan(values)
-    if not missing.any():
-        return np.asarray(values.mean(axis=axis))
-    count = np.count_nonzero(~missing, axis=axis)
-    total = np.where(missing, 0.0, values).sum(axis=axis)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-
-
 def _put(
-    target: xr.Dataset, name: str, dims: tuple[str, ...], values: NDArray[Any], long_name: str, units: str = "see unit"
+    target: Variables, name: str, dims: tuple[str, ...], values: NDArray[Any], long_name: str, units: str = "see unit"
 ) -> None:
     target[name] = (dims, values, {"units": units, "long_name": long_name})
 

@@ -8,49 +8,101 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.orders.intervals import beside_bins, energy_interval, noise_beside
 from crankorder.settings import OrderSettings
 
 MAIN_LOBE_BINS = 4.0
 """Width of the main lobe of a Hann window: what lies within it is the line's."""
 
 
+LOBE_NOISE, LOBE_SCATTER, LOBE_BEAT = 4.0 / 1.5, 3.0, 1.3
+"""What noise adds to the energy of a Hann window's main lobe, the variance that it has there without a line, and the
+power with which a line beats with it, in noise powers of a bin (their squares for the variance)."""
+
+
 def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderSettings) -> xr.Dataset:
     """OrderTracks of ``orders`` (cycles per crank revolution) from the OrderMap ``order_map``.
 
-    On a bin of the map, amplitude, phase and standard error are those of the coherent average; between bins the
+    On a bin of the map, amplitude, phase and 95 % intervals are those of the coherent average; between bins the
     amplitude is that of the energy in the main lobe and the phase is NaN. ``band_rms`` is the RMS of everything
     within ``settings.band_width_orders`` around the order. Orders above the map give NaN.
     """
-    axis = order_map["order"].values
+    axis, asked = order_map["order"].values, np.asarray(orders, dtype=float)
     resolution = float(axis[1] - axis[0])
-    nearest = np.clip(np.rint(np.asarray(orders) / resolution).astype(int), 0, len(axis) - 1)
-    on_bin = np.abs(axis[nearest] - orders) < 1e-6
-    outside = np.asarray(orders) > axis[-1] + 0.5 * resolution
+    nearest = np.clip(np.rint(asked / resolution).astype(int), 0, len(axis) - 1)
+    on_bin = np.abs(axis[nearest] - asked) < 1e-6
+    outside = asked > axis[-1] + 0.5 * resolution
     enbw = float(order_map.attrs["enbw_bins"])
-    power = order_map["amplitude"].values ** 2
-    lobe = _band_sum(power, np.asarray(orders) / resolution, MAIN_LOBE_BINS) / enbw
-    amplitude = np.where(on_bin, order_map["coherent_amplitude"].values[..., nearest], np.sqrt(lobe))
-    phase = np.where(on_bin, order_map["phase"].values[..., nearest], np.nan)
-    error = order_map["standard_error"].values[..., nearest]
+    level = order_map["amplitude"].values
+    largest = np.nanmax(level, axis=(1, 2), keepdims=True, initial=0.0)
+    unit = np.where(largest > 0.0, np.ldexp(1.0, np.frexp(largest)[1] - 1), 1.0)
+    power = (level / unit) ** 2
+    found = _between_bins(order_map, power, asked / resolution, nearest)
+    values = {
+        name: np.where(on_bin, order_map[source].values[..., nearest], unit * found[name] if scaled else found[name])
+        for name, source, scaled in _SOURCES
+    }
     half = 0.5 * settings.band_width_orders / resolution
-    band = np.sqrt(_band_sum(power, np.asarray(orders) / resolution, 2.0 * half) / (2.0 * enbw))
+    values["band_rms"] = unit * np.sqrt(_band_sum(power, asked / resolution, 2.0 * half) / (2.0 * enbw))
     tracks = xr.Dataset(coords={**{k: v for k, v in order_map.coords.items() if k != "order"}})
-    tracks["order"] = ("order", np.asarray(orders, dtype=float), {"units": "1", "long_name": "order"})
-    for name, values, units, long_name in (
-        ("amplitude", amplitude, "see unit", "peak amplitude"),
-        ("phase", phase, "degree", "phase from top dead centre"),
-        ("standard_error", error, "see unit", "standard error of amplitude"),
-        ("band_rms", band, "see unit", "RMS within the band around the order"),
-    ):
-        values = np.where(outside, np.nan, values)
+    tracks["order"] = ("order", asked, {"units": "1", "long_name": "order"})
+    for name, units, long_name in _VARIABLES:
+        shown = np.where(outside, 0.0 if name == "degrees_of_freedom" else np.nan, values[name])
         tracks[name] = (
             ("channel", "order", "speed"),
-            np.moveaxis(values, 2, 1),
+            np.moveaxis(shown, 2, 1),
             {"units": units, "long_name": long_name},
         )
     tracks.attrs = {key: order_map.attrs[key] for key in ("amplitude_scaling", "phase_reference", "cycle_known")}
     tracks.attrs["band_width_orders"] = settings.band_width_orders
     return tracks
+
+
+_SOURCES = (
+    ("amplitude", "coherent_amplitude", True),
+    ("phase", "phase", False),
+    ("standard_error", "standard_error", True),
+    ("degrees_of_freedom", "degrees_of_freedom", False),
+    ("amplitude_low", "coherent_amplitude_low", True),
+    ("amplitude_high", "coherent_amplitude_high", True),
+    ("phase_ci95", "phase_ci95", False),
+)
+"""Variables of a track, where the map holds them on a bin, and whether they scale with the channel."""
+
+_VARIABLES = (
+    ("amplitude", "see unit", "peak amplitude"),
+    ("phase", "degree", "phase from top dead centre"),
+    ("standard_error", "see unit", "standard error of amplitude"),
+    ("degrees_of_freedom", "1", "degrees of freedom of standard_error"),
+    ("amplitude_low", "see unit", "lower end of the 95 % interval of amplitude"),
+    ("amplitude_high", "see unit", "upper end of the 95 % interval of amplitude"),
+    ("phase_ci95", "degree", "half width of the 95 % interval of phase; 180: unknown"),
+    ("band_rms", "see unit", "RMS within the band around the order"),
+)
+
+
+def _between_bins(
+    order_map: xr.Dataset, power: NDArray[np.float64], place: NDArray[np.float64], nearest: NDArray[np.int64]
+) -> dict[str, NDArray[np.float64]]:
+    """Amplitude, its error and interval (channels, speeds, orders) of lines ``place`` bins up, between two bins.
+
+    ``power`` (channels, speeds, bins) is the energy average, ``nearest`` the nearest bin of each order; the noise is
+    that of the bins beside, and what it adds to the energy of the main lobe is taken off.
+    """
+    bins, worth = beside_bins(order_map["order"].values, line_step=1.0 / int(order_map.attrs["revs_per_cycle"]))
+    noise = noise_beside(power, bins[nearest])
+    independent = order_map["n_independent"].values[None, :, None]
+    lobe = _band_sum(power, place, MAIN_LOBE_BINS) / float(order_map.attrs["enbw_bins"])
+    bias, beat = LOBE_NOISE * noise, LOBE_BEAT * noise / independent
+    dof = np.broadcast_to(np.round(2.0 * worth[nearest] * independent), lobe.shape)
+    scatter = LOBE_SCATTER * noise**2 / independent
+    low, high = energy_interval(lobe, noise=beat, bias=bias, noise_variance=scatter, dof=dof)
+    line = np.sqrt(np.maximum(lobe - bias, 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = np.where(noise > 0.0, np.sqrt(2.0 * line**2 * beat + scatter) / (2.0 * np.sqrt(lobe)), 0.0)
+    nothing = np.full(lobe.shape, np.nan)
+    ends = {"amplitude_low": low, "amplitude_high": high, "phase_ci95": nothing, "degrees_of_freedom": dof}
+    return {"amplitude": line, "phase": nothing, "standard_error": error, **ends}
 
 
 def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:

@@ -1,0 +1,61 @@
+"""Order frames of signals given by crank angle, many draws at once as channels; made without the program's frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+SAMPLES_PER_REV, REVS = 32, 16
+HIGHEST = 8
+
+
+def lines(n_samples: int, given: list[tuple[float, float, float]]) -> np.ndarray:
+    """Sum of lines (order, amplitude, phase [rad])."""
+    angle = np.arange(n_samples) / SAMPLES_PER_REV
+    return sum(a * np.cos(2 * np.pi * order * angle + phase) for order, a, phase in given)
+
+
+def coloured(rng: np.random.Generator, draws: int, *, revs: int, colour: str) -> np.ndarray:
+    """Noise (draws, samples): "white" of variance 1, "pink", or with a "resonance" at order 5.1 damped by 2 %."""
+    n = revs * SAMPLES_PER_REV
+    if colour == "white":
+        return rng.standard_normal((draws, n))
+    white = rng.standard_normal((draws, 2 * n))
+    order = np.fft.rfftfreq(2 * n, 1 / SAMPLES_PER_REV)
+    if colour == "pink":
+        response = 1.0 / np.sqrt(np.maximum(order, 0.2))
+    else:
+        response = 0.05 + 0.3 * order**2 / (5.1**2 - order**2 + 2j * 0.02 * 5.1 * order)
+    return np.fft.irfft(np.fft.rfft(white) * response, 2 * n)[:, :n]
+
+
+def angle_frames(signals: np.ndarray, *, speed: np.ndarray | float = 1200.0, name: str = "made") -> xr.Dataset:
+    """OrderFrames of ``signals`` (draws, samples) in Hann frames of 16 revolutions, half overlapping."""
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(REVS * SAMPLES_PER_REV) / (REVS * SAMPLES_PER_REV))
+    begin = np.arange(0, signals.shape[1] // SAMPLES_PER_REV - REVS + 1, REVS // 2)
+    pieces = [signals[:, k * SAMPLES_PER_REV : (k + REVS) * SAMPLES_PER_REV] * window for k in begin]
+    spectra = np.stack([np.fft.rfft(piece)[:, : HIGHEST * REVS + 1] * 2 / window.sum() for piece in pieces], axis=1)
+    names = [str(k) for k in range(len(signals))]
+    made = xr.Dataset(
+        {"spectrum": (("channel", "frame", "order"), spectra, {"units": "see unit"})},
+        coords={
+            "channel": ("channel", names, {"units": "1"}),
+            "unit": ("channel", ["m/s2"] * len(names), {"units": "1"}),
+            "quantity": ("channel", ["acceleration"] * len(names), {"units": "1"}),
+            "order": ("order", np.arange(HIGHEST * REVS + 1) / REVS, {"units": "1"}),
+            "speed": ("frame", np.broadcast_to(np.asarray(speed, dtype=float), len(begin)), {"units": "min-1"}),
+            "crank_angle": ("frame", begin.astype(float), {"units": "rev"}),
+        },
+    )
+    made.attrs = {
+        "recording": name,
+        "amplitude_scaling": "peak",
+        "phase_reference": "tdc",
+        "cycle_known": 1,
+        "revs_per_cycle": 2,
+        "window": "hann",
+        "enbw_bins": 1.5,
+        "revs_per_frame": REVS,
+        "overlap": 0.5,
+    }
+    return made
