@@ -1,26 +1,25 @@
 """The stages in flow order: the whole program on one screen. What a stage takes and gives is its signature.
 
 ``analyse_recording`` runs the stages of one file, ``analyse_test`` those that join a test's files; the plan of each is
-worked out from the signatures by sciline. Every stage checks its inputs at the door (schema, metadata only) and signs
-what it gives with a line of history.
+worked out from the signatures (``StagePlan``): only what the wanted results need is run. Every stage checks its inputs
+at the door (schema, metadata only) and signs what it gives with a line of history.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
 
 import numpy as np
-import sciline
 import xarray as xr
-from sciline.scheduler import NaiveScheduler
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
+from crankorder.errors import SchemaError
 from crankorder.fft.band import band_limited
 from crankorder.identify.explain import Sources
 from crankorder.identify.findings import find
@@ -37,9 +36,11 @@ from crankorder.quantities import (
     OrderFrames,
     OrderMap,
     OrderTracks,
+    QualityFlag,
     Recording,
     ShaftAngle,
     check_dataset,
+    flags_of,
     with_flags,
 )
 from crankorder.settings import Settings
@@ -65,6 +66,59 @@ SCHEMAS: dict[Any, str] = {
 }
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
+
+
+class StagePlan:
+    """The stages, in flow order, that make the wanted nouns; worked out from signatures, run for many recordings.
+
+    ``needs`` are the given nouns that the plan takes: what no wanted noun needs is neither asked for nor run.
+    """
+
+    def __init__(self, stages: Iterable[Callable[..., Any]], *, wanted: Iterable[Any], given: Iterable[Any]) -> None:
+        """Plan the ``stages`` (their return types are what they make) that lead from ``given`` nouns to ``wanted``.
+
+        Raises SchemaError, naming the way to it, where a noun is neither given nor made by a stage: a fault of the
+        program.
+        """
+        self._makers = {get_type_hints(made)["return"]: made for made in stages}
+        self._given = frozenset(given)
+        self.wanted = tuple(wanted)
+        self.steps: list[tuple[Callable[..., Any], dict[str, Any], Any]] = []
+        self.needs: set[Any] = set()
+        for noun in self.wanted:
+            self._require(noun, ())
+        self._last_use = {noun: number for number, (_, takes, _) in enumerate(self.steps) for noun in takes.values()}
+
+    def _require(self, noun: Any, way: tuple[str, ...]) -> None:
+        if noun in self._given:
+            self.needs.add(noun)
+            return
+        if any(made == noun for _, _, made in self.steps):
+            return
+        if noun not in self._makers or noun.__name__ in way:
+            raise SchemaError(f"no stage makes {noun.__name__}", place=" <- ".join(reversed(way)))
+        maker = self._makers[noun]
+        takes = {name: kind for name, kind in get_type_hints(maker).items() if name != "return"}
+        for kind in takes.values():
+            self._require(kind, (*way, noun.__name__))
+        self.steps.append((maker, takes, noun))
+
+    def run(self, given: Mapping[Any, Any]) -> dict[Any, Any]:
+        """The wanted nouns made from the values ``given`` by noun; each other is let go after its last use.
+
+        What a stage raises comes out as it is, with the stage's name as a note.
+        """
+        held = {noun: given[noun] for noun in self.needs}
+        for number, (maker, takes, noun) in enumerate(self.steps):
+            try:
+                held[noun] = maker(**{name: held[kind] for name, kind in takes.items()})
+            except Exception as error:
+                error.add_note(f"in the stage {maker.__name__}")
+                raise
+            for kind in set(takes.values()):
+                if self._last_use[kind] == number and kind not in self.wanted:
+                    del held[kind]
+        return {noun: held[noun] for noun in self.wanted}
 
 
 def stage(function: Stage) -> Stage:
@@ -124,7 +178,10 @@ def pattern(recording: Recording, settings: Settings) -> LinePattern:
 def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRecording:
     """``recording`` limited to the band that orders and map need at the speeds of ``shaft`` (``settings`` of both)."""
     fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
-    needed = max(settings.campbell.max_frequency_hz, settings.orders.max_order * fastest_hz)
+    frames = frames_wanted(settings)
+    by_order = settings.orders.max_order * fastest_hz if OrderFrames in frames else 0.0
+    by_frequency = settings.campbell.max_frequency_hz if FrequencyFrames in frames else 0.0
+    needed = max(by_order, by_frequency) or settings.campbell.max_frequency_hz
     return BandRecording(band_limited(recording, band_hz=needed, grid_hz=settings.campbell.resolution_hz))
 
 
@@ -172,26 +229,66 @@ OF_ENCODER = (ingest, pattern)
 OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency)
 OF_TEST = (map_by_order, map_by_frequency, findings, tracks)
 
+RESULTS: dict[str, Any] = {
+    "order_map": OrderMap,
+    "campbell_map": CampbellMap,
+    "order_tracks": OrderTracks,
+    "findings": Findings,
+}
+"""Noun of each result that ``results`` of the report's settings may name."""
+
+FRAMES_OF: dict[Any, Any] = {AllOrderFrames: OrderFrames, AllFrequencyFrames: FrequencyFrames}
+"""Noun of one recording that each gathered noun of a test is made of."""
+
 
 @dataclass(frozen=True)
 class RecordingResult:
-    """What one recording gives to its test."""
+    """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
 
     shaft: ShaftAngle
-    order_frames: OrderFrames
-    frequency_frames: FrequencyFrames
+    frames: dict[Any, xr.Dataset]
+
+    @property
+    def flags(self) -> list[QualityFlag]:
+        """Quality flags of shaft and frames, each once, in the order in which they were raised."""
+        seen: list[QualityFlag] = []
+        for dataset in (*self.frames.values(), self.shaft):
+            seen += [flag for flag in flags_of(dataset) if flag not in seen]
+        return seen
 
 
 @dataclass(frozen=True)
 class TestResult:
-    """What a test gives to its report."""
+    """What a test gives to its report: datasets by result name, and findings, None where they were not asked for."""
 
     __test__ = False
 
-    order_map: OrderMap
-    campbell_map: CampbellMap
-    order_tracks: OrderTracks
-    findings: Findings
+    datasets: dict[str, xr.Dataset]
+    findings: Findings | None
+
+
+def frames_wanted(settings: Settings) -> tuple[Any, ...]:
+    """Nouns of one recording that the results named in ``settings`` of the report need."""
+    needs = _plan_of_test(settings.report.results).needs
+    return tuple(noun for gathered, noun in FRAMES_OF.items() if gathered in needs)
+
+
+@functools.cache
+def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
+    """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
+    given = [AllOrderFrames, AllFrequencyFrames, TestName, Sources, Settings]
+    given += [] if "findings" in results else [Findings]
+    return StagePlan(OF_TEST, wanted=[RESULTS[name] for name in results], given=given)
+
+
+@functools.cache
+def _plan_of_recording(wanted: tuple[Any, ...]) -> StagePlan:
+    return StagePlan(OF_RECORDING, wanted=wanted, given=(RecordingFile, Manifest, Settings, ShaftKnowledge))
+
+
+@functools.cache
+def _plan_of_encoder() -> StagePlan:
+    return StagePlan(OF_ENCODER, wanted=(LinePattern,), given=(RecordingFile, Manifest, Settings))
 
 
 def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LinePattern:
@@ -199,9 +296,9 @@ def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LineP
 
     Raises InputError, naming the file, where the recording cannot be used.
     """
-    plan = sciline.Pipeline(OF_ENCODER, params={RecordingFile: file, Manifest: manifest, Settings: settings})
-    made: LinePattern = plan.compute(LinePattern, scheduler=NaiveScheduler())
-    return made
+    made = _plan_of_encoder().run({RecordingFile: file, Manifest: manifest, Settings: settings})
+    pattern: LinePattern = made[LinePattern]
+    return pattern
 
 
 def analyse_recording(
@@ -212,29 +309,26 @@ def analyse_recording(
     ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file, where the recording cannot be
     used.
     """
+    frames = frames_wanted(settings)
     given = {
         RecordingFile: file,
         Manifest: manifest,
         Settings: settings,
         ShaftKnowledge: knowledge or ShaftKnowledge(),
     }
-    plan = sciline.Pipeline(OF_RECORDING, params=given)
-    made: dict[Any, Any] = plan.compute((ShaftAngle, OrderFrames, FrequencyFrames), scheduler=NaiveScheduler())
-    return RecordingResult(made[ShaftAngle], made[OrderFrames], made[FrequencyFrames])
+    made = _plan_of_recording((ShaftAngle, *frames)).run(given)
+    return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 
 def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings) -> TestResult:
-    """Maps, findings and tracks of the test named ``test`` from the results of its ``recordings``.
+    """The results of the test named ``test`` that its ``settings`` ask for, from those of its ``recordings``.
 
     ``sources`` says what the machine is made of; ``settings`` are those of all stages.
     """
-    given = {
-        AllOrderFrames: [item.order_frames for item in recordings],
-        AllFrequencyFrames: [item.frequency_frames for item in recordings],
-        TestName: test,
-        Sources: sources,
-        Settings: settings,
-    }
-    plan = sciline.Pipeline(OF_TEST, params=given)
-    made: dict[Any, Any] = plan.compute((OrderMap, CampbellMap, OrderTracks, Findings), scheduler=NaiveScheduler())
-    return TestResult(made[OrderMap], made[CampbellMap], made[OrderTracks], made[Findings])
+    results = settings.report.results
+    given: dict[Any, Any] = {TestName: test, Sources: sources, Settings: settings, Findings: {"orders": []}}
+    for gathered, noun in FRAMES_OF.items():
+        given[gathered] = [item.frames[noun] for item in recordings if noun in item.frames]
+    made = _plan_of_test(results).run(given)
+    datasets = {str(name): made[RESULTS[name]] for name in results if name != "findings"}
+    return TestResult(datasets, made.get(Findings))

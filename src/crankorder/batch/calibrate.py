@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import contextlib
 from pathlib import Path
 
 from crankorder.batch.plan import TestPlan
+from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.engine.definition import Engine
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError
@@ -29,14 +30,14 @@ def knowledge_of(
     if not plan.settings.shaft.calibrate_encoder or plan.manifest.encoder.kind not in PULSE_KINDS:
         return ShaftKnowledge(engine), []
 
-    def pattern(path: Path) -> LinePattern | None:
-        try:
-            return analyse_encoder(path, plan.manifest, plan.settings)
-        except CrankorderError:
-            return None
+    def pattern(number: int) -> LinePattern:
+        return analyse_encoder(recordings[number], plan.manifest, plan.settings)
 
-    with ThreadPoolExecutor(max_workers=jobs) as pool:
-        patterns = [found for found in pool.map(pattern, recordings) if found is not None]
+    found: dict[int, LinePattern] = {}
+    for number, made in each(pattern, len(recordings), jobs=jobs):
+        with contextlib.suppress(CrankorderError, WorkerDiedError):
+            found[number] = made()
+    patterns = [found[number] for number in sorted(found)]
     encoder = plan.manifest.encoder
     calibration = calibrate(
         patterns,

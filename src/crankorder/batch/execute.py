@@ -6,7 +6,6 @@ import contextlib
 import json
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -15,23 +14,25 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from crankorder.batch.ahead import Helper
 from crankorder.batch.calibrate import knowledge_of
+from crankorder.batch.lean import load_kernels
 from crankorder.batch.plan import TestPlan
 from crankorder.batch.publish import files_of_test
 from crankorder.batch.store import (
-    code_sha256,
-    file_sha256,
     finished_with,
     json_bytes,
     publish,
     text_sha256,
     write_atomically,
 )
+from crankorder.batch.unsought import unsought_findings
+from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.explain import Sources
-from crankorder.quantities import QualityFlag, Severity, flags_of
+from crankorder.quantities import QualityFlag, Severity
 from crankorder.settings import toml_table
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
@@ -65,24 +66,27 @@ class Outcome:
         return 3 if self.faults else 0
 
 
-def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: Progress | None = None) -> Outcome:
+def run_test(
+    plan: TestPlan, *, helper: Helper, jobs: int, fresh: bool, strict: bool, progress: Progress | None = None
+) -> Outcome:
     """Analyse the test of ``plan`` and publish its results; nothing is raised for a fault of the input.
 
-    ``jobs`` recordings are analysed at a time (threads: the numerical kernels run without the interpreter's lock);
-    ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into faults; ``progress`` is told
-    of every recording that is done.
+    ``helper`` has the hashes of its recordings and draws its pictures; ``jobs`` recordings are analysed at a time, each
+    in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into faults;
+    ``progress`` is told of every recording that is done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
     clock = _Clock(outcome.seconds)
     try:
-        hashes = _hash_inputs(plan, jobs)
+        code, hashes = helper.hashes(plan)
         clock.lap("hash")
-        provenance = _provenance(plan, hashes)
-        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code_sha256(), str(strict))
+        provenance = _provenance(plan, code, hashes)
+        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(strict))
         if not fresh and not plan.faults and finished_with(plan.out, key):
             outcome.status = "unchanged"
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
+        load_kernels()
         results = _analyse(plan, hashes, jobs, outcome, progress)
         clock.lap("recordings")
         _leave_out(results, outcome, ("bad", "suspect") if strict else ("bad",))
@@ -92,7 +96,7 @@ def run_test(plan: TestPlan, *, jobs: int, fresh: bool, strict: bool, progress: 
                 file=plan.folder,
                 remedy="Mend the faults listed above",
             )
-        _finish(plan, results, provenance, key, outcome, clock)
+        _finish(plan, results, provenance, key, outcome, helper, clock)
     except CrankorderError as error:
         outcome.faults.append(error)
     except Exception as error:
@@ -106,26 +110,27 @@ def _finish(
     provenance: dict[str, Any],
     key: str,
     outcome: Outcome,
+    helper: Helper,
     clock: _Clock,
 ) -> None:
     """Maps, findings, files and their publication."""
     made = analyse_test(list(results.values()), test=plan.name, sources=_sources(plan), settings=plan.settings)
     clock.lap("test")
-    findings = dict(made.findings)
+    if made.findings is not None:
+        findings = dict(made.findings)
+    else:
+        findings = unsought_findings(made.datasets, test=plan.name, settings=plan.settings)
     outcome.faults += [
         InputError("left out of the order map", file=flag["recording"], found=flag["detail"])
         for flag in findings["quality"]
         if flag["flag"] == "frame_length_differs"
     ]
     findings["quality"] = [*findings["quality"], *outcome.flags, *_fault_flags(outcome.faults)]
-    groups = {
-        "order_map": made.order_map,
-        "campbell_map": made.campbell_map,
-        "order_tracks": made.order_tracks,
-        "shaft": _shaft_summary(results),
-    }
+    groups = {**made.datasets, "shaft": _shaft_summary(results)}
+    report = plan.settings.report
+    helper.start_drawing(groups, findings, report)
     stated = {**provenance, "quality": findings["quality"]}
-    files = files_of_test(groups, findings, stated, settings=plan.settings.report)
+    files = files_of_test(groups, findings, stated, drawn=helper.drawn, settings=report)
     clock.lap("report")
     publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
     clock.lap("publish")
@@ -146,19 +151,6 @@ class _Clock:
         now = time.perf_counter()
         self._seconds[name] = round(now - self._last, 4)
         self._last = now
-
-
-def _hash_inputs(plan: TestPlan, jobs: int) -> dict[Path, str]:
-    """SHA-256 of every recording that can be read; one that cannot is left to its reader to explain."""
-
-    def digest(path: Path) -> str:
-        try:
-            return file_sha256(path)
-        except OSError as error:
-            return f"unreadable: {error.strerror}"
-
-    with ThreadPoolExecutor(max_workers=jobs) as pool:
-        return dict(zip(plan.recordings, pool.map(digest, plan.recordings), strict=True))
 
 
 def _analyse(
@@ -182,32 +174,31 @@ def _analyse(
     ]
     knowledge, flags = knowledge_of(plan, _engine(plan), wanted, jobs)
     outcome.flags += flags
-    with ThreadPoolExecutor(max_workers=jobs) as pool:
-        futures: dict[Future[RecordingResult], Path] = {
-            pool.submit(analyse_recording, path, plan.manifest, plan.settings, knowledge): path for path in wanted
-        }
-        try:
-            for count, future in enumerate(as_completed(futures), start=1):
-                _collect(future, futures[future], results, outcome)
-                if progress is not None:
-                    progress(plan.name, count, len(wanted))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+
+    def analyse(number: int) -> RecordingResult:
+        return analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
+
+    for count, (number, made) in enumerate(each(analyse, len(wanted), jobs=jobs), start=1):
+        _collect(made, wanted[number], results, outcome)
+        if progress is not None:
+            progress(plan.name, count, len(wanted))
     place = {path.name: number for number, path in enumerate(plan.recordings)}
     outcome.faults.sort(key=lambda fault: place.get(Path(fault.file).name, -1))
     return {path: results[path] for path in wanted if path in results}
 
 
 def _collect(
-    future: Future[RecordingResult], path: Path, results: dict[Path, RecordingResult], outcome: Outcome
+    made: Callable[[], RecordingResult], path: Path, results: dict[Path, RecordingResult], outcome: Outcome
 ) -> None:
     try:
-        results[path] = future.result()
+        results[path] = made()
     except EnvironmentFailure:
         raise
     except CrankorderError as error:
         outcome.faults.append(error)
+    except WorkerDiedError as error:
+        remedy = "Leave it out; if it is sound, too little memory is the likely cause: try --jobs 1"
+        outcome.faults.append(InputError("could not be analysed", file=path.name, found=error, remedy=remedy))
     except MemoryError:
         outcome.faults.append(InputError("not enough memory for this recording", file=path.name))
     except Exception as error:
@@ -218,7 +209,7 @@ def _collect(
 def _leave_out(results: dict[Path, RecordingResult], outcome: Outcome, severities: tuple[Severity, ...]) -> None:
     """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages."""
     for path, result in list(results.items()):
-        doubts = [flag for flag in flags_of(result.order_frames) if flag["severity"] in severities]
+        doubts = [flag for flag in result.flags if flag["severity"] in severities]
         if doubts:
             del results[path]
             found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
@@ -248,7 +239,7 @@ def _sources(plan: TestPlan) -> Sources:
     return Sources(revs_per_cycle=plan.manifest.revs_per_cycle, engine_orders=orders, bearings=bearings)
 
 
-def _provenance(plan: TestPlan, hashes: dict[Path, str]) -> dict[str, Any]:
+def _provenance(plan: TestPlan, code: str, hashes: dict[Path, str]) -> dict[str, Any]:
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:
@@ -256,7 +247,7 @@ def _provenance(plan: TestPlan, hashes: dict[Path, str]) -> dict[str, Any]:
     return {
         "schema_version": 1,
         "test": plan.name,
-        "code_sha256": code_sha256(),
+        "code_sha256": code,
         "versions": {name: version(name) for name in ("crankorder", *LIBRARIES)},
         "inputs": [
             {

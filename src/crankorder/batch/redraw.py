@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from crankorder.batch.publish import files_of_test
+from crankorder.batch.publish import files_of_test, pictures
 from crankorder.batch.store import DONE, publish
 from crankorder.errors import InputError
 from crankorder.report.netcdf import read_results
-from crankorder.settings import ReportSettings
+from crankorder.settings import ReportSettings, load_settings
 
 
 def redraw(result: Path) -> Path:
@@ -33,8 +33,12 @@ def redraw(result: Path) -> Path:
             remedy="Run the analysis again; results without a done marker are never used",
         ) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
-    settings = ReportSettings.model_validate(provenance["settings"]["report"])
-    files = files_of_test(groups, findings, provenance, settings=settings)
+    # a key that is newer than the results has today's default
+    stated = load_settings().report.model_dump() | provenance["settings"]["report"]
+    settings = ReportSettings.model_validate(stated)
+    files = files_of_test(
+        groups, findings, provenance, drawn=lambda: pictures(groups, findings, settings), settings=settings
+    )
     kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     publish(folder, files | kept, key=key)
     return folder / "report.html"

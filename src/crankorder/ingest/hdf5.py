@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ _RATE_NAMES = ("rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sam
 _STEP_NAMES = ("wf_increment", "dt", "delta_t", "increment_s", "time_step")
 _UNIT_NAMES = ("units", "unit", "unit_string")
 _START_NAMES = ("start_s", "wf_start_offset")
+_PACKING_NAMES = ("_FillValue", "missing_value", "scale_factor", "add_offset")
+_ASKED = frozenset((*_RATE_NAMES, *_STEP_NAMES, *_UNIT_NAMES, *_START_NAMES, *_PACKING_NAMES))
 # an exception of h5py on a damaged file may be any of these
 _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
 
@@ -58,19 +60,26 @@ def read_hdf5(path: Path, *, sources: Sequence[Source], settings: IngestSettings
             _check_dataset(dataset, path)
         n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
         check_budget(n_bytes, path, max_bytes=settings.max_bytes)
-        rates = {name: rate for name in names if (rate := _rate_of(used[columns[name].dataset], path)) is not None}
-        values = _read_columns([columns[name] for name in names], used, path)
+        attributes = _Attributes(file)
+        rates = {name: attributes.rate_hz(used[columns[name].dataset], path) for name in names}
+        values = _read_columns([columns[name] for name in names], used, attributes, path)
         units = {
-            source: _text_attr(used[columns[name].dataset], _UNIT_NAMES)
+            source: attributes.text(used[columns[name].dataset], _UNIT_NAMES)
             for source, name in zip(sources, names, strict=True)
         }
-        start = next((value for ds in used.values() if (value := _number_attr(ds, _START_NAMES)) is not None), None)
+        start = next(
+            (value for ds in used.values() if (value := attributes.number(ds, _START_NAMES)) is not None), None
+        )
         return RawFile(
             columns=dict(zip(sources, values, strict=True)),
             units={source: unit for source, unit in units.items() if unit},
-            rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance),
+            rate_hz=common_rate(_stated(rates), path, tolerance=settings.rate_tolerance),
             attrs={} if start is None else {"start_s": start},
         )
+
+
+def _stated(rates: dict[str, float | None]) -> dict[str, float]:
+    return {name: rate for name, rate in rates.items() if rate is not None}
 
 
 def contents_of_hdf5(path: Path, *, settings: IngestSettings) -> Contents:
@@ -83,13 +92,14 @@ def contents_of_hdf5(path: Path, *, settings: IngestSettings) -> Contents:
         datasets = {name: file[column.dataset] for name, column in columns.items()}
         for dataset in datasets.values():
             _check_dataset(dataset, path)
-        rates = {name: _rate_of(dataset, path) for name, dataset in datasets.items()}
+        attributes = _Attributes(file)
+        rates = {name: attributes.rate_hz(dataset, path) for name, dataset in datasets.items()}
         return Contents(
             format="HDF5",
             names=tuple(columns),
             samples={name: column.n_samples for name, column in columns.items()},
-            units={name: unit for name, dataset in datasets.items() if (unit := _text_attr(dataset, _UNIT_NAMES))},
-            rates_hz={name: rate for name, rate in rates.items() if rate is not None},
+            units={name: unit for name, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))},
+            rates_hz=_stated(rates),
         )
 
 
@@ -156,15 +166,15 @@ def _columns_of(file: Any, path: Path, settings: IngestSettings) -> dict[str, _C
             n_objects += 1
             if n_objects > settings.max_objects:
                 raise UnsafeInputError(f"holds more than {settings.max_objects} objects", file=path)
-            link = group.get(key, getlink=True)
-            if isinstance(link, h5py.ExternalLink):
+            link = group.id.links.get_info(key.encode("utf-8", "surrogateescape")).type
+            if link == h5py.h5l.TYPE_EXTERNAL:
                 raise UnsafeInputError(
                     "links to another file, which is never followed",
                     file=path,
                     place=f"{group.name.rstrip('/')}/{key}",
                     remedy="Write the samples into the file itself",
                 )
-            if isinstance(link, h5py.SoftLink):
+            if link != h5py.h5l.TYPE_HARD:
                 continue
             item = group[key]
             if isinstance(item, h5py.Group):
@@ -238,7 +248,9 @@ def _check_written(dataset: h5py.Dataset, path: Path, place: str) -> None:
         )
 
 
-def _read_columns(columns: list[_Column], used: dict[str, Any], path: Path) -> list[FloatArray]:
+def _read_columns(
+    columns: list[_Column], used: dict[str, Any], attributes: _Attributes, path: Path
+) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
     kinds = [(column.n_samples, _target(used[column.dataset].dtype)) for column in columns]
     blocks = {kind: np.empty((kinds.count(kind), kind[0]), kind[1]) for kind in set(kinds)}
@@ -258,7 +270,7 @@ def _read_columns(columns: list[_Column], used: dict[str, Any], path: Path) -> l
                 found=str(error).split("\n")[0],
                 remedy="Copy the file again",
             ) from None
-        _unpack(row, dataset)
+        _unpack(row, dataset, attributes)
         out.append(row)
     return out
 
@@ -281,52 +293,76 @@ def _target(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
     return np.float32 if small else np.float64
 
 
-def _unpack(row: FloatArray, dataset: Any) -> None:
+def _unpack(row: FloatArray, dataset: Any, attributes: _Attributes) -> None:
     """Undo the packing conventions of NetCDF: fill value, scale and offset."""
-    fill = _number_attr(dataset, ("_FillValue", "missing_value"), inherited=False)
+    fill = attributes.number(dataset, ("_FillValue", "missing_value"), inherited=False)
     if fill is not None:
         row[row == row.dtype.type(fill)] = np.nan
-    scale = _number_attr(dataset, ("scale_factor",), inherited=False)
-    offset = _number_attr(dataset, ("add_offset",), inherited=False)
+    scale = attributes.number(dataset, ("scale_factor",), inherited=False)
+    offset = attributes.number(dataset, ("add_offset",), inherited=False)
     if scale is not None:
         row *= scale
     if offset is not None:
         row += offset
 
 
-def _rate_of(dataset: Any, path: Path) -> float | None:
-    """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
-    rate = _number_attr(dataset, _RATE_NAMES)
-    step = _number_attr(dataset, _STEP_NAMES) if rate is None else None
-    value = rate if step is None else (1.0 / step if step else 0.0)
-    if value is not None and not (value > 0 and np.isfinite(value)):
-        raise InputError("the sampling rate must be above 0", file=path, place=dataset.name, found=value)
-    return value
+class _Attributes:
+    """What the attributes of a file's objects say; those of each object are read once."""
 
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._of: dict[str, dict[str, Any]] = {}
 
-def _number_attr(dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
-    for item in (dataset, dataset.parent, dataset.file) if inherited else (dataset,):
-        for name in names:
-            value = _attr(item, name)
-            if value is not None and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
-                return float(np.asarray(value).reshape(()))
-    return None
+    def rate_hz(self, dataset: Any, path: Path) -> float | None:
+        """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
+        rate = self.number(dataset, _RATE_NAMES)
+        step = self.number(dataset, _STEP_NAMES) if rate is None else None
+        value = rate if step is None else (1.0 / step if step else 0.0)
+        if value is not None and not (value > 0 and np.isfinite(value)):
+            raise InputError("the sampling rate must be above 0", file=path, place=dataset.name, found=value)
+        return value
 
-
-def _text_attr(dataset: Any, names: Sequence[str]) -> str:
-    for name in names:
-        value = _attr(dataset, name)
-        if isinstance(value, np.ndarray) and value.size == 1:
-            value = value.reshape(-1)[0]
-        if isinstance(value, bytes):
-            value = value.decode("utf-8", "replace")
-        if isinstance(value, str):
-            return re.sub(r"\0.*", "", value)
-    return ""
-
-
-def _attr(item: Any, name: str) -> Any:
-    try:
-        return item.attrs.get(name)
-    except _H5PY_ERRORS:
+    def number(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
+        """First of the attributes ``names`` that is one number, of ``dataset``, else of its group, else of the file."""
+        places = [dataset.name]
+        if inherited:
+            places += [dataset.name.rpartition("/")[0] or "/", "/"]
+        for place in places:
+            attrs = self._at(place, dataset)
+            for name in names:
+                value = attrs.get(name)
+                if value is not None and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
+                    return float(np.asarray(value).reshape(()))
         return None
+
+    def text(self, dataset: Any, names: Sequence[str]) -> str:
+        """First of the attributes ``names`` of ``dataset`` that is text, else ""."""
+        attrs = self._at(dataset.name, dataset)
+        for name in names:
+            value = attrs.get(name)
+            if isinstance(value, np.ndarray) and value.size == 1:
+                value = value.reshape(-1)[0]
+            if isinstance(value, bytes):
+                value = value.decode("utf-8", "replace")
+            if isinstance(value, str):
+                return re.sub(r"\0.*", "", value)
+        return ""
+
+    def _at(self, place: str, dataset: Any) -> dict[str, Any]:
+        if place not in self._of:
+            item = dataset if place == dataset.name else self._file[place]
+            self._of[place] = _readable(item)
+        return self._of[place]
+
+
+def _readable(item: Any) -> dict[str, Any]:
+    """Attributes of ``item`` that can be read, of those that are asked for here: others may be large."""
+    found: dict[str, Any] = {}
+    try:
+        names = _ASKED.intersection(item.attrs)
+    except _H5PY_ERRORS:
+        return found
+    for name in names:
+        with suppress(*_H5PY_ERRORS):
+            found[name] = item.attrs[name]
+    return found

@@ -318,5 +318,9 @@ def _add_signals(recording: xr.Dataset, signals: FloatArray, manifest: Manifest)
         "quantity": [channel.measured_quantity for channel in manifest.channels],
         "direction": [channel.direction for channel in manifest.channels],
     }
-    for name, values in texts.items():
-        recording.coords[name] = ("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})
+    recording.coords.update(
+        {
+            name: ("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})
+            for name, values in texts.items()
+        }
+    )

@@ -25,7 +25,7 @@ def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSe
     ``name`` and ``path`` say which channel of which recording it is; ``settings`` say how many missing samples are few
     and what counts as clipping. Raises InputError where more are missing than can be bridged.
     """
-    low, high = float(signal.min()), float(signal.max())
+    low, high, n_still = _survey(signal)
     flags: list[QualityFlag] = []
     if not (low > -_FILL_ABOVE and high < _FILL_ABOVE) or low in _SENTINELS or high in _SENTINELS:
         missing = _missing(signal)
@@ -35,10 +35,20 @@ def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSe
                 f"channel {name}: {int(missing.sum())} missing samples bridged, first at sample {int(missing.argmax())}"
             )
             flags.append(flag(path, "non_finite_interpolated", "suspect", detail))
-            low, high = float(signal.min()), float(signal.max())
+            low, high, n_still = _survey(signal)
     if low == high:
         return [*flags, flag(path, "constant_signal", "bad", f"channel {name}: all samples equal {low:.6g}")]
-    return flags + _clipping(signal, low, high, name, path, settings) + _dropout(signal, name, path, settings)
+    # each fault needs so many samples that stand still: most signals have too few for any, and are done
+    if n_still >= 2 * (settings.clip_run_samples - 1):
+        flags += _clipping(signal, low, high, name, path, settings)
+    if n_still >= settings.dropout_samples - 1:
+        flags += _dropout(signal, name, path, settings)
+    return flags
+
+
+def _survey(signal: FloatArray) -> tuple[float, float, int]:
+    """Least and greatest sample (NaN where one is NaN), and how many samples equal the one before them."""
+    return float(signal.min()), float(signal.max()), int(np.count_nonzero(signal[1:] == signal[:-1]))
 
 
 def _dropout(signal: FloatArray, name: str, path: Path, settings: IngestSettings) -> list[QualityFlag]:

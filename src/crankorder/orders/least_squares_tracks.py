@@ -43,18 +43,29 @@ def tracked_orders(
     if named.size == 0 or not (named > 0.0).all():
         raise RequestError("orders to track must be above 0", found=str(list(orders)), allowed="one or more")
     angles = _angle_of_samples(band, shaft)
+    edges = frame_edges(angles, band, shaft, settings)
+    fits = [_fit(band, angles, named, begin, end) for begin, end in itertools.pairwise(edges)]
+    return _dataset(band, shaft, named, edges, fits)
+
+
+def frame_edges(
+    angle_rev: NDArray[np.float64], band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings
+) -> NDArray[np.float64]:
+    """Crank angles [rev] between frames of whole cycles, of ``settings.revs_per_frame`` or a little more each.
+
+    They take in all whole cycles of ``angle_rev`` (samples,), that of the samples of ``band`` by its ``shaft``. Raises
+    InputError where there is not even one.
+    """
     cycle = int(shaft.attrs["revs_per_cycle"])
-    known = angles[np.isfinite(angles)]
-    first = math.ceil(known[0] - 1e-9) if known.size else 0
+    known = angle_rev[np.isfinite(angle_rev)]
+    first = known[0] if known.size else 0.0
     cycles = math.floor((known[-1] - first + 1e-9) / cycle) if known.size else 0
     if cycles < 1:
         raise InputError(
             "the recording holds less than one engine cycle", file=band.attrs["recording"], allowed=f"at least {cycle}"
         )
     count = max(1, cycles // max(1, settings.revs_per_frame // cycle))
-    edges = np.asarray(first + cycle * np.round(np.linspace(0, cycles, count + 1)), dtype=np.float64)
-    fits = [_fit(band, angles, named, begin, end) for begin, end in itertools.pairwise(edges)]
-    return _dataset(band, shaft, named, edges, fits)
+    return np.asarray(first + cycle * np.round(np.linspace(0, cycles, count + 1)), dtype=np.float64)
 
 
 def _angle_of_samples(band: xr.Dataset, shaft: xr.Dataset) -> NDArray[np.float64]:
@@ -143,12 +154,12 @@ def _dataset(
         "degrees_of_freedom": dof,
     }
     made = xr.Dataset(coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})})
-    _put(made, values)
+    put_tracks(made, values)
     made["condition"] = (("channel", "frame"), condition, {"units": "1", "long_name": "condition of the equations"})
-    speed, time_s = _speed_and_time(shaft, edges)
+    speed, time_s = speed_and_time(shaft, edges)
     made.coords["speed"] = ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"})
     made.coords["crank_angle"] = ("frame", edges[:-1], {"units": "rev", "long_name": "crank angle at the start"})
-    made.coords["revs"] = ("frame", np.diff(edges), {"units": "rev", "long_name": "length of the frame"})
+    made.coords["revs"] = ("frame", np.round(np.diff(edges)), {"units": "rev", "long_name": "length of the frame"})
     made.coords["time"] = ("frame", time_s, {"units": "s", "long_name": "time at the start of the frame"})
     made.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "least_squares"}
     made.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
@@ -188,17 +199,18 @@ _VARIABLES = (
 )
 
 
-def _put(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
+def put_tracks(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
     """``values`` (channel, order, frame) and the 95 % intervals that follow from them into ``made``."""
     magnitude, power = np.abs(values["amplitude"]), 2.0 * values["standard_error"] ** 2
     low, high = amplitude_interval(magnitude, power, values["degrees_of_freedom"])
     half = phase_interval_deg(magnitude, power, values["degrees_of_freedom"])
     given = {**values, "amplitude_low": low, "amplitude_high": high, "phase_ci95": half}
     for name, units, said in _VARIABLES:
-        made[name] = (("channel", "order", "frame"), given[name], {"units": units, "long_name": said})
+        if name in given:
+            made[name] = (("channel", "order", "frame"), given[name], {"units": units, "long_name": said})
 
 
-def _speed_and_time(shaft: xr.Dataset, edges: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def speed_and_time(shaft: xr.Dataset, edges: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean speed [rpm] and first time [s] of the frames between ``edges`` [rev]."""
     if shaft.attrs.get("domain", "time") == "crank_angle":
         n = len(edges) - 1

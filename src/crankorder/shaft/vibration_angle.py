@@ -74,7 +74,7 @@ def tracked_angle(
     tracked = _integrated(time_s, speed_hz, end_s)
     sample_s = start_s + np.arange(reduced.shape[1]) / rate
     for smooth in ROUNDS:
-        tracked = _corrected(tracked, reduced, sample_s, order, smooth=smooth)
+        tracked = _corrected(tracked, reduced.astype(np.float64, copy=False), sample_s, order, smooth=smooth)
     return tracked
 
 

@@ -1,0 +1,39 @@
+"""What other packages load only because they might be asked for it, and nobody here asks: left out of this program.
+
+Only the command line does this, before the packages load; a program that imports crankorder finds them whole.
+"""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+
+UNUSED = ("pyfftw.interfaces",)
+"""pyFFTW's stand-ins for numpy.fft and scipy.fft: they load both, and scipy.special, which takes longer than FFTW."""
+
+UNUSED_BY_NUMBA = ("cffi", "scipy.linalg.cython_blas")
+"""What numba looks for when its first kernel runs: no kernel here calls C functions by cffi, or BLAS."""
+
+
+def leave_out_unused() -> None:
+    """Have the packages of ``UNUSED`` load without the parts that nobody here uses."""
+    for name in UNUSED:
+        sys.modules.setdefault(name, ModuleType(name, "left out by crankorder.batch.lean"))
+
+
+def load_kernels() -> None:
+    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker."""
+    import numpy as np
+
+    from crankorder.settings import load_settings
+    from crankorder.shaft.pulses import find_pulses
+
+    absent = [name for name in UNUSED_BY_NUMBA if name not in sys.modules]
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: "cannot be imported", as documented
+    try:
+        trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
+        shaft = load_settings().shaft
+        find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
+    finally:
+        for name in absent:
+            del sys.modules[name]

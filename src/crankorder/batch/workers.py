@@ -1,0 +1,208 @@
+"""Processes that share one import: forked from this one when its modules are there, each working on its own.
+
+A worker that dies (a crash inside a file library, a kill) takes one task with it and no more. Where the system has no
+safe fork (Windows, macOS) the same calls run in threads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection, Pipe, wait
+from typing import Any
+
+FORKS = sys.platform == "linux"
+"""Whether workers are processes; the libraries used here survive a fork on Linux alone."""
+
+_ours: list[Connection] = []
+"""This process's ends of the lines to its workers: a worker closes them, so that it ends when this process does."""
+
+
+class WorkerDiedError(Exception):
+    """A worker ended without an answer; the text says by what signal or status."""
+
+
+class RemoteTraceback(Exception):
+    """Where in a worker an error was raised, as text: the cause of that error here."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+class Worker:
+    """A process that does ``task`` for each request, in the order in which they are asked."""
+
+    def __init__(self, task: Callable[[Any], Any]) -> None:
+        """Start a worker that does ``task``; it has all that this process has imported and made so far."""
+        self._task = task
+        self._waiting: list[Any] = []
+        self.connection: Connection | None = None
+        if FORKS:
+            self._fork()
+
+    def _fork(self) -> None:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        ours, theirs = Pipe()
+        gc.freeze()  # what exists stays in pages that both share
+        self.pid = os.fork()
+        if self.pid == 0:
+            ours.close()
+            _serve(self._task, theirs)
+        gc.unfreeze()
+        theirs.close()
+        self.connection = ours
+        _ours.append(ours)
+
+    def ask(self, request: Any) -> None:
+        """Hand over one ``request``; its answer comes after those of earlier ones."""
+        if self.connection is None:
+            self._waiting.append(request)
+            return
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # told by answer()
+            self.connection.send(request)
+
+    def answer(self) -> Any:
+        """Answer to the earliest request that has none yet.
+
+        Raises what the task raised; WorkerDiedError where the worker is gone.
+        """
+        if self.connection is None:
+            return self._task(self._waiting.pop(0))
+        try:
+            done, value, where = self.connection.recv()
+        except (EOFError, ConnectionResetError):
+            raise WorkerDiedError(self._end()) from None
+        if done:
+            return value
+        value.__cause__ = RemoteTraceback(where)
+        raise value
+
+    @property
+    def dead(self) -> bool:
+        """Whether the worker has ended."""
+        return self.connection is not None and self.connection.closed
+
+    def _end(self) -> str:
+        """Wait for the end of the worker and say how it ended."""
+        self._forget()
+        _, status = os.waitpid(self.pid, 0)
+        code = os.waitstatus_to_exitcode(status)
+        if code >= 0:
+            return f"its worker ended with status {code}"
+        return f"its worker was ended by {signal.Signals(-code).name}"
+
+    def _forget(self) -> None:
+        assert self.connection is not None
+        _ours.remove(self.connection)
+        self.connection.close()
+
+    def close(self) -> None:
+        """End the worker, in the middle of its task if it has one."""
+        if self.connection is None or self.dead:
+            return
+        self._forget()
+        with contextlib.suppress(ProcessLookupError, ChildProcessError):
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
+
+
+def _serve(task: Callable[[Any], Any], connection: Connection) -> None:
+    """Answer requests until the other end closes; never return."""
+    status = 1
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal tells the whole group; the parent ends its workers
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        while _ours:
+            _ours.pop().close()
+        _ours.append(connection)  # for the workers of this worker
+        while True:
+            connection.send(_answer(task, connection.recv()))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        status = 0
+    except BaseException:  # nothing may leave: this is a copy of a program that goes on elsewhere
+        traceback.print_exc()
+    finally:
+        os._exit(status)
+
+
+def _answer(task: Callable[[Any], Any], request: Any) -> tuple[bool, Any, str]:
+    try:
+        return True, task(request), ""
+    except BaseException as error:
+        where = traceback.format_exc()
+        try:
+            from multiprocessing.reduction import ForkingPickler
+
+            ForkingPickler.loads(ForkingPickler.dumps(error))
+        except Exception:
+            error = RuntimeError(f"{type(error).__name__}: {error}")
+        return False, error, where
+
+
+def each(task: Callable[[int], Any], count: int, *, jobs: int) -> Iterator[tuple[int, Callable[[], Any]]]:
+    """Number and answer of ``task(0)`` … ``task(count - 1)``, ``jobs`` at a time, as they are done.
+
+    The answer is a call that gives the value or raises what the task raised; WorkerDiedError where its process died:
+    the others go on in a new one.
+    """
+    if not FORKS:
+        yield from _each_in_threads(task, count, jobs)
+        return
+    left = list(range(count))[::-1]
+    busy: dict[Any, tuple[Worker, int]] = {}
+
+    def go_on(worker: Worker) -> None:
+        number = left.pop()
+        worker.ask(number)
+        busy[worker.connection] = (worker, number)
+
+    try:
+        for _ in range(min(jobs, count)):
+            go_on(Worker(task))
+        while busy:
+            for line in wait(list(busy)):
+                worker, number = busy.pop(line)
+                answer = _kept(worker)
+                if left:
+                    go_on(Worker(task) if worker.dead else worker)
+                else:
+                    worker.close()
+                yield number, answer
+    finally:
+        for worker, _ in busy.values():
+            worker.close()
+
+
+def _kept(worker: Worker) -> Callable[[], Any]:
+    try:
+        value = worker.answer()
+    except BaseException as error:
+        return _raising(error)
+    return lambda: value
+
+
+def _raising(error: BaseException) -> Callable[[], Any]:
+    def again() -> Any:
+        raise error
+
+    return again
+
+
+def _each_in_threads(task: Callable[[int], Any], count: int, jobs: int) -> Iterator[tuple[int, Callable[[], Any]]]:
+    from concurrent.futures import ThreadPoolExecutor, as_completed
+
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        futures = {pool.submit(task, number): number for number in range(count)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

@@ -1,0 +1,188 @@
+"""The Vold-Kalman filter where others lose it: close and crossing orders, gaps, long records, far amplitudes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from crankorder.errors import RequestError
+from crankorder.orders.vold_kalman import vold_kalman
+from crankorder.orders.vold_kalman_bandwidth import structural_weight
+from crankorder.orders.vold_kalman_system import EnvelopeSystem
+
+RATE_HZ = 5000.0
+
+
+def lines(amplitude: NDArray[np.complex128], phase_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum of lines of constant ``amplitude`` (orders,) along ``phase_rev`` (orders, samples)."""
+    turn = np.exp(2j * np.pi * (phase_rev - np.floor(phase_rev)))
+    return np.real(amplitude[:, None] * turn).sum(axis=0)
+
+
+def test_order_5_5_beside_5_48_is_told_apart() -> None:
+    time_s = np.arange(75_000) / RATE_HZ
+    crank_rev = 25.0 * time_s + 0.4 * np.sin(0.5 * time_s)
+    phase, truth = np.stack([5.5 * crank_rev, 5.48 * crank_rev]), np.array([1.0 + 0.5j, 0.1 - 0.2j])
+    tracks = vold_kalman([lines(truth, phase)], phase, rate_hz=RATE_HZ, bandwidth_hz=0.25)
+    assert np.abs(tracks.amplitude[0] - truth[:, None]).max() < 1e-11
+    with pytest.raises(RequestError, match=r"components 0 and 1 cannot be told apart; found 0\.5"):
+        vold_kalman([lines(truth, phase)], phase, rate_hz=RATE_HZ, bandwidth_hz=10.0)
+
+
+def test_two_shafts_within_half_a_percent_cross_and_stay_apart() -> None:
+    """Around the crossing the data do not tell the two apart, and the standard error says so: it allows for envelopes
+    that change unseen meanwhile, while those of this test do not."""
+    time_s = np.arange(200_000) / RATE_HZ
+    speed = 60.0 + 0.5 * time_s
+    first = 60.0 * time_s + 0.25 * time_s**2
+    slip = np.cumsum(0.005 * speed * (time_s - 20.0) / 20.0) / RATE_HZ
+    phase, truth = np.stack([first, first + slip]), np.array([1.0 + 0.0j, 0.6j])
+    clean = vold_kalman([lines(truth, phase)], phase, rate_hz=RATE_HZ, bandwidth_hz=0.1)
+    assert np.abs(clean.amplitude[0] - truth[:, None]).max() < 1e-10
+    noise = 0.2 * np.random.default_rng(1).normal(size=(24, len(time_s)))
+    tracks = vold_kalman(lines(truth, phase) + noise, phase, rate_hz=RATE_HZ, bandwidth_hz=0.1)
+    wrong = np.sqrt(np.mean(np.abs(tracks.amplitude - truth[:, None]) ** 2, axis=0) / 2.0)
+    stated = tracks.standard_error.mean(axis=0)
+    apart = np.array([30_000, 40_000, 160_000, 170_000])
+    assert wrong[:, apart] == pytest.approx(stated[:, apart], rel=0.35)
+    assert np.all(stated[:, 100_000] > 1.5 * stated[:, 40_000])
+    assert np.all(wrong[:, 100_000] < stated[:, 100_000])
+
+
+def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
+    rate_hz = 20_000.0
+    time_s = np.arange(1_200_000) / rate_hz
+    speed_hz = 5.0 + 10_000.0 / 60.0 * np.abs(time_s % 2.0 - 1.0)
+    phase = np.cumsum(speed_hz)[None] / rate_hz * np.array([[2.0], [3.0]])
+    truth = np.array([1.0 - 0.3j, 0.4 + 0.2j])
+    tracks = vold_kalman([lines(truth, phase)], phase, rate_hz=rate_hz, bandwidth_hz=4.0)
+    assert np.abs(tracks.amplitude[0] - truth[:, None]).max() < 1e-10
+
+
+@pytest.mark.parametrize("ratio", [5e2, 1e4, 5e5, 5e7])
+def test_weights_beyond_1e20_leave_a_steady_amplitude_exact(ratio: float) -> None:
+    rate_hz = 50_000.0
+    time_s = np.arange(500_000) / rate_hz
+    phase = (2.0 * (10.0 * time_s + time_s**2))[None]
+    truth = np.array([1.7 * np.exp(0.4j)])
+    tracks = vold_kalman([lines(truth, phase)], phase, rate_hz=rate_hz, bandwidth_hz=rate_hz / ratio)
+    assert float(structural_weight(np.array(rate_hz / 5e5), rate_hz=rate_hz, poles=2)) > 1e20
+    assert np.abs(tracks.amplitude - truth[0]).max() < 1e-13
+
+
+def test_at_a_weight_of_1e20_the_gain_is_half_the_power_at_half_the_bandwidth() -> None:
+    rate_hz, bandwidth_hz = 50_000.0, 0.1
+    time_s = np.arange(4_000_000) / rate_hz
+    signal = np.cos(2 * np.pi * (30.0 + 0.5 * bandwidth_hz) * time_s)
+    tracks = vold_kalman([signal], [30.0 * time_s], rate_hz=rate_hz, bandwidth_hz=bandwidth_hz)
+    middle = slice(1_900_000, 2_100_000)
+    assert np.abs(tracks.amplitude[0, 0, middle]) == pytest.approx(np.sqrt(0.5), abs=1e-4)
+
+
+def test_ten_million_samples_pass_through_in_blocks() -> None:
+    rate_hz, n, block = 50_000.0, 10_000_000, 500_000
+    truth = np.array([2.0 - 1.0j])
+    system = EnvelopeSystem(n_samples=n, n_channels=1, bandwidth_hz=np.array([[0.5, 0.5]]), rate_hz=rate_hz, poles=2)
+
+    def part(begin: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        time_s = np.arange(begin, begin + block) / rate_hz
+        phase = (20.0 * time_s + 0.5 * time_s**2)[None]
+        return lines(truth, phase)[None], phase, np.ones(block, dtype=bool)
+
+    for begin in range(0, n, block):
+        system.add(*part(begin), begin=begin)
+    solution = system.solve()
+    for begin in range(0, n, block):
+        amplitude, residual = system.read(solution, *part(begin), begin=begin)
+        assert np.abs(amplitude - truth).max() < 1e-13
+        assert np.abs(residual).max() < 1e-12
+    assert system.gram.nbytes < 1e-2 * 8 * n
+
+
+@pytest.mark.parametrize("bandwidth_hz", [1.0, 20.0, 100.0])
+def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz: float) -> None:
+    time_s = np.arange(30_000) / RATE_HZ
+    phase, truth = (80.0 * time_s + 3.0 * time_s**2)[None], np.array([1.0 + 1.0j])
+    tracks = vold_kalman([lines(truth, phase) + 1e6], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    assert np.abs(tracks.amplitude - truth).max() < 1e-7
+    assert tracks.offset == pytest.approx(1e6, rel=1e-12)
+
+
+@pytest.mark.parametrize("bandwidth_hz", [1.0, 80.0])
+@pytest.mark.parametrize("size", [1e-300, 1e300])
+def test_amplitudes_of_1e_300_and_1e300_survive(size: float, bandwidth_hz: float) -> None:
+    time_s = np.arange(20_000) / RATE_HZ
+    phase, truth = (80.0 * time_s)[None], np.array([0.3 - 1.1j])
+    signal = lines(truth, phase) + 0.1 * np.random.default_rng(2).normal(size=len(time_s))
+    plain = vold_kalman([signal], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    tracks = vold_kalman([signal * size], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    assert np.abs(tracks.amplitude / size - plain.amplitude).max() < 1e-12
+    assert tracks.error / size == pytest.approx(plain.error, rel=1e-10)
+    assert np.abs(tracks.residual / size - plain.residual).max() < 1e-12
+
+
+def test_a_silent_channel_stays_silent() -> None:
+    phase = 80.0 * np.arange(20_000) / RATE_HZ
+    tracks = vold_kalman(np.zeros((1, 20_000)), [phase], rate_hz=RATE_HZ, bandwidth_hz=1.0)
+    assert not tracks.amplitude.any() and not tracks.residual.any() and not tracks.error.any()
+
+
+@pytest.mark.parametrize(("bandwidth_hz", "times"), [(1.0, 1.5), (80.0, 100.0)])
+def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz: float, times: float) -> None:
+    time_s = np.arange(60_000) / RATE_HZ
+    phase, truth = (80.0 * time_s + time_s**2)[None], np.array([1.0 + 1.0j])
+    signal = np.stack([lines(truth, phase)] * 2) + 1e-3 * np.random.default_rng(3).normal(size=(2, len(time_s)))
+    holed = signal.copy()
+    holed[0, 30_000:35_000] = np.nan
+    named = np.ones_like(signal, dtype=bool)
+    named[0, 30_000:35_000] = False
+    settings = {"rate_hz": RATE_HZ, "bandwidth_hz": bandwidth_hz}
+    tracks, by_mask = vold_kalman(holed, phase, **settings), vold_kalman(signal, phase, usable=named, **settings)
+    assert np.array_equal(tracks.amplitude, by_mask.amplitude)
+    assert np.isfinite(tracks.amplitude).all() and np.isfinite(tracks.error).all()
+    assert np.abs(tracks.amplitude[1] - truth[:, None]).max() < 2e-3
+    assert np.abs(tracks.amplitude[0, 0, :29_000] - truth).max() < 2e-3
+    error = tracks.standard_error[:, 0]
+    assert error[0, 32_500] > times * error[0, 20_000]
+    assert error[1, 32_500] < 1.5 * error[1, 20_000]
+    assert np.isnan(tracks.residual[0, 30_000:35_000]).all() and np.isfinite(tracks.residual[1]).all()
+
+
+def test_a_line_that_nobody_tracks_is_no_noise() -> None:
+    time_s = np.arange(60_000) / RATE_HZ
+    phase = (80.0 * time_s)[None]
+    noise = 0.1 * np.random.default_rng(4).normal(size=(1, len(time_s)))
+    alone = vold_kalman(noise, phase, rate_hz=RATE_HZ, bandwidth_hz=1.0).error
+    beside = vold_kalman(noise + np.cos(2 * np.pi * 82.5 * time_s), phase, rate_hz=RATE_HZ, bandwidth_hz=1.0).error
+    assert beside.mean() < 1.6 * alone.mean()
+
+
+def coloured(noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """White ``noise`` (draws, samples) through a resonance at 100 Hz, 5 % damping, begun long before."""
+    pole = np.exp((-0.05 + 1j * np.sqrt(1.0 - 0.05**2)) * 2 * np.pi * 100.0 / 2000.0)
+    found = np.zeros_like(noise)
+    for k in range(noise.shape[1]):
+        found[:, k] = noise[:, k] + 2.0 * pole.real * found[:, k - 1] - abs(pole) ** 2 * found[:, k - 2]
+    return found
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("kind", ["white", "coloured", "near a resonance", "beside another order"])
+def test_95_percent_intervals_hold_the_truth_in_95_percent(kind: str) -> None:
+    rate_hz, draws, n = 2000.0, 2000, 12_000
+    time_s = np.arange(n) / rate_hz
+    begin_hz, slope = {"coloured": (40.0, 2.0), "near a resonance": (90.0, 1.0)}.get(kind, (50.0, 2.0))
+    first = begin_hz * time_s + 0.5 * slope * time_s**2
+    phase = np.stack([first, 1.04 * first]) if kind == "beside another order" else first[None]
+    rng = np.random.default_rng(5)
+    truth = np.exp(1j * np.arange(len(phase)))
+    inside = []
+    for _ in range(draws // 100):
+        noise = rng.normal(size=(100, n))
+        noise = coloured(noise) if kind in ("coloured", "near a resonance") else noise
+        tracks = vold_kalman(lines(truth, phase) + noise, phase, rate_hz=rate_hz, bandwidth_hz=1.0)
+        at = np.linspace(0, n - 1, 7).astype(int)
+        off = np.real((tracks.amplitude[:, :, at] - truth[:, None]) * np.exp(-1j * np.angle(truth))[:, None])
+        inside.append(np.abs(off) < 1.96 * tracks.standard_error[:, :, at])
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
