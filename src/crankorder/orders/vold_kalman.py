@@ -1,0 +1,335 @@
+"""Envelopes of orders by the second-generation Vold-Kalman filter: one or several jointly, of one or more shafts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from crankorder.errors import InputError, RequestError
+from crankorder.orders.vold_kalman_bandwidth import noise_bandwidth_share, structural_weight
+from crankorder.orders.vold_kalman_knots import SPLINE_CORRELATION
+from crankorder.orders.vold_kalman_noise import local_level
+from crankorder.orders.vold_kalman_samples import (
+    HEAVIEST,
+    MARGIN_BANDWIDTHS,
+    envelopes_at_samples,
+    sample_errors,
+    with_offset,
+)
+from crankorder.orders.vold_kalman_separation import closest
+from crankorder.orders.vold_kalman_system import KNOTS_PER_BANDWIDTH, EnvelopeSystem, Solution
+
+MOST_POLES = 4
+FEWEST_SAMPLES = 64
+LEAST_SPACING = (6, 6, 6, 3)
+"""Samples between knots, by poles, below which the equations are solved at every sample."""
+
+WIDEST_RATIO = 200.0
+"""Of the bandwidths of joint orders: beyond, the narrowest loses too many digits on the knots of the widest."""
+
+MOST_MAGNIFICATION = 1e3
+"""Noise power of an order, over that of the same order alone, beyond which it counts as not distinguishable."""
+
+_Array = NDArray[np.float64]
+Method = Literal["auto", "knots", "samples"]
+
+
+@dataclass(frozen=True)
+class VoldKalmanTracks:
+    """Tracks of all channels: the line of an order is Re(amplitude · exp(2πi phase_rev)).
+
+    ``amplitude`` (channels, orders, samples), peak; ``residual`` (channels, samples), signal less all tracks, NaN where
+    not usable; ``offset`` (channels,) the constant part, which stays in the residual; ``error_place`` (places,) samples
+    at which ``error`` (channels, orders, places) is the standard error of the real and of the imaginary part, thus of
+    the amplitude too (of the phase in rad: over the amplitude); ``noise_magnification`` (orders,) noise power over that
+    of the order alone, and ``condition`` the largest; ``method``: "knots" or "samples"; ``notes`` for people.
+    """
+
+    amplitude: NDArray[np.complex128]
+    residual: _Array
+    offset: _Array
+    error_place: _Array
+    error: _Array
+    noise_magnification: _Array
+    condition: float
+    method: str
+    notes: tuple[str, ...]
+
+    @property
+    def standard_error(self) -> _Array:
+        """Standard error (channels, orders, samples) at every sample, linear between ``error_place``."""
+        at = np.arange(self.residual.shape[1])
+        flat = self.error.reshape(-1, len(self.error_place))
+        found = [np.interp(at, self.error_place, one) for one in flat]
+        return np.array(found).reshape(*self.error.shape[:2], len(at))
+
+
+def vold_kalman(
+    signals: ArrayLike,
+    phase_rev: ArrayLike,
+    *,
+    rate_hz: float,
+    bandwidth_hz: ArrayLike,
+    poles: int = 2,
+    usable: ArrayLike | None = None,
+    method: Method = "auto",
+) -> VoldKalmanTracks:
+    """VoldKalmanTracks: complex envelopes of all orders at every sample, the residual, and standard errors.
+
+    ``signals`` (channels, samples), float32 or float64; what is not finite is not usable. ``phase_rev`` (orders,
+    samples), revolutions of each component: order times crank angle, of any shaft. ``rate_hz`` of the samples.
+    ``bandwidth_hz`` (orders,) or (orders, samples), or one for all: from half-power point to half-power point, narrower
+    for less noise and better separation, wider for faster changes. ``poles`` 1 to 4: slope beyond the band, 12 dB per
+    octave each. ``usable`` (samples,) or (channels, samples), False where the signal counts nothing; the envelopes go
+    on there as smoothly as they can. ``method``: "samples" solves at every sample; "knots" for quintic envelopes
+    between knots, 16 (one pole: 64) in a reciprocal bandwidth, right at any bandwidth; "auto" takes knots wherever
+    they are six samples apart.
+
+    Data are met in their real form, a cos + b sin, so that the image at minus the frequency does not leak, and a
+    constant is fitted with the orders. Raises RequestError where arguments do not fit or orders cannot be told apart
+    within bandwidth and length, InputError where too few samples are usable.
+    Source: Vold and Leuridan 1993; Tuma 2005; the restriction to splines as in Hutchinson and de Hoog 1985.
+    """
+    values, phase, bandwidth = _checked(signals, phase_rev, bandwidth_hz, rate_hz=rate_hz, poles=poles)
+    mask = _mask(values, usable)
+    spacing = rate_hz / (KNOTS_PER_BANDWIDTH[poles - 1] * float(bandwidth.max()))
+    used = method if method != "auto" else ("knots" if spacing >= LEAST_SPACING[poles - 1] else "samples")
+    _check_ratio(bandwidth, rate_hz=rate_hz, poles=poles, method=used)
+    tracked = _by_knots if used == "knots" else _by_samples
+    groups: dict[bytes, list[int]] = {}
+    for channel, row in enumerate(mask):
+        groups.setdefault(b"" if row.all() else row.tobytes(), []).append(channel)
+    parts = []
+    for chosen in groups.values():
+        group = values if len(chosen) == len(values) else values[chosen]
+        parts.append(tracked(group, phase, bandwidth, mask[chosen[0]], rate_hz, poles))
+    if len(parts) == 1:
+        return parts[0]
+    return _together(parts, list(groups.values()))
+
+
+def _checked(
+    signals: ArrayLike, phase_rev: ArrayLike, bandwidth_hz: ArrayLike, *, rate_hz: float, poles: int
+) -> tuple[NDArray[np.floating], _Array, _Array]:
+    """Arguments as arrays: signals (channels, samples), phases (orders, samples), bandwidths (orders, points)."""
+    values = np.asarray(signals)
+    if values.dtype not in (np.float32, np.float64):
+        values = values.astype(np.float64)
+    phase = np.ascontiguousarray(phase_rev, dtype=np.float64)
+    if values.ndim != 2 or phase.ndim != 2 or values.shape[1] != phase.shape[1] or not len(phase) or not len(values):
+        raise RequestError(
+            "signals and phases do not fit",
+            found=f"signals {values.shape}, phase_rev {phase.shape}",
+            allowed="(channels, samples) and (orders, samples)",
+        )
+    if poles not in range(1, MOST_POLES + 1):
+        raise RequestError("no such filter", place="poles", found=poles, allowed=f"1 to {MOST_POLES}")
+    if values.shape[1] < FEWEST_SAMPLES:
+        raise InputError("too short for a Vold-Kalman filter", found=f"{values.shape[1]} samples", allowed="64 or more")
+    if not np.isfinite(phase.sum()):
+        raise InputError("the phase of an order is not finite", remedy="leave out the samples without crank angle")
+    band = np.atleast_1d(np.asarray(bandwidth_hz, dtype=np.float64))
+    band = np.broadcast_to(band, (len(phase),)) if band.size == 1 else band
+    band = np.repeat(band[:, None], 2, axis=1) if band.ndim == 1 else band
+    if band.ndim != 2 or len(band) != len(phase) or band.shape[1] < 2:
+        raise RequestError("bandwidths do not fit the orders", found=band.shape, allowed=f"({len(phase)},)")
+    if not (np.isfinite(band).all() and band.min() > 0.0 and band.max() < 0.5 * rate_hz):
+        found = f"{band.min():g} to {band.max():g} Hz"
+        raise RequestError("no such bandwidth", found=found, allowed=f"above 0, below {0.5 * rate_hz:g} Hz")
+    return np.ascontiguousarray(values), phase, np.ascontiguousarray(band)
+
+
+def _mask(values: NDArray[np.floating], usable: ArrayLike | None) -> NDArray[np.bool_]:
+    """Which samples count (channels, samples): those named and finite."""
+    mask: NDArray[np.bool_] = np.isfinite(values)
+    if usable is not None:
+        named = np.asarray(usable, dtype=bool)
+        if named.shape not in (values.shape, values.shape[1:]):
+            raise RequestError("usable does not fit the signals", found=named.shape, allowed=str(values.shape))
+        mask &= named
+    if mask.sum(axis=1).min() < FEWEST_SAMPLES:
+        found = f"{mask.sum(axis=1).min()} usable samples in one channel"
+        raise InputError("too short for a Vold-Kalman filter", found=found, allowed="64 or more")
+    return mask
+
+
+def _check_ratio(bandwidth: _Array, *, rate_hz: float, poles: int, method: str) -> None:
+    widest, narrowest = float(bandwidth.max()), float(bandwidth.min())
+    if method == "samples":
+        heaviest = float(structural_weight(np.array(narrowest), rate_hz=rate_hz, poles=poles)) * 4.0**poles
+        if heaviest > HEAVIEST:
+            raise RequestError(
+                "the bandwidth is too narrow to solve at every sample",
+                found=f"4^poles r² = {heaviest:.1e} for {narrowest:g} Hz",
+                allowed=f"up to {HEAVIEST:g}",
+                remedy="track this order apart from the wide ones" if widest > 2 * narrowest else "use method 'knots'",
+            )
+    elif float((bandwidth.max(axis=0) / bandwidth.min(axis=0)).max()) > WIDEST_RATIO:
+        raise RequestError(
+            "the bandwidths of orders tracked jointly differ too much",
+            found=f"{narrowest:g} and {widest:g} Hz",
+            allowed=f"up to 1 : {WIDEST_RATIO:g}",
+            remedy="track the narrow and the wide ones apart",
+        )
+
+
+def _scales(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> _Array:
+    """Powers of two (channels,) that bring signals near one: squares then neither overflow nor vanish."""
+    whole = bool(mask.all())
+    known = [row if whole else row[mask] for row in values]
+    largest = np.array([max(float(row.max()), -float(row.min())) for row in known])
+    return np.asarray(np.ldexp(1.0, np.clip(-np.frexp(largest)[1], -1000, 1000)))
+
+
+def _by_knots(
+    values: NDArray[np.floating],
+    phase: _Array,
+    bandwidth: _Array,
+    mask: NDArray[np.bool_],
+    rate_hz: float,
+    poles: int,
+) -> VoldKalmanTracks:
+    system = EnvelopeSystem(
+        n_samples=values.shape[1],
+        n_channels=len(values),
+        bandwidth_hz=bandwidth,
+        rate_hz=rate_hz,
+        poles=poles,
+        scale=_scales(values, mask),
+    )
+    system.add(values, phase, mask, begin=0)
+    try:
+        solution = system.solve()
+    except RequestError as not_definite:
+        raise _indistinguishable(phase, bandwidth, rate_hz, np.inf) from not_definite
+    middle = system.knots.middles
+    usable_share = np.add.reduceat(mask, system.knots.starts[:-1], dtype=np.int64) / np.diff(system.knots.starts)
+    magnification = _magnification(solution.variance, usable_share, middle, bandwidth, len(mask), rate_hz, poles)
+    if magnification.max() > MOST_MAGNIFICATION:
+        raise _indistinguishable(phase, bandwidth, rate_hz, float(magnification.max()))
+    amplitude, residual = system.read(solution, values, phase, mask, begin=0)
+    error = standard_errors(system, solution)
+    notes = [f"quintic envelopes on {system.knots.intervals} intervals; constant part fitted with the orders"]
+    if magnification.max() > 2.0:
+        notes.append(f"orders are close: noise power up to {magnification.max():.3g} times that of each alone")
+    offset = solution.offset / system.scale
+    condition = float(magnification.max())
+    return VoldKalmanTracks(amplitude, residual, offset, middle, error, magnification, condition, "knots", tuple(notes))
+
+
+def standard_errors(system: EnvelopeSystem, solution: Solution) -> _Array:
+    """Standard errors (channels, orders, intervals) in the middle of each interval, of real and imaginary part.
+
+    ``system`` must have read all of its record with ``solution``. The noise is that of the local residual spectrum
+    beside each order; what the filter lets through of it is the variance of the solution.
+    """
+    sums, weight = system.residual_sums()
+    place = np.arange(system.knots.intervals) + 0.5 * (weight.shape[1] - system.knots.intervals)
+    found = np.empty((len(sums), system.n_orders, system.knots.intervals))
+    for k in range(system.n_orders):
+        at, level = local_level(
+            sums[:, k],
+            weight[k],
+            system.distances(k),
+            sums_per_bandwidth=system.sums_per_bandwidth[k],
+            poles=system.poles,
+            correlation=SPLINE_CORRELATION,
+        )
+        spread = 0.5 * (solution.variance[:, k] + solution.variance[:, system.n_orders + k])
+        for channel in range(len(sums)):
+            noise = np.sqrt(np.interp(place, at, level[channel]) * spread)
+            found[channel, k] = noise / system.scale[channel]
+    return found
+
+
+def _by_samples(
+    values: NDArray[np.floating],
+    phase: _Array,
+    bandwidth: _Array,
+    mask: NDArray[np.bool_],
+    rate_hz: float,
+    poles: int,
+) -> VoldKalmanTracks:
+    n_samples = values.shape[1]
+    scale = _scales(values, mask)
+    signals = np.where(mask, values, 0.0) * scale[:, None]
+    at, points = np.arange(n_samples, dtype=np.float64), np.linspace(0.0, n_samples - 1.0, bandwidth.shape[1])
+    widths = np.array([np.interp(at, points, one) for one in bandwidth])
+    weight = structural_weight(widths, rate_hz=rate_hz, poles=poles)
+    margin = int(np.ceil(MARGIN_BANDWIDTHS * rate_hz / bandwidth.min()))
+    try:
+        found = envelopes_at_samples(signals, phase, mask, weight=weight, poles=poles, margin=margin)
+    except RequestError as not_definite:
+        raise _indistinguishable(phase, bandwidth, rate_hz, np.inf) from not_definite
+    variance = found.variance * (1.0 - 0.5 / poles)
+    magnification = _magnification(variance, mask.astype(np.float64), at, bandwidth, n_samples, rate_hz, poles)
+    condition = float(magnification.max())
+    if condition > MOST_MAGNIFICATION:
+        raise _indistinguishable(phase, bandwidth, rate_hz, condition)
+    amplitude, remaining, offset = with_offset(found.values, signals, phase, mask)
+    errors = sample_errors(
+        remaining - offset[:, None], phase, mask, variance, rate_hz / np.median(bandwidth, axis=1), poles
+    )
+    amplitude /= scale[:, None, None]
+    errors /= scale[:, None, None]
+    residual = np.where(mask, remaining, np.nan) / scale[:, None]
+    notes = ("envelopes at every sample; constant part fitted with the orders",)
+    return VoldKalmanTracks(amplitude, residual, offset / scale, at, errors, magnification, condition, "samples", notes)
+
+
+def _magnification(
+    variance: _Array,
+    usable_share: _Array,
+    place: _Array,
+    bandwidth: _Array,
+    n_samples: int,
+    rate_hz: float,
+    poles: int,
+) -> _Array:
+    """Noise power of each order over that of the order alone, median over the usable places (orders,)."""
+    n_orders = len(bandwidth)
+    points = np.linspace(0.0, n_samples, bandwidth.shape[1])
+    seen = usable_share > 0.5 if np.any(usable_share > 0.5) else usable_share > 0.0
+    found = []
+    for k in range(n_orders):
+        width = np.interp(place, points, bandwidth[k])
+        alone = 2.0 * noise_bandwidth_share(poles) * width / rate_hz + 2.0 * poles / n_samples
+        both = 0.5 * (variance[:, k] + variance[:, n_orders + k])
+        found.append(float(np.median((both / alone)[seen])))
+    return np.array(found)
+
+
+def _indistinguishable(phase: _Array, bandwidth: _Array, rate_hz: float, magnification: float) -> RequestError:
+    pair, distance_hz = closest(phase, bandwidth, rate_hz=rate_hz)
+    seconds = phase.shape[1] / rate_hz
+    return RequestError(
+        f"{pair} cannot be told apart",
+        found=f"{distance_hz:.4g} Hz apart, bandwidth {bandwidth.max():g} Hz, {seconds:g} s; noise power times "
+        f"{magnification:.2g}",
+        allowed=f"a noise power up to {MOST_MAGNIFICATION:g} times that of each order alone",
+        remedy=f"ask for a bandwidth below {max(distance_hz, 1e-300):.2g} Hz, take a longer recording, or fewer orders",
+    )
+
+
+def _together(parts: list[VoldKalmanTracks], groups: list[list[int]]) -> VoldKalmanTracks:
+    """Tracks of all channels from those of groups with equal gaps."""
+    order = np.argsort([channel for group in groups for channel in group])
+    worst = max(parts, key=lambda part: part.condition)
+    stacked = {
+        name: np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("amplitude", "residual", "offset", "error")
+    }
+    return VoldKalmanTracks(
+        stacked["amplitude"],
+        stacked["residual"],
+        stacked["offset"],
+        worst.error_place,
+        stacked["error"],
+        worst.noise_magnification,
+        worst.condition,
+        worst.method,
+        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )

@@ -1,0 +1,243 @@
+"""Envelopes of orders as splines: the Vold-Kalman equations taken in by blocks, solved, and read by blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.errors import RequestError
+from crankorder.orders.vold_kalman_assembly import (
+    apply_roughness,
+    assemble_gram,
+    assemble_roughness,
+    gather,
+    scatter,
+    spline_products,
+    variance_at_middles,
+)
+from crankorder.orders.vold_kalman_banded import factorise, inverse_band, product, solve
+from crankorder.orders.vold_kalman_bandwidth import structural_weight
+from crankorder.orders.vold_kalman_kernels import add_moments, evaluate
+from crankorder.orders.vold_kalman_knots import (
+    DEGREE,
+    FEWEST_INTERVALS,
+    difference_slopes,
+    local_differences,
+    place_knots,
+    roughness,
+    spline_pieces,
+)
+from crankorder.orders.vold_kalman_short import solve_short
+
+KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
+"""Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
+order than 8 bandwidths (which the exact filter lets through 3e-5 of, with two poles) is rejected altogether. The gain
+of one pole falls so slowly that more of what lies there belongs to the exact solution."""
+
+REFINEMENTS = 3
+"""Most steps of iterative refinement; one is enough unless orders are close."""
+
+ENOUGH = 1e-10
+"""Relative size of a step of refinement after which the next one would be below rounding."""
+
+LEAST_CONSTANT = 1e-6
+"""Share of a constant that the orders must leave unexplained for it to be told from them."""
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Envelopes of all channels: ``pieces`` (intervals, channels, rows, powers of u), ``offset`` (channels,) the
+    constant part, ``variance`` (intervals, rows) per unit of white noise variance, in the middle of each interval."""
+
+    pieces: _Array
+    offset: _Array
+    variance: _Array
+
+
+class EnvelopeSystem:
+    """Vold-Kalman equations of one record: ``add`` every block in turn, ``solve``, then ``read`` every block.
+
+    Memory grows with the number of knots, that is with bandwidth times length, not with the samples.
+    """
+
+    def __init__(
+        self,
+        *,
+        n_samples: int,
+        n_channels: int,
+        bandwidth_hz: _Array,
+        rate_hz: float,
+        poles: int,
+        scale: _Array | None = None,
+    ) -> None:
+        """The equations without data.
+
+        ``n_samples`` of the record at ``rate_hz``, ``n_channels``; ``bandwidth_hz`` (orders, points), the points even
+        across the record with the first at its beginning and the last at its end; ``poles`` of the filter; ``scale``
+        (channels,) by which signals are multiplied inside, powers of two that bring them near one.
+        """
+        self.poles, self.n_orders = poles, len(bandwidth_hz)
+        self.scale = np.ones(n_channels) if scale is None else scale
+        spacing = rate_hz / (KNOTS_PER_BANDWIDTH[poles - 1] * bandwidth_hz.max(axis=0))
+        self.knots = place_knots(spacing, n_samples, fewest=FEWEST_INTERVALS)
+        places_hz = rate_hz * self.knots.intervals / n_samples
+        self.sums_per_bandwidth = places_hz / np.median(bandwidth_hz, axis=1)
+        intervals, rows = self.knots.intervals, 2 * self.n_orders
+        self.weight = self._weights(bandwidth_hz, rate_hz, n_samples)
+        self._place_splines()
+        self.gram = np.zeros((intervals, rows * (rows + 1) // 2, 2 * DEGREE + 1))
+        self.data = np.zeros((intervals, n_channels + 1, rows, DEGREE + 1))
+        self.residual_data = np.zeros((intervals, n_channels, rows, DEGREE + 1))
+        self.totals = np.zeros(n_channels + 1)
+        self.knot_phase_rev = np.zeros((self.n_orders, intervals + 1))
+        self.data_band = np.empty((0, 0))
+
+    def _weights(self, bandwidth_hz: _Array, rate_hz: float, n_samples: int) -> _Array:
+        middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
+        points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
+        at_knots = np.array([np.interp(middle, points, one) for one in bandwidth_hz])
+        weight = structural_weight(at_knots, rate_hz=rate_hz, poles=self.poles)
+        return np.ascontiguousarray(weight.T)
+
+    def _place_splines(self) -> None:
+        runs, knots = self.knots.runs, self.knots
+        self.kind = np.searchsorted(runs, np.arange(knots.intervals), side="right") - 1
+        self.splines = spline_pieces(knots.extended, runs, DEGREE)
+        self.forms = roughness(knots, runs, self.poles)
+        self.slopes = difference_slopes(knots, self.poles)
+        steep = local_differences(knots, runs, self.poles)
+        self.stiffness = np.ascontiguousarray(steep.transpose(0, 2, 1) @ self.forms @ steep)
+
+    def add(self, signals: NDArray[np.floating], phase_rev: _Array, usable: NDArray[np.bool_], *, begin: int) -> None:
+        """Take in the samples from number ``begin`` on.
+
+        ``signals`` (channels, samples), ``phase_rev`` (orders, samples), ``usable`` (samples,); blocks in any order,
+        each once.
+        """
+        starts = self.knots.starts
+        end = begin + phase_rev.shape[1]
+        inside = np.flatnonzero((starts >= begin) & (starts < end))
+        self.knot_phase_rev[:, inside] = phase_rev[:, starts[inside] - begin]
+        if end == starts[-1]:
+            self.knot_phase_rev[:, -1] = 2.0 * phase_rev[:, -1] - phase_rev[:, -2]
+        add_moments(signals, self.scale, phase_rev, usable, begin, starts, self.gram, self.data, self.totals)
+
+    def solve(self) -> Solution:
+        """Envelopes of all channels, jointly over orders.
+
+        Raises RequestError where orders cannot be told apart to working precision.
+        """
+        n_splines, rows = self.knots.intervals + DEGREE, 2 * self.n_orders
+        self.data_band = np.zeros((n_splines * rows, rows * (DEGREE + 1)))
+        assemble_gram(self.gram, spline_products(self.splines), self.kind, self.data_band)
+        wanted = np.zeros((self.data.shape[1], n_splines, rows))
+        gather(self.data, self.splines, self.kind, wanted)
+        if self.knots.intervals <= FEWEST_INTERVALS:
+            forms = self.forms[self.kind]
+            found, covariance = solve_short(self.data_band, forms, self.weight, self.slopes, wanted)
+            inverse = _band_of(covariance, self.data_band.shape[1] - 1)
+        else:
+            found, inverse = self._solve_long(wanted)
+        offset = self._offset(found, wanted)
+        values = found[:-1] - found[-1] * offset[:, None, None]
+        pieces = np.empty((self.knots.intervals, len(self.scale), rows, DEGREE + 1))
+        scatter(values, self.splines, self.kind, pieces)
+        return Solution(pieces, offset, variance_at_middles(inverse, self.splines, self.kind, rows))
+
+    def _solve_long(self, wanted: _Array) -> tuple[_Array, _Array]:
+        """Coefficients, and the band of their covariance from data noise.
+
+        That noise is the same share 1 - 1/(2 poles) of the inverse everywhere: the noise bandwidth of the filter over
+        that of its square root (measured: within 2 % at the ends as well). The rest is what envelopes may do unseen.
+        """
+        factor = self.data_band.copy()
+        assemble_roughness(self.stiffness, self.kind, self.weight, factor)
+        failed = factorise(factor)
+        if failed >= 0:
+            raise RequestError(
+                "the normal equations are not definite",
+                found=f"coefficient {failed} of {len(factor)}",
+                remedy="two of the orders move together, or the usable samples do not determine them",
+            )
+        return self._refined(factor, wanted), inverse_band(factor) * (1.0 - 0.5 / self.poles)
+
+    def _refined(self, factor: _Array, wanted: _Array) -> _Array:
+        found = wanted.copy()
+        solve(factor, found.reshape(len(found), -1))
+        last = np.inf
+        for _ in range(REFINEMENTS):
+            step = wanted - self._applied(found)
+            solve(factor, step.reshape(len(step), -1))
+            found += step
+            change = float(np.abs(step).max()) / max(float(np.abs(found).max()), 1e-300)
+            if change < ENOUGH or change > 0.5 * last:
+                break
+            last = change
+        return found
+
+    def _applied(self, values: _Array) -> _Array:
+        """The normal equations applied to ``values``, roughness by differences: exact where envelopes are smooth."""
+        found = np.zeros_like(values)
+        product(self.data_band, values.reshape(len(values), -1), found.reshape(len(values), -1))
+        apply_roughness(self.forms, self.kind, self.weight, self.slopes, values, found)
+        return found
+
+    def _offset(self, found: _Array, wanted: _Array) -> _Array:
+        """Constant part of each channel, jointly with the orders: the last channel is a signal of ones."""
+        n_usable = self.totals[-1]
+        left = n_usable - float(np.sum(found[-1] * wanted[-1]))
+        if not left > LEAST_CONSTANT * n_usable:
+            return np.zeros(len(self.scale))
+        explained = np.einsum("csr,sr->c", found[:-1], wanted[-1])
+        return np.asarray((self.totals[:-1] - explained) / left)
+
+    def read(
+        self,
+        solution: Solution,
+        signals: NDArray[np.floating],
+        phase_rev: _Array,
+        usable: NDArray[np.bool_],
+        *,
+        begin: int,
+    ) -> tuple[NDArray[np.complex128], _Array]:
+        """Amplitudes (channels, orders, samples) and residual (channels, samples) of the samples from ``begin`` on.
+
+        ``solution`` of ``solve``; ``signals``, ``phase_rev`` and ``usable`` as in ``add``. The residual is noted for
+        the standard errors, thus each block is to be read once.
+        """
+        n = signals.shape[1]
+        amplitude = np.empty((len(self.scale), self.n_orders, 2 * n))
+        residual = np.empty((len(self.scale), n))
+        where = (phase_rev, usable, begin, self.knots.starts, solution.pieces)
+        evaluate(signals, self.scale, solution.offset, *where, amplitude, residual, self.residual_data)
+        return amplitude.view(np.complex128), residual
+
+    def distances(self, order: int) -> _Array:
+        """Distance of the other orders from number ``order`` (others, splines), in cycles per spline."""
+        apart = np.diff(self.knot_phase_rev - self.knot_phase_rev[order], axis=1)
+        extra = (DEGREE - DEGREE // 2, DEGREE // 2)
+        return np.pad(np.delete(apart, order, axis=0), ((0, 0), extra), mode="edge")
+
+    def residual_sums(self) -> tuple[NDArray[np.complex128], _Array]:
+        """What the residual holds about each order, by spline: sums (channels, orders, splines) and their weights.
+
+        The sums are of residual · spline · exp(-2πi phase); for white noise of variance s² their mean square is s²
+        times the weight (orders, splines).
+        """
+        rows, n_splines = 2 * self.n_orders, self.knots.intervals + DEGREE
+        values = np.zeros((len(self.scale), n_splines, rows))
+        gather(self.residual_data, self.splines, self.kind, values)
+        weight = self.data_band[:, -1].reshape(n_splines, rows)
+        k = self.n_orders
+        sums = (values[:, :, :k] - 1j * values[:, :, k:]).transpose(0, 2, 1)
+        return sums, (weight[:, :k] + weight[:, k:]).T
+
+
+def _band_of(matrix: _Array, width: int) -> _Array:
+    """Lower band of a full symmetric ``matrix``, stored as the banded kernels do."""
+    n = len(matrix)
+    return np.array([[matrix[i, max(i - k, 0)] for k in range(width, -1, -1)] for i in range(n)])
