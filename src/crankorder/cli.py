@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
+LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1  # as settings.OrderSettings has it
 MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
 
 
@@ -98,6 +99,11 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--out", required=True, type=FOLDER, help="Folder for the results; made if missing.")
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
 @click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
+@click.option(
+    "--tol",
+    type=click.FloatRange(LEAST_TOLERANCE, LARGEST_TOLERANCE),
+    help="Relative amplitude error that the numerics may add; the cheapest method that meets it is taken.",
+)
 @click.option("--fresh", is_flag=True, help="Recompute even what is finished and unchanged.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done; write nothing.")
 @click.option("--strict", is_flag=True, help='Leave out recordings with flags of severity "suspect".')
@@ -107,6 +113,7 @@ def run(
     out: Path,
     manifest: Path | None,
     recipe: str | None,
+    tol: float | None,
     fresh: bool,
     dry_run: bool,
     strict: bool,
@@ -118,7 +125,7 @@ def run(
     """Analyse test-run folders."""
     from crankorder.batch.plan import plan_tests
 
-    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe)
+    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol)
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
@@ -180,7 +187,7 @@ def _exit_status(outcomes: list[Outcome]) -> int:
 
 
 def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
-    from crankorder.batch.unsought import said_of
+    from crankorder.report.sentences import headline
 
     plan = outcome.plan
     for fault in outcome.faults:
@@ -196,12 +203,14 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     if quiet:
         return
     if outcome.findings is not None:
-        for sentence in said_of(outcome.findings):
+        for sentence in headline(outcome.findings):
             click.echo(sentence, err=True)
     if outcome.status != "failed":
         note = "unchanged, kept" if outcome.status == "unchanged" else "done"
         click.echo(f"{plan.name}: {note}: {plan.out / 'report.html'}", err=True)
     if verbose:
+        if outcome.accuracy:
+            click.echo(f"  {outcome.accuracy}", err=True)
         for name, seconds in outcome.seconds.items():
             click.echo(f"  {name}: {seconds:.2f} s", err=True)
 

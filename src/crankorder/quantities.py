@@ -45,6 +45,12 @@ CampbellMap = NewType("CampbellMap", xr.Dataset)
 OrderTracks = NewType("OrderTracks", xr.Dataset)
 """Amplitude and phase of the found and the asked-for orders against speed."""
 
+RecordingTracks = NewType("RecordingTracks", xr.Dataset)
+"""Complex amplitudes of the orders asked for in frames of one recording, by least squares or Vold–Kalman."""
+
+RecordingCycles = NewType("RecordingCycles", xr.Dataset)
+"""The CycleAverage of one recording alone."""
+
 CycleAverage = NewType("CycleAverage", xr.Dataset)
 """The average engine cycle of each channel against crank angle, by speed, with its spread over the cycles."""
 

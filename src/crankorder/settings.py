@@ -18,7 +18,7 @@ from crankorder.errors import ManyErrors, RequestError
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
-ResultName = Literal["order_map", "campbell_map", "order_tracks", "findings"]
+ResultName = Literal["order_map", "campbell_map", "order_tracks", "findings", "cycle_average", "operating_shapes"]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """What the unit g stands for (3rd CGPM, 1901), exact and no setting: here, because units are read before NumPy is."""

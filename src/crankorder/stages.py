@@ -25,19 +25,27 @@ from crankorder.identify.explain import Sources
 from crankorder.identify.findings import find
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
+from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
+from crankorder.orders.method import METHOD_SHARE
+from crankorder.orders.shapes import operating_shapes
+from crankorder.orders.synchronous_cycles import cycle_average, cycle_averages
 from crankorder.orders.tracks import followed_orders, order_tracks
 from crankorder.quantities import (
     BandRecording,
     CampbellMap,
+    CycleAverage,
     Findings,
     FrequencyFrames,
+    OperatingShapes,
     OrderFrames,
     OrderMap,
     OrderTracks,
     QualityFlag,
     Recording,
+    RecordingCycles,
+    RecordingTracks,
     ShaftAngle,
     check_dataset,
     flags_of,
@@ -53,6 +61,8 @@ RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
 AllOrderFrames = NewType("AllOrderFrames", list[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
+AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
+AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
@@ -63,6 +73,9 @@ SCHEMAS: dict[Any, str] = {
     OrderMap: "order_map",
     CampbellMap: "campbell_map",
     OrderTracks: "order_tracks",
+    RecordingCycles: "cycle_average",
+    CycleAverage: "cycle_average",
+    OperatingShapes: "operating_shapes",
 }
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
@@ -179,10 +192,16 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
     """``recording`` limited to the band that orders and map need at the speeds of ``shaft`` (``settings`` of both)."""
     fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
     frames = frames_wanted(settings)
-    by_order = settings.orders.max_order * fastest_hz if OrderFrames in frames else 0.0
+    by_order = settings.orders.max_order * fastest_hz if {OrderFrames, RecordingCycles} & set(frames) else 0.0
+    by_name = max(settings.orders.track_orders, default=0.0) * fastest_hz if RecordingTracks in frames else 0.0
     by_frequency = settings.campbell.max_frequency_hz if FrequencyFrames in frames else 0.0
-    needed = max(by_order, by_frequency) or settings.campbell.max_frequency_hz
-    return BandRecording(band_limited(recording, band_hz=needed, grid_hz=settings.campbell.resolution_hz))
+    limited = band_limited(
+        recording,
+        band_hz=max(by_order, by_name, by_frequency) or settings.campbell.max_frequency_hz,
+        grid_hz=settings.campbell.resolution_hz,
+        tolerance=(1.0 - METHOD_SHARE) * settings.orders.tolerance,
+    )
+    return BandRecording(limited)
 
 
 @stage
@@ -195,6 +214,18 @@ def frames_by_order(band: BandRecording, shaft: ShaftAngle, settings: Settings) 
 def frames_by_frequency(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FrequencyFrames:
     """Spectra of pieces of ``band`` by time, with the speeds of ``shaft`` (``settings`` of campbell)."""
     return FrequencyFrames(frequency_frames(band, shaft, settings=settings.campbell))
+
+
+@stage
+def tracks_of_recording(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> RecordingTracks:
+    """Orders asked for by name, followed through ``band`` by the angle of ``shaft`` (``settings`` of orders)."""
+    return RecordingTracks(followed_tracks(band, shaft, settings=settings.orders))
+
+
+@stage
+def cycles_of_recording(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> RecordingCycles:
+    """Mean engine cycle of ``band`` by the angle of ``shaft``, with its spread (``settings`` of orders)."""
+    return RecordingCycles(cycle_average(band, shaft, settings=settings.orders))
 
 
 @stage
@@ -218,26 +249,45 @@ def findings(
 
 
 @stage
-def tracks(order_map: OrderMap, findings: Findings, settings: Settings) -> OrderTracks:
-    """Orders that ``findings`` name or ``settings`` ask for, followed over speed in ``order_map``."""
-    return OrderTracks(
-        order_tracks(order_map, followed_orders(order_map, findings, settings.orders), settings=settings.orders)
-    )
+def tracks(order_map: OrderMap, findings: Findings, followed: AllRecordingTracks, settings: Settings) -> OrderTracks:
+    """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` or as they were ``followed``."""
+    orders = followed_orders(order_map, findings, settings.orders)
+    return OrderTracks(with_followed(order_tracks(order_map, orders, settings=settings.orders), followed))
+
+
+@stage
+def cycles(items: AllRecordingCycles, settings: Settings) -> CycleAverage:
+    """Mean engine cycles ``items`` of all recordings joined at like speed (``settings`` of orders)."""
+    return CycleAverage(cycle_averages(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
+
+
+@stage
+def shapes(frames: AllOrderFrames, order_map: OrderMap, findings: Findings, settings: Settings) -> OperatingShapes:
+    """Amplitude and phase over the channels, from ``frames``, of the orders of ``findings`` and ``settings``."""
+    orders = followed_orders(order_map, findings, settings.orders)
+    return OperatingShapes(operating_shapes(frames, orders, settings=settings.orders))
 
 
 OF_ENCODER = (ingest, pattern)
-OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency)
-OF_TEST = (map_by_order, map_by_frequency, findings, tracks)
+OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency, tracks_of_recording, cycles_of_recording)
+OF_TEST = (map_by_order, map_by_frequency, findings, tracks, cycles, shapes)
 
 RESULTS: dict[str, Any] = {
     "order_map": OrderMap,
     "campbell_map": CampbellMap,
     "order_tracks": OrderTracks,
     "findings": Findings,
+    "cycle_average": CycleAverage,
+    "operating_shapes": OperatingShapes,
 }
 """Noun of each result that ``results`` of the report's settings may name."""
 
-FRAMES_OF: dict[Any, Any] = {AllOrderFrames: OrderFrames, AllFrequencyFrames: FrequencyFrames}
+FRAMES_OF: dict[Any, Any] = {
+    AllOrderFrames: OrderFrames,
+    AllFrequencyFrames: FrequencyFrames,
+    AllRecordingTracks: RecordingTracks,
+    AllRecordingCycles: RecordingCycles,
+}
 """Noun of one recording that each gathered noun of a test is made of."""
 
 
@@ -276,7 +326,7 @@ def frames_wanted(settings: Settings) -> tuple[Any, ...]:
 @functools.cache
 def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
     """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
-    given = [AllOrderFrames, AllFrequencyFrames, TestName, Sources, Settings]
+    given = [*FRAMES_OF, TestName, Sources, Settings]
     given += [] if "findings" in results else [Findings]
     return StagePlan(OF_TEST, wanted=[RESULTS[name] for name in results], given=given)
 

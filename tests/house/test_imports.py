@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 FORBIDDEN_NAMES = {"utils", "util", "core", "common", "helpers", "helper", "misc"}
-HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h5netcdf", "pyfftw", "sciline", "jinja2"]
+HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h5netcdf", "pyfftw", "finufft", "jinja2"]
 
 # Runs the command in a fresh interpreter and says on the last line of stderr which heavy packages it loaded.
 PROBE = """

@@ -45,8 +45,9 @@ class Helper:
             with ThreadPoolExecutor(max_workers=self._jobs) as pool:
                 return {"code": code_sha256(), "files": dict(zip(paths, pool.map(_digest, paths), strict=True))}
         from crankorder.batch import publish
+        from crankorder.report.pictures import prepare
 
-        return publish.pictures(*given, jobs=self._jobs) if name == "draw" else None
+        return publish.pictures(*given, jobs=self._jobs) if name == "draw" else prepare()
 
     def hashes(self, plan: TestPlan) -> tuple[str, dict[Path, str]]:
         """SHA-256 of the program, and of every recording of ``plan``; of one that cannot be read its fault instead."""

@@ -33,6 +33,7 @@ from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.explain import Sources
 from crankorder.quantities import QualityFlag, Severity
+from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
@@ -54,6 +55,7 @@ class Outcome:
     internal: list[BaseException] = field(default_factory=list)
     flags: list[QualityFlag] = field(default_factory=list)
     findings: dict[str, Any] | None = None
+    accuracy: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -127,6 +129,7 @@ def _finish(
     ]
     findings["quality"] = [*findings["quality"], *outcome.flags, *_fault_flags(outcome.faults)]
     groups = {**made.datasets, "shaft": _shaft_summary(results)}
+    outcome.accuracy = _accuracy_text(made.datasets.get("order_map"))
     report = plan.settings.report
     helper.start_drawing(groups, findings, report)
     stated = {**provenance, "quality": findings["quality"]}
@@ -263,6 +266,17 @@ def _provenance(plan: TestPlan, code: str, hashes: dict[Path, str]) -> dict[str,
     }
 
 
+def _accuracy_text(order_map: xr.Dataset | None) -> str:
+    """How the order spectra were made, and the errors asked, predicted and achieved; nothing without them."""
+    if order_map is None or "method" not in order_map.attrs:
+        return ""
+    asked, predicted, achieved = (order_map.attrs[name] for name in ("tolerance", "predicted_error", "achieved_error"))
+    return (
+        f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {achieved:.1e} on "
+        f"test tones, {asked:g} asked"
+    )
+
+
 def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
     """Speed, pulses used and angle error of every recording: one row each."""
     shafts = [result.shaft for result in results.values()]
@@ -289,7 +303,7 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
         ("recording", "1", "file name"),
     ):
         summary[name].attrs = {"units": units, "long_name": text}
-    return summary
+    return summary.assign(trace_variables(shafts))
 
 
 def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:

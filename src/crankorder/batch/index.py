@@ -7,9 +7,9 @@ from typing import Any
 
 from crankorder.batch.execute import Outcome
 from crankorder.batch.store import json_bytes, write_atomically
-from crankorder.batch.unsought import said_of
 from crankorder.errors import EnvironmentFailure, printable
 from crankorder.report.page import index_page
+from crankorder.report.sentences import headline
 
 
 def summary(outcomes: list[Outcome], *, out: Path) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def _record(outcome: Outcome, out: Path) -> dict[str, Any]:
         "folder": folder,
         "link": None if outcome.status == "failed" else f"{folder}/report.html",
         "recordings": len(plan.recordings),
-        "headline": [] if outcome.findings is None else said_of(outcome.findings),
+        "headline": [] if outcome.findings is None else headline(outcome.findings),
         "failed": failed,
     }
 

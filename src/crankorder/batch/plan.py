@@ -31,19 +31,25 @@ class TestPlan:
 
 
 def plan_tests(
-    folders: list[Path], out: Path, *, manifest: Path | None = None, recipe: str | None = None
+    folders: list[Path],
+    out: Path,
+    *,
+    manifest: Path | None = None,
+    recipe: str | None = None,
+    tolerance: float | None = None,
 ) -> list[TestPlan]:
     """Plans of the tests in ``folders``, whose results go below ``out``.
 
-    ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe
-    that the manifest names. Raises ManyErrors with the faults of all folders; nothing has been written then.
+    ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
+    the manifest names, ``tolerance`` (relative amplitude error) before that of the recipe. Raises ManyErrors with the
+    faults of all folders; nothing has been written then.
     """
     plans: list[TestPlan] = []
     faults: list[CrankorderError] = []
     taken = {"batch.json", "index.html"}
     for folder in folders:
         try:
-            plans.append(_plan(folder, out, manifest, recipe, taken))
+            plans.append(_plan(folder, out, manifest, recipe, tolerance, taken))
         except ManyErrors as error:
             faults += error.faults
         except CrankorderError as error:
@@ -55,7 +61,9 @@ def plan_tests(
     return plans
 
 
-def _plan(folder: Path, out: Path, manifest: Path | None, recipe: str | None, taken: set[str]) -> TestPlan:
+def _plan(
+    folder: Path, out: Path, manifest: Path | None, recipe: str | None, tolerance: float | None, taken: set[str]
+) -> TestPlan:
     if not folder.is_dir():
         raise RequestError(
             "no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings"
@@ -64,6 +72,8 @@ def _plan(folder: Path, out: Path, manifest: Path | None, recipe: str | None, ta
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
     settings = load_settings(chosen, beside=beside if recipe is None else None)
+    if tolerance is not None:
+        settings = settings.model_copy(update={"orders": settings.orders.model_copy(update={"tolerance": tolerance})})
     found = recordings_of(folder, stated)
     name = folder_name(stated.test.name or folder.resolve().name, taken)
     _refuse_inside(folder, out / name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from crankorder.batch.plan import folder_name
@@ -15,9 +14,6 @@ from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes
 from crankorder.report.page import report_page
 from crankorder.settings import ReportSettings
 
-Drawing = tuple[str, str, Callable[[], bytes]]
-"""File name, caption, and the call that gives the PNG."""
-
 
 def pictures(
     groups: dict[str, xr.Dataset], findings: dict[str, Any], settings: ReportSettings, *, jobs: int = 1
@@ -26,39 +22,19 @@ def pictures(
 
     ``jobs`` pictures are drawn at a time, each in a process of its own where there are more than one.
     """
-    drawings = _drawings(as_stored(groups), findings, settings)
-    if jobs == 1 or not FORKS:  # what draws is not safe in threads
-        return {name: (draw(), caption) for name, caption, draw in drawings}
-    drawn = {number: made() for number, made in each(lambda number: drawings[number][2](), len(drawings), jobs=jobs)}
-    return {name: (drawn[number], caption) for number, (name, caption, _) in enumerate(drawings)}
+    from crankorder.report.pictures import pictures_of
 
-
-def _drawings(groups: dict[str, xr.Dataset], findings: dict[str, Any], settings: ReportSettings) -> list[Drawing]:
-    """What can be drawn of ``groups``, in the order of the page."""
-    from crankorder.report import figures
-
-    campbell, tracks, orders = (groups.get(name) for name in ("campbell_map", "order_tracks", "order_map"))
-
-    def png(made: Callable[..., Any], *given: Any) -> Callable[[], bytes]:
-        return lambda: figures.png_bytes(made(*given, findings, settings=settings), dpi=settings.dpi)
-
-    drawings: list[Drawing] = []
     taken: set[str] = set()
-    shown = campbell is not None and bool(campbell.sizes["speed"])
-    if campbell is not None and shown:
-        for channel in campbell["channel"].values.tolist():
-            name = f"campbell_{folder_name(channel, taken)}.png"
-            drawings.append((name, f"Campbell diagram, {channel}", png(figures.campbell_figure, campbell, channel)))
-    if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
-        caption = "Orders against speed: amplitude and phase"
-        drawings.append(("orders.png", caption, png(figures.orders_figure, tracks)))
-    if orders is not None:
-        caption = "Order spectra: what shakes, order by order"
-        drawings.append(("order_spectra.png", caption, png(figures.order_spectra_figure, orders)))
-    if shown:
-        caption = "Spectra: what stays and what moves with speed"
-        drawings.append(("spectra.png", caption, png(figures.spectra_figure, campbell)))
-    return drawings
+    planned = pictures_of(
+        as_stored(groups), findings, settings=settings, name_of=lambda channel: folder_name(channel, taken)
+    )
+    pages = list(planned.values())
+    if jobs == 1 or not FORKS:
+        drawn = [page.png() for page in pages]
+    else:
+        made = {number: png() for number, png in each(lambda number: pages[number].png(), len(pages), jobs=jobs)}
+        drawn = [made[number] for number in range(len(pages))]
+    return {name: (png, page.caption) for (name, page), png in zip(planned.items(), drawn, strict=True)}
 
 
 def files_of_test(

@@ -39,12 +39,3 @@ def unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: S
         "balance_reason": reason,
         "quality": flags,
     }
-
-
-def said_of(findings: dict[str, Any]) -> list[str]:
-    """The few sentences of ``findings`` that matter most; that nothing was sought, where nothing was."""
-    from crankorder.report.sentences import headline
-
-    if "not_asked_for" in findings:
-        return [f"Findings were {findings['not_asked_for']}."]
-    return headline(findings)

@@ -28,9 +28,9 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
 
     The new rate is a multiple of ``grid_hz`` where that costs little; within the band the amplitudes are right to
     ``tolerance`` (the attribute ``decimation_error`` says what is predicted). float32 stays float32. A short recording
-    keeps its rate, for the filters would take away its ends. A recording by crank angle has no rate to reduce: it only loses its mean. Where samples are missing (NaN) or were not usable
-    before, the variable ``usable`` is False as far as the filters reach. Encoder data are left out, for the shaft
-    angle has been made from them.
+    keeps its rate, for the filters would take away its ends. A recording by crank angle has no rate to reduce: it only
+    loses its mean. Where samples are missing (NaN) or were not usable before, the variable ``usable`` is False as far
+    as the filters reach. Encoder data are left out, for the shaft angle has been made from them.
     """
     axis = "time" if recording.attrs["domain"] == "time" else "crank_angle"
     signals = recording["signal"].values

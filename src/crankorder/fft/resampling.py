@@ -51,8 +51,8 @@ SPLINE_REACH = {3: 28, 5: 44}
 class Kernel:
     """An interpolation kernel: what a value between samples is made from.
 
-    ``name`` is one of KERNEL_NAMES or SMOOTH_NAMES, or sinc-N or kaiser-N; ``taps`` the samples that enter a value. Content up to ``pass_band``
-    (share of the sample rate, above 0, below 0.5) comes out with a largest relative amplitude error of
+    ``name`` is one of KERNEL_NAMES, or sinc-N or kaiser-N; ``taps`` the samples that enter a value. Content up to
+    ``pass_band`` (share of the sample rate, above 0, below 0.5) comes out with a largest relative amplitude error of
     ``predicted_error``, in double precision if ``double``, else in single.
     """
 
@@ -91,8 +91,8 @@ def _checked_share(share: float, what: str) -> float:
 def kernel_named(name: str, *, pass_band: float, double: bool = True) -> Kernel:
     """The kernel called ``name``, made for content up to ``pass_band``, with its predicted error.
 
-    ``name`` is one of KERNEL_NAMES, or sinc-N or kaiser-N with an even N from 4 to 512. ``pass_band`` is a share of the sample rate
-    (above 0, below 0.5): it shapes the least-squares kernels (sinc), and states how far the error of the others holds.
+    ``name`` is one of KERNEL_NAMES, or sinc-N or kaiser-N with an even N from 4 to 512. ``pass_band`` is a share of the
+    sample rate (above 0, below 0.5): it shapes these two families, and states how far the error of the others holds.
     ``double`` says in which precision the kernel will run. Raises RequestError for an unknown name or share.
     """
     family, number = family_and_number(name)

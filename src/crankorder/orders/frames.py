@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.by_angle import is_by_angle, time_samples
-from crankorder.orders.method import KERNEL_SHARE, FrameLayout, frame_layout
+from crankorder.orders.method import METHOD_SHARE, FrameLayout, frame_layout
 from crankorder.orders.spectra import achieved_error, spectra, spectra_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -39,7 +39,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         )
         limit, achieved = np.full(len(speed), 0.5 * per_rev), 0.0
     else:
-        samples = time_samples(band, tolerance=KERNEL_SHARE * settings.tolerance)
+        samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
         spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=settings.max_order)
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
         achieved = achieved_error(samples, shaft, layout, speed_rpm=speed, max_order=settings.max_order)

@@ -93,6 +93,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
     result = _dataset(used[0], order, speed, settings)
+    result.attrs |= _accuracy(used)
     whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
     unit = np.ldexp(1.0, exponent)[:, None, None]
     bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]))
@@ -363,6 +364,15 @@ def _dataset(
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
     result.attrs |= {"phase_reference": first.attrs["phase_reference"], "speed_bin_rpm": settings.speed_bin_rpm}
     return result
+
+
+def _accuracy(used: list[xr.Dataset]) -> dict[str, Any]:
+    """How the frames ``used`` were made, and the largest errors predicted and achieved among them."""
+    stated = [item.attrs for item in used if "method" in item.attrs]
+    if not stated:
+        return {}
+    largest = {name: max(float(a[name]) for a in stated) for name in ("tolerance", "predicted_error", "achieved_error")}
+    return {"method": ", ".join(sorted({str(a["method"]) for a in stated}))} | largest
 
 
 def _dropped_flags(frames: list[xr.Dataset], common: int) -> list[QualityFlag]:

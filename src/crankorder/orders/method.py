@@ -18,7 +18,7 @@ from crankorder.settings import OrderSettings
 MOST_CARRIED = 0.49
 """Share of the sample rate up to which a transform straight from the samples is trusted."""
 
-KERNEL_SHARE = 0.5
+METHOD_SHARE = 0.5
 """Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
 
 LEAST_TOLERANCE = 1e-12
@@ -66,7 +66,7 @@ def frame_layout(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         held = band["signal"].shape[1] / int(band.attrs["samples_per_rev"])
         candidates = [(OrderMethod("as sampled", 0.0, 0, 0.5), first, first + held)]
     else:
-        samples = time_samples(band, tolerance=KERNEL_SHARE * settings.tolerance)
+        samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
         methods = order_methods(samples, settings=settings)
         candidates = [(method, *covered_angles(samples, shaft, margin=method.margin)) for method in methods]
     wanted = settings.revs_per_frame // cycle * cycle
@@ -91,7 +91,7 @@ def order_methods(samples: TimeSamples, *, settings: OrderSettings) -> list[Orde
 
     Raises RequestError where the one asked for cannot meet it.
     """
-    tolerance = KERNEL_SHARE * settings.tolerance
+    tolerance = METHOD_SHARE * settings.tolerance
     methods = []
     if settings.method != "nufft":
         try:

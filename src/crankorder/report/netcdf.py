@@ -30,7 +30,14 @@ CONVENTIONS = "CF-1.11"
 COMPRESSION_LEVEL = (
     1  # level 4: 1.1 % smaller at the same time for a campaign (0.155 s either way), slower on wide bands
 )
-_DOUBLE = ("speed", "order", "frequency", "time", "crank_angle")  # axes keep 64 bits; estimates carry less than 24
+_DOUBLE = (
+    "speed",
+    "order",
+    "frequency",
+    "time",
+    "crank_angle",
+    "cycle_angle",
+)  # axes keep 64 bits; estimates carry less than 24
 _MAX_BYTES = 2_000_000_000  # of all variables of a results file that is read back
 _UNIT_OF = {
     "_hz": "Hz", "_rpm": "min-1", "_deg": "degree", "_g": "g", "_gmm": "g mm", "_s": "s", "order": "1",

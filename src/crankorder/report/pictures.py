@@ -77,6 +77,15 @@ def pictures_of(
     if "order_map" in groups:
         caption = "Order spectra: what shakes, order by order"
         plan("order_spectra.png", caption, order_spectra_figure, groups["order_map"])
+    cycles, shapes = groups.get("cycle_average"), groups.get("operating_shapes")
+    if cycles is not None and cycles.sizes["speed"]:
+        from crankorder.report.cycle_figure import cycle_figure
+
+        plan("cycle.png", "Mean engine cycle and its spread", cycle_figure, cycles)
+    if shapes is not None and shapes.sizes["order"] and shapes.sizes["speed"]:
+        from crankorder.report.shapes_figure import shapes_figure
+
+        plan("shapes.png", "Operating shapes: amplitude and phase over the channels", shapes_figure, shapes)
     if campbell is not None and campbell.sizes["speed"]:
         plan("spectra.png", "Spectra: what stays and what moves with speed", spectra_figure, campbell)
     return made
