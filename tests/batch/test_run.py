@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from scipy.special import ndtr, stdtrit
 
 from crankorder.cli import main
 from crankorder.quantities import schema_of
@@ -69,8 +70,10 @@ class TestResults:
         track = tracks.sel(channel="Z", order=1.0)
         expected = np.array(record["amplitude_by_speed"]) * np.exp(1j * np.radians(record["phase_deg_by_speed"]))
         measured = track["amplitude"].values * np.exp(1j * np.radians(track["phase"].values))
-        # each of real and imaginary part is within four standard errors at every speed
-        assert np.all(np.abs(measured - expected) < 4 * np.sqrt(2) * track["standard_error"].values + 1e-4)
+        # each of real and imaginary part is within four standard errors at every speed, or what is as unlikely for an
+        # error that itself is known from few degrees of freedom
+        reach = stdtrit(track["degrees_of_freedom"].values, ndtr(4.0))
+        assert np.all(np.abs(measured - expected) < reach * np.sqrt(2) * track["standard_error"].values + 1e-4)
 
     def test_the_bearing_line_is_named(self, analysed):
         lines = {(record["name"], record["line"]) for record in findings_in(analysed)["bearings"]}

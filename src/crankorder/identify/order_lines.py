@@ -16,6 +16,9 @@ from crankorder.settings import IdentifySettings, OrderSettings
 NEIGHBOUR_ORDERS = 0.25
 """Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
 
+BY_PHASE_CHANCE = 0.01
+"""Chance with which frames of noise at one speed agree in phase as well as a line hidden in energy must."""
+
 STEADY_KURTOSIS = -0.4
 """A line 4 dB over the noise in its own bin has this spectral kurtosis; noise alone has 0."""
 
@@ -110,7 +113,8 @@ def excess_over_noise(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Energy over the level that noise alone reaches, energy over its floor, and the floor: (channel, speed, order).
 
-    The first is zero where a bin of ``order_map`` is not the highest of three, and at its first bins. ``settings``
+    The first is zero where a bin of ``order_map`` is not the highest of three, by energy or by what agrees in phase,
+    and at its first bins. ``settings``
     give the chance of a false alarm, ``orders`` the floor's width.
     """
     axis = order_map["order"].values
@@ -126,7 +130,7 @@ def excess_over_noise(
     threshold = gammainccinv(n_independent, settings.false_alarm_probability) / n_independent
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.nan_to_num(np.where(floor > 0.0, energy / floor, 0.0), nan=0.0, posinf=0.0)
-    excess = np.where(_highest_of_three(energy), ratio / threshold[None, :, None], 0.0)
+    excess = np.where(_highest_of_three(energy) | _stands_by_phase(order_map), ratio / threshold[None, :, None], 0.0)
     excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
     return excess, ratio, floor
 
@@ -138,6 +142,23 @@ def _highest_of_three(energy: NDArray[np.float64]) -> NDArray[np.bool_]:
     highest[..., 1:] &= filled[..., 1:] >= filled[..., :-1]
     highest[..., :-1] &= filled[..., :-1] >= filled[..., 1:]
     return highest
+
+
+def _stands_by_phase(order_map: xr.Dataset) -> NDArray[np.bool_]:
+    """Where a line locked to the shaft may stand on the slope of a resonance, whose energy beside it is higher.
+
+    Its coherent amplitude is the highest of three, and frames of noise agree so well in phase only once in
+    1 / BY_PHASE_CHANCE (Goodman 1957); that it is locked is proven over all speeds. Nowhere in a map without phases.
+    """
+    energy = order_map["amplitude"].values ** 2
+    if "coherent_amplitude" not in order_map:
+        return np.zeros(energy.shape, dtype=np.bool_)
+    coherent = order_map["coherent_amplitude"].values ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        coherence = np.nan_to_num(np.where(energy > 0.0, coherent / energy, 0.0))
+    frames = np.maximum(1.0, order_map["n_coherent"].values)
+    chance = (frames - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))
+    return np.asarray(_highest_of_three(coherent) & (chance < np.log(BY_PHASE_CHANCE)))
 
 
 def _evidence(

@@ -211,7 +211,7 @@ def put_tracks(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
 
 
 def speed_and_time(shaft: xr.Dataset, edges: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean speed [rpm] and first time [s] of the frames between ``edges`` [rev]."""
+    """Mean speed [rpm] and first time [s] of the frames of ``shaft`` between ``edges`` [rev]."""
     if shaft.attrs.get("domain", "time") == "crank_angle":
         n = len(edges) - 1
         return np.full(n, float(shaft["speed"].values.mean())), np.full(n, np.nan)
