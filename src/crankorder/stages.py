@@ -263,7 +263,7 @@ def cycles(items: AllRecordingCycles, settings: Settings) -> CycleAverage:
 
 @stage
 def shapes(frames: AllOrderFrames, order_map: OrderMap, findings: Findings, settings: Settings) -> OperatingShapes:
-    """Amplitude and phase over channels, from ``frames``, of the orders of ``order_map``, ``findings``, ``settings``."""
+    """Amplitude and phase over channels, of ``frames``, at the orders of ``order_map``, ``findings``, ``settings``."""
     orders = followed_orders(order_map, findings, settings.orders)
     return OperatingShapes(operating_shapes(frames, orders, settings=settings.orders))
 

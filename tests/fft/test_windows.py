@@ -90,3 +90,12 @@ def test_overlapping_frames_are_worth_what_averaged_noise_shows(power, hop):
     values = np.abs(spectra) ** 2 if power else spectra
     measured = np.var(values[:, 0]) / np.var(values.mean(axis=1))
     assert window.independent_frames(hop, n_frames, power=power) == pytest.approx(measured, rel=0.06)
+
+
+@pytest.mark.parametrize(("name", "half_width_bins"), [("hann", 2.0), ("blackman-harris", 4.0), ("rectangular", 1.0)])
+def test_the_main_lobe_ends_at_the_first_null(name, half_width_bins):
+    offset, response = window_named(name, 256).main_lobe(steps=4)
+    assert offset[-1] == -offset[0] == half_width_bins
+    assert response[len(response) // 2] == 1.0
+    np.testing.assert_array_equal(response, response[::-1])
+    assert response[0] < 1e-9

@@ -18,6 +18,10 @@ FLAT_TOP = (1.0, 1.96760033, 1.57983607, 0.81123644, 0.22583558, 0.02773848, 0.0
 NAMES = ("hann", "flat-top", "blackman-harris", "kaiser", "rectangular")
 
 
+WIDEST_LOBE_BINS = 16
+"""Half width of main lobes that are looked at: a Kaiser window of beta 45 has one as wide."""
+
+
 @dataclass(frozen=True)
 class Window:
     """A window of ``values`` (samples,) with its name; its sums give the scalings of a spectrum."""
@@ -76,6 +80,13 @@ class Window:
         total = near + neighbours * (left + right)
         middle = float(np.sqrt(total.min() * total.max()))
         return 1.0 / middle, neighbours / middle
+
+    def main_lobe(self, *, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Offsets in bins, ``steps`` to a bin, over the main lobe, and the power response there, 1 at its middle."""
+        response = self.response(np.arange(WIDEST_LOBE_BINS * steps + 1) / steps) ** 2
+        end = int(np.argmax(np.diff(response) > 0.0))  # where it no longer falls
+        half = response[: end + 1]
+        return np.arange(-end, end + 1) / steps, np.concatenate([half[:0:-1], half])
 
     def independent_frames(self, hop_samples: int, n_frames: int, *, power: bool) -> float:
         """Independent frames that ``n_frames`` overlapping ones, ``hop_samples`` apart, are worth in an average.

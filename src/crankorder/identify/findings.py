@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Sources, explain_fixed, explain_order
@@ -18,6 +18,9 @@ from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
 
 SCHEMA_VERSION = 1
+
+ENDLESS_FREEDOM = 1e6
+"""Degrees of freedom from which on Student's t is a normal distribution."""
 
 NO_BALANCE = "the path from force to acceleration is not identified: a run with a known trial mass is needed"
 
@@ -67,8 +70,9 @@ def _order_record(
     amplitude, error = float(line.amplitude[best]), float(line.amplitude_error[best])
     phase = float(line.phase_deg[best])
     exponent = line.exponent()
+    freedom = float(np.clip(line.degrees_of_freedom[best], 1.0, ENDLESS_FREEDOM))
     # the largest of n amplitudes is shown: its interval must hold for all n at once (Bonferroni)
-    simultaneous = float(ndtri(1.0 - 0.025 / len(line.seen))) * error
+    simultaneous = float(stdtrit(freedom, 1.0 - 0.025 / len(line.seen))) * error
     return {
         "channel": line.channel,
         "order": line.order,
@@ -76,7 +80,7 @@ def _order_record(
         "amplitude": amplitude,
         "amplitude_ci95": [max(0.0, amplitude - simultaneous), amplitude + simultaneous],
         "phase_deg": None if np.isnan(phase) else phase,
-        "phase_deg_ci95": None if np.isnan(phase) else _interval(phase, float(np.degrees(error / amplitude))),
+        "phase_deg_ci95": None if np.isnan(phase) else _interval(phase, np.degrees(error / amplitude), freedom=freedom),
         "unit": unit[line.channel],
         "speed_rpm_at_max": float(line.speed_rpm[best]),
         "speed_exponent": None if exponent is None else exponent[0],
@@ -92,7 +96,7 @@ def _order_record(
     }
 
 
-def _interval(value: float, error: float, *, freedom: int | None = None) -> list[float]:
+def _interval(value: float, error: float, *, freedom: float | None = None) -> list[float]:
     """95 % interval of an estimate, by Student's t where the error itself comes from ``freedom`` residuals."""
     half = error * (Z95 if freedom is None else float(stdtrit(freedom, 0.975)))
     return [value - half, value + half]

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.fft.windows import window_named
 from crankorder.settings import IdentifySettings
 
 MASKED_BINS = 3
@@ -126,7 +127,8 @@ def _lines(
         low = (peaks[number - 1] + peak) // 2 if number else 0
         high = (peaks[number + 1] + peak) // 2 if number + 1 < len(peaks) else len(density) - 1
         tone = _tone(frequency, density, peak, resolution)
-        fit = tone or _fit(frequency, density, peak, (low, high), float(campbell.attrs["enbw_hz"]), n_averages)
+        seen_through = (str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
+        fit = tone or _fit(frequency, density, peak, (low, high), *seen_through, n_averages)
         if fit is None:
             continue
         (centre, centre_error), (half_width, half_width_error) = fit
@@ -205,6 +207,7 @@ def _fit(
     density: NDArray[np.float64],
     peak: int,
     between: tuple[int, int],
+    window: str,
     enbw_hz: float,
     n_averages: float,
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
@@ -225,7 +228,7 @@ def _fit(
     f, s = frequency[span], density[span]
     if len(f) < 8:
         return None
-    offsets, kernel = _window_kernel(enbw_hz)
+    offsets, kernel = _window_kernel(window, enbw_hz)
 
     def residual(p: NDArray[np.float64]) -> NDArray[np.float64]:
         x = f[:, None] + offsets - p[0]
@@ -260,13 +263,11 @@ def _mean_side(density: NDArray[np.float64], peak: int, reach: int) -> float:
     return float(0.5 * (density[max(0, peak - reach)] + density[min(len(density) - 1, peak + reach)]))
 
 
-def _window_kernel(enbw_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offsets in Hz and weights of the power response of a Hann window with the noise bandwidth ``enbw_hz``."""
-    scale = enbw_hz / 1.5
-    x = np.linspace(-2.0, 2.0, 17)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        response = np.where(np.abs(np.abs(x) - 1.0) < 1e-9, 0.5, np.sinc(x) / (1.0 - x**2))
-    return x * scale, response**2 / np.sum(response**2)
+def _window_kernel(name: str, enbw_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offsets in Hz and weights of the power response of the window ``name`` with the noise bandwidth ``enbw_hz``."""
+    window = window_named(name, 256)
+    offset_bins, response = window.main_lobe(steps=4)
+    return offset_bins * (enbw_hz / window.enbw_bins), response / response.sum()
 
 
 def _join(lines: list[FixedLine], resolution: float) -> list[Mode]:

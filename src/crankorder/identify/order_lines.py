@@ -56,7 +56,10 @@ Z95 = 1.959964
 
 @dataclass(frozen=True)
 class OrderLine:
-    """One order in one channel, over the speeds (``seen``) at which it stands above the false-alarm level."""
+    """One order in one channel, over the speeds (``seen``) at which it stands above the false-alarm level.
+
+    ``degrees_of_freedom`` are those of ``amplitude_error``.
+    """
 
     channel: str
     order: float
@@ -65,6 +68,7 @@ class OrderLine:
     speed_rpm: NDArray[np.float64]
     amplitude: NDArray[np.float64]
     amplitude_error: NDArray[np.float64]
+    degrees_of_freedom: NDArray[np.float64]
     phase_deg: NDArray[np.float64]
     evidence: Evidence
     level_over_floor_db: float
@@ -282,9 +286,11 @@ def _line(
     n_frames = order_map["n_independent"].values[seen]
     if evidence == "locked to the shaft":
         amplitude, error = coherent, coherent_error
+        dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
     else:
         amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
         error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
+        dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
     if evidence != "locked to the shaft":  # between two bins a window shows less of a line
@@ -298,6 +304,7 @@ def _line(
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,
         amplitude_error=error,
+        degrees_of_freedom=dof,
         phase_deg=order_map["phase"].values[channel, seen, peak],
         evidence=evidence,
         level_over_floor_db=float(10.0 * np.log10(ratio[channel, seen, peak].max())),
