@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.fft.resampling import Kernel, cheapest_kernel, values_at
+from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 
 MOST_CONTENT = 0.4
@@ -46,11 +46,8 @@ def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
     share = min(float(band.attrs.get("band_hz", math.inf)) / rate, MOST_CONTENT)
     content = min(math.ceil(share / CONTENT_STEP - 1e-9) * CONTENT_STEP, MOST_CONTENT)
     signals = band["signal"].values
-    if signals.dtype.itemsize == 4:
-        try:
-            cheapest_kernel(tolerance, content=content, double=False, smooth=True)
-        except RequestError:
-            signals = signals.astype(np.float64)
+    if signals.dtype.itemsize == 4 and _single_of(content, tolerance) is None:
+        signals = signals.astype(np.float64)
     usable = band["usable"].values if "usable" in band else None
     return TimeSamples(signals, rate, float(band.attrs.get("start_s", 0.0)), content, usable)
 
@@ -76,9 +73,21 @@ def is_by_angle(band: xr.Dataset) -> bool:
 def kernel_for(samples: TimeSamples, tolerance: float) -> Kernel:
     """Cheapest resampling kernel that errs by less than ``tolerance`` up to the highest content of ``samples``.
 
-    Raises RequestError where there is none.
+    It leaves no images of what lies above, and is as long in single as in double precision, so that frames begin at
+    the same angle. Raises RequestError where there is none.
     """
-    return cheapest_kernel(tolerance, content=samples.content, double=samples.double, smooth=True)
+    single = None if samples.double else _single_of(samples.content, tolerance)
+    return single or cheapest_kernel(tolerance, content=samples.content, smooth=True)
+
+
+def _single_of(content: float, tolerance: float) -> Kernel | None:
+    """The kernel for ``content`` in single precision; None where that is too coarse for ``tolerance``."""
+    try:
+        double = cheapest_kernel(tolerance, content=content, smooth=True)
+    except RequestError:
+        return None
+    single = kernel_named(double.name, pass_band=double.pass_band, double=False)
+    return single if single.predicted_error <= tolerance else None
 
 
 def covered_angles(samples: TimeSamples, shaft: xr.Dataset, *, margin: int) -> tuple[float, float]:
