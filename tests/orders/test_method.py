@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
+from crankorder.fft.band import band_limited
 from crankorder.orders.frames import order_frames
 from crankorder.orders.method import frame_layout
 from crankorder.quantities import flags_of
@@ -117,3 +118,23 @@ def test_a_long_run_up_is_done_in_pieces_that_leave_no_seam(monkeypatch):
     pieces = order_frames(*recording, settings=SETTINGS)
     assert worst_error(whole) < 1e-6
     np.testing.assert_allclose(pieces["spectrum"].values, whole["spectrum"].values, atol=5e-7, rtol=0)
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+@pytest.mark.parametrize(("share", "tolerance", "mark"), [(0.05, SETTINGS.tolerance, 1e-6), (0.4, 1e-5, 1e-5)])
+def test_from_full_rate_samples_to_orders_the_error_is_within_the_mark(share, tolerance, mark, dtype):
+    """Content up to 5 % of the sample rate to 1 ppm by default, up to 40 % to 1e-5 when asked: low-pass and all."""
+    top = share * 50000.0 * 60.0 / 1500.0
+    orders = {1.0: 0.5, 5.5: 0.3, top / 2: 0.7, top: 1.0}
+    band, angle = steady(
+        [total(*(line(order, value, 0.3 * order) for order, value in orders.items()))],
+        speed_rpm=1500.0,
+        duration_s=4.0,
+        rate_hz=50000.0,
+    )
+    band["signal"] = band["signal"].astype(dtype)
+    limited = band_limited(band, band_hz=share * 50000.0, grid_hz=0.5, tolerance=0.5 * tolerance)
+    frames = order_frames(limited, angle, settings=asked(tolerance=tolerance, max_order=top))
+    for order, value in orders.items():
+        found = frames["spectrum"].sel(order=order).values
+        assert np.abs(found - value * np.exp(0.3j * order)).max() < mark, order
