@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError
 from crankorder.orders.intervals import amplitude_interval, phase_interval_deg
-from crankorder.orders.least_squares_tracks import frame_edges, put_tracks, speed_and_time, tracked_orders
+from crankorder.orders.least_squares_tracks import frame_edges, tracked_orders, tracks_in_frames
 from crankorder.orders.vold_kalman import vold_kalman
-from crankorder.quantities import channel_coords, flags_of, with_flags
+from crankorder.quantities import flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of
 
@@ -64,16 +64,9 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     amplitude, error = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan)
     amplitude[:, carried] = found.amplitude[..., middle]
     error[:, carried] = found.standard_error[..., middle]
-    made = xr.Dataset(coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})})
     dof = np.where(np.isfinite(error), ENDLESS_DOF, 0.0)
-    put_tracks(made, {"amplitude": amplitude, "standard_error": error, "degrees_of_freedom": dof})
-    frame_speed, time_s = speed_and_time(shaft, edges)
-    made.coords["speed"] = ("frame", frame_speed, {"units": "min-1", "long_name": "mean speed of the frame"})
-    made.coords["crank_angle"] = ("frame", edges[:-1], {"units": "rev", "long_name": "crank angle at the start"})
-    made.coords["revs"] = ("frame", np.round(np.diff(edges)), {"units": "rev", "long_name": "length of the frame"})
-    made.coords["time"] = ("frame", time_s, {"units": "s", "long_name": "time at the start of the frame"})
-    made.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
-    made.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
+    values = {"amplitude": amplitude, "standard_error": error, "degrees_of_freedom": dof}
+    made = tracks_in_frames(band, shaft, orders, edges, values, method="vold_kalman")
     return with_flags(made, [*flags_of(shaft), *_note_flags(str(band.attrs["recording"]), found.notes)])
 
 

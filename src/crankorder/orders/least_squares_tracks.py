@@ -153,16 +153,8 @@ def _dataset(
         "standard_error": error,
         "degrees_of_freedom": dof,
     }
-    made = xr.Dataset(coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})})
-    put_tracks(made, values)
+    made = tracks_in_frames(band, shaft, orders, edges, values, method="least_squares")
     made["condition"] = (("channel", "frame"), condition, {"units": "1", "long_name": "condition of the equations"})
-    speed, time_s = speed_and_time(shaft, edges)
-    made.coords["speed"] = ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"})
-    made.coords["crank_angle"] = ("frame", edges[:-1], {"units": "rev", "long_name": "crank angle at the start"})
-    made.coords["revs"] = ("frame", np.round(np.diff(edges)), {"units": "rev", "long_name": "length of the frame"})
-    made.coords["time"] = ("frame", time_s, {"units": "s", "long_name": "time at the start of the frame"})
-    made.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "least_squares"}
-    made.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     remarks = _remarks(orders, edges, groups, combined)
     name = str(band.attrs["recording"])
     return with_flags(
@@ -199,8 +191,28 @@ _VARIABLES = (
 )
 
 
-def put_tracks(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
-    """``values`` (channel, order, frame) and the 95 % intervals that follow from them into ``made``."""
+def tracks_in_frames(
+    band: xr.Dataset,
+    shaft: xr.Dataset,
+    orders: NDArray[np.float64],
+    edges: NDArray[np.float64],
+    values: dict[str, NDArray[Any]],
+    *,
+    method: str,
+) -> xr.Dataset:
+    """Tracks of ``orders`` in frames between the crank angles ``edges`` [rev], with the 95 % intervals of ``values``.
+
+    ``values`` (channel, order, frame) hold amplitude, standard_error and degrees_of_freedom at least, found by
+    ``method`` in the BandRecording ``band`` with its ShaftAngle ``shaft``.
+    """
+    made = xr.Dataset(coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})})
+    speed, time_s = _speed_and_time(shaft, edges)
+    made.coords["speed"] = ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"})
+    made.coords["crank_angle"] = ("frame", edges[:-1], {"units": "rev", "long_name": "crank angle at the start"})
+    made.coords["revs"] = ("frame", np.round(np.diff(edges)), {"units": "rev", "long_name": "length of the frame"})
+    made.coords["time"] = ("frame", time_s, {"units": "s", "long_name": "time at the start of the frame"})
+    made.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": method}
+    made.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     magnitude, power = np.abs(values["amplitude"]), 2.0 * values["standard_error"] ** 2
     low, high = amplitude_interval(magnitude, power, values["degrees_of_freedom"])
     half = phase_interval_deg(magnitude, power, values["degrees_of_freedom"])
@@ -208,9 +220,10 @@ def put_tracks(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
     for name, units, said in _VARIABLES:
         if name in given:
             made[name] = (("channel", "order", "frame"), given[name], {"units": units, "long_name": said})
+    return made
 
 
-def speed_and_time(shaft: xr.Dataset, edges: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _speed_and_time(shaft: xr.Dataset, edges: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean speed [rpm] and first time [s] of the frames of ``shaft`` between ``edges`` [rev]."""
     if shaft.attrs.get("domain", "time") == "crank_angle":
         n = len(edges) - 1
