@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.orders.vold_kalman import vold_kalman
-from crankorder.orders.vold_kalman_bandwidth import structural_weight
-from crankorder.orders.vold_kalman_system import EnvelopeSystem
+from crankorder.orders.vold_kalman.bandwidth import structural_weight
+from crankorder.orders.vold_kalman.filter import vold_kalman
+from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
 RATE_HZ = 5000.0
 

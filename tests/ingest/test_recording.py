@@ -186,20 +186,44 @@ def test_a_few_missing_samples_are_bridged_and_flagged(write, read, bad, dtype):
     assert "channel Z: 3 missing samples bridged, first at sample 500" in flags_of(recording)[0]["detail"]
 
 
-@pytest.mark.parametrize(("bad", "n"), [(np.nan, 4), (np.nan, 10_000), (-999.0, 4), (np.inf, N)])
-def test_a_longer_gap_is_never_passed_on(write, read, bad, n):
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30, 9.96921e36, -999.0])
+@pytest.mark.parametrize(("first", "n"), [(0, 4), (500, 4), (7000, 5000), (N - 4, 4)])
+def test_a_longer_gap_stays_missing_and_is_flagged_with_place_and_length(write, read, bad, first, n):
     values = np.sin(2 * np.pi * 5 * TIME)
-    values[:n] = bad
-    with pytest.raises(
-        InputError, match=rf"sample 0: channel Z has {n} missing samples .*found {n} in a row; allowed: 3"
-    ):
-        read(write(acc=values))
+    expected = values.copy()
+    values[first : first + n], expected[first : first + n] = bad, np.nan
+    recording = read(write(acc=values))
+    np.testing.assert_array_equal(recording["signal"].values[0], expected)
+    assert flagged(recording) == [("gap", "suspect")]
+    detail = flags_of(recording)[0]["detail"]
+    assert f"channel Z: {n} samples ({n / N:.2%}) missing in 1 gap, the longest of {n} from sample {first};" in detail
+
+
+def test_a_gap_a_few_lost_samples_and_a_dropout_are_told_apart(write, read):
+    values = np.sin(2 * np.pi * 5 * TIME)
+    values[100:102], values[3000:3010], values[9000:9100], values[12_000:12_300] = np.nan, np.nan, -9999.0, 0.5
+    recording = read(write(acc=values))
+    assert flagged(recording) == [("gap", "suspect"), ("non_finite_interpolated", "suspect"), ("dropout", "bad")]
+    details = [flag["detail"] for flag in flags_of(recording)]
+    assert "110 samples (0.55%) missing in 2 gaps, the longest of 100 from sample 9000" in details[0]
+    assert "2 missing samples bridged, first at sample 100" in details[1]
+    assert "the same value for 300 samples (1.5%) from sample 12000" in details[2]
+    assert np.isnan(recording["signal"].values).sum() == 110
+
+
+def test_gaps_of_more_than_a_quarter_are_refused(write, read):
+    values = np.sin(2 * np.pi * 5 * TIME)
+    values[: N // 4] = np.nan
+    assert flagged(read(write(acc=values))) == [("gap", "suspect")]
+    values[N // 4] = np.inf
+    with pytest.raises(InputError, match=r"sample 0: channel Z has 5001 missing .*25\.005% in all; allowed: 25\.0%"):
+        read(write(acc=values, name="b.h5"))
 
 
 def test_many_single_gaps_are_refused_too(write, read):
     values = np.sin(2 * np.pi * 5 * TIME)
     values[::100] = np.nan
-    with pytest.raises(InputError, match="channel Z has 200 missing samples"):
+    with pytest.raises(InputError, match=r"channel Z has 200 missing samples .*found 1\.000% to bridge"):
         read(write(acc=values))
 
 

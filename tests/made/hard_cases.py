@@ -16,7 +16,7 @@ from crankorder.orders.direct import named_orders
 from crankorder.orders.frames import order_frames
 from crankorder.orders.least_squares import joint_orders
 from crankorder.orders.map import order_map
-from crankorder.orders.vold_kalman import vold_kalman
+from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import knots_of
 from made.recordings import line, shaft, steady, total

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
-from crankorder.orders.vold_kalman import vold_kalman
-from crankorder.orders.vold_kalman_bandwidth import noise_bandwidth_share, structural_weight
-from crankorder.orders.vold_kalman_system import EnvelopeSystem
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share, structural_weight
+from crankorder.orders.vold_kalman.filter import vold_kalman
+from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
 RATE_HZ = 2000.0
 
@@ -172,7 +172,7 @@ def test_blocks_solved_at_every_sample_have_no_seam(monkeypatch: pytest.MonkeyPa
     rng = np.random.default_rng(5)
     phase, signal = run_up(9_000)[None], rng.normal(size=(1, 9_000))
     whole = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
-    monkeypatch.setattr("crankorder.orders.vold_kalman_samples.BLOCK", 2_000)
+    monkeypatch.setattr("crankorder.orders.vold_kalman.samples.BLOCK", 2_000)
     parts = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
     assert whole.method == parts.method == "samples"
     assert np.abs(whole.amplitude - parts.amplitude).max() < 1e-12

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from crankorder.errors import InputError
 from crankorder.orders.intervals import amplitude_interval, phase_interval_deg
 from crankorder.orders.least_squares_tracks import frame_edges, tracked_orders, tracks_in_frames
-from crankorder.orders.vold_kalman import vold_kalman
+from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.quantities import flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.orders.grouped_frames import Frames, all_frames
 from crankorder.orders.intervals import (
     FEW_CONTRASTS,
     Contrasts,
@@ -34,22 +34,6 @@ Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
 
 Columns = NDArray[np.float64]
 """Something of every channel and order of a group of frames: (channels, orders)."""
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
-
-    spectrum: NDArray[np.complex128]
-    owner: NDArray[np.int64]
-    begin_rev: NDArray[np.float64]
-    speed_rpm: NDArray[np.float64]
-
-    def of(self, which: NDArray[Any]) -> Frames:
-        """Those of the frames that ``which`` (numbers that grow, or a mask) picks; a view where they are neighbours."""
-        if which.dtype != np.bool_ and len(which) and which[-1] - which[0] == len(which) - 1:
-            which = slice(int(which[0]), int(which[-1]) + 1)  # type: ignore[assignment]
-        return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
 
 
 @dataclass(frozen=True)
@@ -87,7 +71,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     common = _common_length(frames)
     used = [item for item in frames if int(item.attrs["revs_per_frame"]) == common]
     order = used[0]["order"].values
-    every, exponent = _joined(used)
+    every = all_frames(used)
     groups = _groups(every.speed_rpm, every.owner, settings)
     comparable = _comparable(used, order)
     parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
@@ -95,7 +79,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     result = _dataset(used[0], order, speed, settings)
     result.attrs |= _accuracy(used)
     whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
-    unit = np.ldexp(1.0, exponent)[:, None, None]
+    unit = np.ldexp(1.0, every.exponent)[:, None, None]
     bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]))
     made: Variables = {}
     _put_averages(made, whole, unit)
@@ -104,30 +88,6 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = result.assign(made)
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(frames, common))
-
-
-def _joined(used: Sequence[xr.Dataset]) -> tuple[Frames, NDArray[np.int64]]:
-    """Frames of all recordings, and the exponent (channels,) of the power of two that is taken out of each channel.
-
-    Only where squares would leave the range of numbers is anything taken out.
-    """
-    largest = np.max([_largest(item["spectrum"].values) for item in used], axis=0)
-    exponent = np.where(np.isfinite(largest) & (largest > 0.0), np.frexp(largest)[1], 0)
-    exponent = np.where(np.abs(exponent) > 64, exponent, 0)
-    spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1, dtype=np.complex128)
-    if exponent.any():
-        half = exponent // 2  # the power of two itself may not be a number
-        spectrum = spectrum * np.ldexp(1.0, -half)[:, None, None] * np.ldexp(1.0, half - exponent)[:, None, None]
-    owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
-    begin = np.concatenate([item["crank_angle"].values for item in used])
-    return Frames(spectrum, owner, begin, np.concatenate([item["speed"].values for item in used])), exponent
-
-
-def _largest(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Largest real or imaginary part of each channel, NaN left out."""
-    parts = np.ascontiguousarray(spectrum).reshape(len(spectrum), -1)
-    parts = parts.view(parts.real.dtype)
-    return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
 
 
 def _put_averages(result: Variables, whole: Average, unit: NDArray[np.float64]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from crankorder.orders.vold_kalman_bandwidth import HALF_POWER
+from crankorder.orders.vold_kalman.bandwidth import HALF_POWER
 
 FRAME_BANDWIDTHS = 4.0
 """Length of a frame, in reciprocal bandwidths: short enough to follow a resonance that is passed."""

@@ -9,9 +9,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.orders.vold_kalman_banded import factorise, inverse_band, solve
-from crankorder.orders.vold_kalman_kernels import cos_sin
-from crankorder.orders.vold_kalman_noise import local_level
+from crankorder.orders.vold_kalman.banded import factorise, inverse_band, solve
+from crankorder.orders.vold_kalman.kernels import cos_sin
+from crankorder.orders.vold_kalman.noise import local_level
 
 BLOCK = 65_536
 """Samples solved for at a time, beside the margins that are thrown away."""

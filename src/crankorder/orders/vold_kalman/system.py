@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.orders.vold_kalman_assembly import (
+from crankorder.orders.vold_kalman.assembly import (
     apply_roughness,
     assemble_gram,
     assemble_roughness,
@@ -17,10 +17,10 @@ from crankorder.orders.vold_kalman_assembly import (
     spline_products,
     variance_at_middles,
 )
-from crankorder.orders.vold_kalman_banded import factorise, inverse_band, product, solve
-from crankorder.orders.vold_kalman_bandwidth import structural_weight
-from crankorder.orders.vold_kalman_kernels import add_moments, evaluate
-from crankorder.orders.vold_kalman_knots import (
+from crankorder.orders.vold_kalman.banded import factorise, inverse_band, product, solve
+from crankorder.orders.vold_kalman.bandwidth import structural_weight
+from crankorder.orders.vold_kalman.kernels import add_moments, evaluate
+from crankorder.orders.vold_kalman.knots import (
     DEGREE,
     FEWEST_INTERVALS,
     difference_slopes,
@@ -29,7 +29,7 @@ from crankorder.orders.vold_kalman_knots import (
     roughness,
     spline_pieces,
 )
-from crankorder.orders.vold_kalman_short import solve_short
+from crankorder.orders.vold_kalman.short import solve_short
 
 KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
 """Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the

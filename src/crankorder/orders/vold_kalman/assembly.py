@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from crankorder.orders.vold_kalman_knots import DEGREE
+from crankorder.orders.vold_kalman.knots import DEGREE
 
 SPLINES = DEGREE + 1
 """Splines in an interval, and powers of u of each: a constant, so that the loops are unrolled."""

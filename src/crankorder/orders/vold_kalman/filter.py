@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.errors import InputError, RequestError
-from crankorder.orders.vold_kalman_bandwidth import noise_bandwidth_share, structural_weight
-from crankorder.orders.vold_kalman_knots import SPLINE_CORRELATION
-from crankorder.orders.vold_kalman_noise import local_level
-from crankorder.orders.vold_kalman_samples import (
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share, structural_weight
+from crankorder.orders.vold_kalman.knots import SPLINE_CORRELATION
+from crankorder.orders.vold_kalman.noise import local_level
+from crankorder.orders.vold_kalman.samples import (
     HEAVIEST,
     MARGIN_BANDWIDTHS,
     envelopes_at_samples,
     sample_errors,
     with_offset,
 )
-from crankorder.orders.vold_kalman_separation import closest
-from crankorder.orders.vold_kalman_system import KNOTS_PER_BANDWIDTH, EnvelopeSystem, Solution
+from crankorder.orders.vold_kalman.separation import closest
+from crankorder.orders.vold_kalman.system import KNOTS_PER_BANDWIDTH, EnvelopeSystem, Solution
 
 MOST_POLES = 4
 FEWEST_SAMPLES = 64

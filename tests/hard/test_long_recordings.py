@@ -1,0 +1,96 @@
+"""A recording larger than memory is analysed in blocks; what comes out is what comes out of memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.batch.plan import plan_tests
+from crankorder.identify.explain import Sources
+from crankorder.stages import TestResult, analyse_recording, analyse_test
+from made.long_recordings import AMPLITUDES, write_long
+
+RECORDS = {"contiguous": {}, "in chunks": {"chunks": (30_011,)}, "a wheel of 360": {"pulses_per_rev": 360}}
+
+
+@pytest.fixture(scope="module", params=RECORDS)
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_long(tmp_path_factory.mktemp("long") / "data", 24.0, **RECORDS[request.param])
+
+
+def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> TestResult:
+    plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb)[0]
+    made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
+    return analyse_test([made], test="long", sources=Sources(revs_per_cycle=2), settings=plan.settings)
+
+
+@pytest.mark.parametrize("recipe", [None, "maps-full-band"])
+def test_blocks_on_disk_give_what_memory_gives(recorded: Path, recipe: str | None) -> None:
+    whole, blocks = analysed(recorded, recipe, 8000), analysed(recorded, recipe, 0)
+    assert whole.datasets.keys() == blocks.datasets.keys()
+    for name, expected in whole.datasets.items():
+        for variable in expected.variables:
+            found, wanted = blocks.datasets[name][variable].values, expected[variable].values
+            if wanted.dtype.kind in "fc":
+                np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12, err_msg=f"{name}.{variable}")
+            else:
+                np.testing.assert_array_equal(found, wanted)
+    assert whole.findings == blocks.findings
+
+
+def run(folder: Path, *options: str, before: Callable[[], None], **environment: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "crankorder", "run", str(folder), "--out", str(folder.parent / "out"), *options]
+    surroundings = {**os.environ, "OPENBLAS_NUM_THREADS": "1", **environment}
+    return subprocess.run(command, preexec_fn=before, env=surroundings, capture_output=True, text=True, check=False)
+
+
+def limited(which: int, n_bytes: int) -> Callable[[], None]:
+    return lambda: resource.setrlimit(which, (n_bytes, n_bytes))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit on memory without a file is Linux's")
+@pytest.mark.slow
+def test_a_recording_three_times_larger_than_memory_is_analysed(tmp_path: Path) -> None:
+    folder = write_long(tmp_path / "data", 900.0, rate_hz=100_000.0, pulses_per_rev=24)
+    memory = 600_000_000
+    assert (folder / "long.h5").stat().st_size >= 3 * memory
+    done = run(
+        folder, "--recipe", "maps", "--jobs", "1", "--max-memory", "50", before=limited(resource.RLIMIT_DATA, memory)
+    )
+    (folder / "long.h5").unlink()
+    assert done.returncode == 0, done.stderr
+    with xr.open_dataset(tmp_path / "out" / "long" / "results.nc", group="order_map", engine="h5netcdf") as order_map:
+        for order, size in AMPLITUDES.items():
+            found = order_map["amplitude"].sel(order=order, method="nearest")
+            np.testing.assert_allclose(found.isel(channel=0), size, rtol=2e-3)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit on files is that of a POSIX shell")
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
+    folder, scratch = write_long(tmp_path / "data", 10.0), tmp_path / "scratch"
+    scratch.mkdir()
+    done = run(folder, "--max-memory", "0", before=limited(resource.RLIMIT_FSIZE, 4_000_000), TMPDIR=str(scratch))
+    assert done.returncode == 5
+    assert f"{scratch}: no room for a recording larger than memory" in done.stderr
+    assert "--max-memory" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(scratch.iterdir()) == []
+    assert not (tmp_path / "out" / "long" / "results.nc").exists()
+
+
+def test_the_memory_asked_for_is_said_in_the_results(tmp_path: Path) -> None:
+    folder = write_long(tmp_path / "data", 6.0)
+    done = run(folder, "--recipe", "maps", "--max-memory", "1", before=lambda: None)
+    assert done.returncode == 0, done.stderr
+    stated: dict[str, Any] = json.loads((tmp_path / "out" / "long" / "run.json").read_text())
+    assert stated["settings"]["ingest"]["in_memory_bytes"] == 1_000_000

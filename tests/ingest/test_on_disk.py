@@ -1,0 +1,185 @@
+"""Samples beyond the memory allowed lie in a file without a name, and are the same samples."""
+
+from __future__ import annotations
+
+import errno
+import os
+import wave
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from crankorder import scratch
+from crankorder.errors import EnvironmentFailure, InputError
+from crankorder.ingest import text
+from crankorder.ingest.formats import read_file
+from crankorder.ingest.rawfile import RawFile
+from crankorder.ingest.recording import read_recording
+from crankorder.ingest.signal_faults import mend_signal
+from crankorder.scratch import BLOCK_SAMPLES, empty, empty_like, is_on_disk, scratch_folder
+from crankorder.settings import IngestSettings
+
+N = 3 * BLOCK_SAMPLES + 17
+NOISE = np.random.default_rng(5).standard_normal((3, N))
+
+
+def both(path: Path, sources: list, limits: IngestSettings) -> tuple[RawFile, RawFile]:
+    """The file as it is read into memory, and as it is laid on disk."""
+    on_disk = limits.model_copy(update={"in_memory_bytes": 0})
+    return tuple(read_file(path, sources=sources, settings=settings) for settings in (limits, on_disk))
+
+
+def assert_same(whole: RawFile, blocks: RawFile) -> None:
+    for source, column in whole.columns.items():
+        assert not is_on_disk(column)
+        assert is_on_disk(blocks.columns[source])
+        assert blocks.columns[source].dtype == column.dtype
+        np.testing.assert_array_equal(blocks.columns[source], column)
+    assert (whole.units, whole.rate_hz, whole.flags) == (blocks.units, blocks.rate_hz, blocks.flags)
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        {"dtype": "<f4"},
+        {"dtype": ">f8"},
+        {"dtype": "<i2"},
+        {"dtype": "<f4", "chunks": (10_007,), "compression": "gzip"},
+        {"dtype": "<i4", "chunks": (N,)},
+    ],
+    ids=str,
+)
+def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in zip("abc", NOISE, strict=True):
+            made = file.create_dataset(name, data=(1000 * values).astype(stored["dtype"]), **stored)
+            made.attrs.update({"scale_factor": 0.5, "_FillValue": made[5], "units": "V", "rate_hz": 1e3})
+    assert_same(*both(tmp_path / "a.h5", ["c", "a", "b", 0], limits))
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits, across):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("t", data=NOISE if across else NOISE.T, chunks=(3, 999) if across else (999, 3))
+    assert_same(*both(tmp_path / "a.h5", ["t[2]", "t[0]"], limits))
+
+
+@pytest.mark.parametrize("width", [1, 2, 3])
+def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
+    with wave.open(str(tmp_path / "a.wav"), "wb") as file:
+        file.setnchannels(3)
+        file.setsampwidth(width)
+        file.setframerate(48_000)
+        file.writeframes(np.random.default_rng(1).bytes(3 * width * N))
+    assert_same(*both(tmp_path / "a.wav", ["2", "0"], limits))
+
+
+def test_text_columns_are_the_same_on_disk(tmp_path, limits, monkeypatch):
+    monkeypatch.setattr(text, "PIECE_LINES", 1000)
+    rows = "".join(f"{a:.6g};{b:.6g};\n" for a, b in NOISE[:2, :4500].T)
+    (tmp_path / "a.txt").write_text("# fs: 1000\na;b\n" + rows + "\n")
+    assert_same(*both(tmp_path / "a.txt", ["b", "a"], limits))
+
+
+def test_a_bad_cell_deep_in_a_table_on_disk_is_named(tmp_path, limits, monkeypatch):
+    monkeypatch.setattr(text, "PIECE_LINES", 1000)
+    lines = [f"{a:.6g},{a:.6g}\n" for a in NOISE[0, :4500]]
+    lines[4100] = "1.0\n"
+    (tmp_path / "a.txt").write_text("a,b\n" + "".join(lines))
+    for settings in (limits, limits.model_copy(update={"in_memory_bytes": 0})):
+        with pytest.raises(InputError, match="line 4102: 1 cells where the lines above have 2"):
+            read_file(tmp_path / "a.txt", sources=["a"], settings=settings)
+
+
+def test_a_recording_on_disk_is_the_one_in_memory(tmp_path, manifest_of, settings):
+    tables = '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\n' + "".join(
+        f'[[channels]]\nname = "{name}"\nsource = "{name}"\nunit = "m/s2"\n' for name in "ab"
+    )
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["rate_hz"] = 1000.0
+        # of two types, so that they must be laid beside each other
+        file["a"], file["b"] = NOISE[0].astype(np.float32), NOISE[1]
+        file["a"].attrs["units"] = "g"
+        file["a"][70_000:90_000] = np.nan
+        file["enc"] = (np.arange(N) % 40 < 20).astype(np.uint8)
+    made = [
+        read_recording(
+            tmp_path / "a.h5",
+            manifest_of(tables),
+            settings=settings.ingest.model_copy(update={"in_memory_bytes": n_bytes}),
+            shaft=settings.shaft,
+        )
+        for n_bytes in (10**9, 0)
+    ]
+    assert [is_on_disk(recording["signal"].values) for recording in made] == [False, True]
+    assert made[0].identical(made[1])
+
+
+def faults_of(signal: np.ndarray, limits: IngestSettings) -> list[tuple[str, str]]:
+    return [(flag["flag"], flag["detail"]) for flag in mend_signal(signal, "Z", Path("a.h5"), settings=limits)]
+
+
+@pytest.mark.parametrize("shift", [-150, -3, -1, 0, 1, 2])
+def test_a_fault_across_the_border_of_two_blocks_is_one_fault(limits, shift):
+    border = BLOCK_SAMPLES + shift
+    signal = NOISE[0].copy()
+    signal[border : border + 2000] = 0.125
+    assert faults_of(signal, limits) == [
+        ("dropout", f"channel Z: the same value for 2000 samples (1.0%) from sample {border}")
+    ]
+    signal = NOISE[0].copy()
+    signal[border : border + 200] = np.nan
+    [(name, detail)] = faults_of(signal, limits)
+    assert name == "gap"
+    assert f"in 1 gap, the longest of 200 from sample {border};" in detail
+    signal = NOISE[0].copy()
+    signal[border : border + 3] = -999.0
+    assert [name for name, _ in faults_of(signal, limits)] == ["non_finite_interpolated"]
+    line = np.interp(np.arange(border - 1, border + 4), [border - 1, border + 3], NOISE[0, [border - 1, border + 3]])
+    np.testing.assert_array_equal(signal[border - 1 : border + 4], line)
+
+
+def test_a_file_of_samples_has_no_name_and_its_whole_size_from_the_start(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    before = os.statvfs(tmp_path).f_bfree
+    array = empty((2, 4_000_000), np.float32, on_disk=True)
+    assert list(tmp_path.iterdir()) == []
+    if hasattr(os, "posix_fallocate"):
+        taken = (before - os.statvfs(tmp_path).f_bfree) * os.statvfs(tmp_path).f_frsize
+        assert taken > 0.5 * array.nbytes
+    array[1, ::7] = 3.0
+    assert array[:, ::7].sum() == 3.0 * len(range(0, 4_000_000, 7))
+    assert is_on_disk(array[1, 5:].reshape(5, -1))
+    assert is_on_disk(empty_like(array[0], (3,), np.float64))
+    assert not is_on_disk(empty_like(array[0].copy(), (3,), np.float64))
+
+
+def test_a_full_disk_is_an_error_of_the_surroundings(tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(scratch, "_claim", full)
+    with pytest.raises(EnvironmentFailure, match=rf"{tmp_path}: no room .*No space left on device for 800 bytes"):
+        empty((100,), np.float64, on_disk=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_way_to_claim_room_zeros_are_written(monkeypatch):
+    monkeypatch.delattr("os.posix_fallocate", raising=False)
+    assert not empty((3_000_001,), np.uint8, on_disk=True).any()
+
+
+def test_files_go_where_tmpdir_says_else_where_memory_is_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    assert scratch_folder() == tmp_path
+    monkeypatch.delenv("TMPDIR")
+    if os.access("/var/tmp", os.W_OK):
+        assert scratch_folder() == Path("/var/tmp")
+    monkeypatch.setattr(scratch, "_LASTING", tmp_path / "absent")
+    assert scratch_folder().is_dir()
