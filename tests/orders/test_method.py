@@ -7,11 +7,13 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
+from crankorder.orders.by_angle import time_samples
 from crankorder.orders.frames import order_frames
 from crankorder.orders.method import frame_layout
+from crankorder.orders.spectra import spectra
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
-from made.recordings import line, run_up, steady, total
+from made.recordings import line, run_up, shaft, steady, total
 
 SETTINGS = load_settings().orders
 PARTS = {0.5: (0.1, 0.2), 1.0: (2.0, -2.5), 5.5: (0.03, 1.0), 10.0: (0.7, 3.0), 19.5: (1.5, 0.4)}
@@ -138,3 +140,23 @@ def test_from_full_rate_samples_to_orders_the_error_is_within_the_mark(share, to
     for order, value in orders.items():
         found = frames["spectrum"].sel(order=order).values
         assert np.abs(found - value * np.exp(0.3j * order)).max() < mark, order
+
+
+@pytest.mark.parametrize(("scatter_rev", "denser"), [(0.0, False), (1e-7, False), (1e-5, True)])
+def test_an_angle_that_scatters_from_tooth_to_tooth_is_sampled_more_densely(scatter_rev, denser):
+    band, _ = steady([SIGNAL], speed_rpm=1800.0, duration_s=8.0, rate_hz=2000.0)
+    angle = np.arange(240 * 60 + 1) / 60.0 - 0.3
+    time = (angle + 0.3) / 30.0 + np.random.default_rng(2).normal(0.0, scatter_rev / 30.0, len(angle))
+    time[[0, -1]] = 0.0, 8.0
+    scattered = shaft(time, angle, 60.0 * np.gradient(angle, time))
+    frames = order_frames(band, scattered, settings=SETTINGS)
+    assert ("as dense" in frames.attrs["method"]) == denser
+    assert frames.attrs["achieved_error"] <= SETTINGS.tolerance
+    layout = frame_layout(band, scattered, settings=asked(tolerance=1e-11))
+    samples = time_samples(band, tolerance=1e-11)
+    truth = spectra(samples, scattered, layout, n_orders=321, max_order=20.0, density=16)
+    # the kernels are of different lengths, and so the frames begin a few samples apart: the same orders, other noise
+    found, expected = (
+        np.abs(item[0, 1:-1, [8, 16, 88, 160, 312]]).mean(axis=1) for item in (frames["spectrum"].values, truth)
+    )
+    np.testing.assert_allclose(found, expected, atol=2.0 * (SETTINGS.tolerance + scatter_rev))

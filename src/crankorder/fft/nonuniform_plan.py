@@ -17,8 +17,7 @@ from crankorder.fft.nonuniform import (
     phase_of_whole_revs,
     weighted,
 )
-
-LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1
+from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
 
 TOLERANCE_MARGIN = 5.0
 """finufft's own tolerance is so much less than what is asked for: measured, its error is up to 1.8 times its tolerance

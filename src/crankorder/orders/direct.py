@@ -18,9 +18,10 @@ from crankorder.fft.nonuniform import (
     real_signals,
     scaled_sums,
 )
-from crankorder.fft.nonuniform_plan import LARGEST_TOLERANCE, LEAST_TOLERANCE, OrderTransform
+from crankorder.fft.nonuniform_plan import OrderTransform
 from crankorder.fft.nonuniform_upsampling import Upsampling, upsampled, upsampling
 from crankorder.fft.nonuniform_windows import folding_error, hann_of_constant, hann_of_turns
+from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
 from crankorder.shaft.angle import time_at
 
 HIGHEST_SHARE = 0.49

@@ -10,9 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
-from crankorder.orders.by_angle import is_by_angle, time_samples
+from crankorder.orders.by_angle import TimeSamples, is_by_angle, time_samples
 from crankorder.orders.method import METHOD_SHARE, FrameLayout, frame_layout
-from crankorder.orders.spectra import achieved_error, spectra, spectra_by_angle
+from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of, time_at
@@ -24,8 +24,9 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     ``band`` is the BandRecording, by time or by crank angle; ``shaft`` its ShaftAngle. A frame holds
     ``settings.revs_per_frame`` rounded down to whole cycles, fewer (flagged) where the recording is shorter. Orders
     that the sample rate cannot carry at a frame's speed, and frames of a channel that touch one of its gaps, are NaN.
-    The method is chosen by ``settings.tolerance``; ``predicted_error``, and ``achieved_error`` as measured by tones of
-    known amplitude along the same crank angles, stand beside it.
+    The method is chosen by ``settings.tolerance``. The error that its filters and kernels predict stands beside it
+    (``predicted_error``) and that of the fastest frame beside a far denser sampling of it (``achieved_error``): where
+    the angle scatters from tooth to tooth and the latter misses the tolerance, all frames are sampled more densely.
     Raises InputError where not even one cycle was recorded.
     """
     layout = frame_layout(band, shaft, settings=settings)
@@ -37,21 +38,38 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         spectrum = spectra_by_angle(
             band["signal"].values, usable, per_rev, layout.revs, layout.hop_rev, layout.begin_rev, n_orders
         )
-        limit, achieved = np.full(len(speed), 0.5 * per_rev), 0.0
+        density, achieved, limit = 1, 0.0, np.full(len(speed), 0.5 * per_rev)
     else:
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
-        spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=settings.max_order)
+        density, spectrum, achieved = _spectra_and_error(samples, shaft, layout, speed, n_orders, settings)
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
-        achieved = achieved_error(samples, shaft, layout, speed_rpm=speed, max_order=settings.max_order)
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
     frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
-    frames.attrs = _attrs(band, shaft, layout) | {
+    frames.attrs = _attrs(band, shaft, layout, density) | {
         "tolerance": settings.tolerance,
         "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
     }
     return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings)])
+
+
+def _spectra_and_error(
+    samples: TimeSamples,
+    shaft: xr.Dataset,
+    layout: FrameLayout,
+    speed_rpm: NDArray[np.float64],
+    n_orders: int,
+    settings: OrderSettings,
+) -> tuple[int, NDArray[np.complex128], float]:
+    """Density of the sampling, spectra and the error that these achieve, over the largest amplitude."""
+    top = settings.max_order
+    for density in (1, DENSER):
+        spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
+        achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed_rpm, max_order=top, density=density)
+        if layout.method.kernel is None or not achieved > settings.tolerance:
+            break
+    return density, spectrum, achieved
 
 
 def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> NDArray[np.float64]:
@@ -88,9 +106,10 @@ def _dataset(
     )
 
 
-def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout) -> dict[str, Any]:
+def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, density: int) -> dict[str, Any]:
     kept = {key: band.attrs[key] for key in ("recording", "history", "quality", "samples_per_rev") if key in band.attrs}
     kernel = layout.method.kernel
+    dense = f", {density} times as dense" if density > 1 else ""
     window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
     return kept | {
         "amplitude_scaling": "peak",
@@ -101,7 +120,7 @@ def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout) -> dict[str
         "enbw_bins": window.enbw_bins,
         "revs_per_frame": layout.revs,
         "overlap": 1.0 - layout.hop_rev / layout.revs,
-        "method": layout.method.name if kernel is None else f"{layout.method.name} ({kernel.name})",
+        "method": layout.method.name if kernel is None else f"{layout.method.name} ({kernel.name}{dense})",
     }
 
 

@@ -13,16 +13,13 @@ from numpy.typing import NDArray
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.resampling import Kernel
 from crankorder.orders.by_angle import TimeSamples, covered_angles, is_by_angle, kernel_for, time_samples
-from crankorder.settings import OrderSettings
+from crankorder.settings import LEAST_TOLERANCE, OrderSettings
 
 MOST_CARRIED = 0.49
 """Share of the sample rate up to which a transform straight from the samples is trusted."""
 
 METHOD_SHARE = 0.5
 """Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
-
-LEAST_TOLERANCE = 1e-12
-"""What a transform straight from the samples can be asked for."""
 
 ROUNDING_REV = 1e-9
 """By so much less than a whole frame may be covered: the last digits of an angle."""
@@ -69,7 +66,7 @@ def frame_layout(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
         methods = order_methods(samples, settings=settings)
         candidates = [(method, *covered_angles(samples, shaft, margin=method.margin)) for method in methods]
-    wanted = settings.revs_per_frame // cycle * cycle
+    wanted = max(1, settings.revs_per_frame // cycle) * cycle
     revs = [min(wanted, math.floor(last - first + ROUNDING_REV) // cycle * cycle) for _, first, last in candidates]
     if max(revs) == 0:
         held = max(last - first for _, first, last in candidates)

@@ -9,12 +9,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.fft.resampling import cheapest_kernel
 from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import hann
-from crankorder.orders.by_angle import TimeSamples, rev_frequencies, samples_per_rev_for, signals_at, touches_gap
+from crankorder.orders.by_angle import (
+    TimeSamples,
+    kernel_for,
+    rev_frequencies,
+    samples_per_rev_for,
+    signals_at,
+    touches_gap,
+)
 from crankorder.orders.direct import order_frames_nufft
-from crankorder.orders.method import FrameLayout
-from crankorder.shaft.angle import angle_at, knots_of, time_at
+from crankorder.orders.method import FrameLayout, OrderMethod
+from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
+from crankorder.shaft.angle import knots_of, time_at
 
 CHUNK_SAMPLES = 1 << 19
 """Samples by angle that are held at a time: the memory does not grow with the recording."""
@@ -22,20 +31,24 @@ CHUNK_SAMPLES = 1 << 19
 CHUNK_SPEED_RATIO = 1.3
 """Frames whose speeds differ by more are sampled at different angles: the slowest sets the samples per revolution."""
 
-PROBE_SPREAD = 64
-"""Samples of the test tones beyond the frame on either side, where the recording has them too."""
-
-PROBE_SHARE = 0.98
-"""The higher test tone lies so far up in the content of the recording."""
+DENSER = 4
+"""Factor by which a frame is sampled more densely to judge it, and all frames where that shows an error."""
 
 
 def spectra(
-    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, n_orders: int, max_order: float
+    samples: TimeSamples,
+    shaft: xr.Dataset,
+    layout: FrameLayout,
+    *,
+    n_orders: int,
+    max_order: float,
+    density: int = 1,
 ) -> NDArray[np.complex128]:
     """Spectra (channels, frames, ``n_orders``) of ``samples`` by the method and on the frames of ``layout``.
 
-    In peak amplitude, phases from crank angle 0 of ``shaft``; nothing folds onto an order up to ``max_order``. Frames
-    of a channel that touch one of its gaps are NaN.
+    In peak amplitude, phases from crank angle 0 of ``shaft``. Where the angle is smooth, nothing folds onto an order up
+    to ``max_order``; where it scatters from tooth to tooth, ``density`` times as many samples per revolution are taken.
+    Frames of a channel that touch one of its gaps are NaN.
     """
     if layout.method.name == "nufft":
         return order_frames_nufft(
@@ -50,8 +63,12 @@ def spectra(
             usable=samples.usable,
         )
     spectrum = np.empty((len(samples.signals), len(layout.begin_rev), n_orders), dtype=np.complex128)
-    for chunk, slowest_hz in _chunks(samples, shaft, layout):
-        spectrum[:, chunk] = _resampled(samples, shaft, layout, chunk, slowest_hz, n_orders, max_order)
+    assert layout.method.kernel is not None
+    for chunk, slowest_hz in _chunks(samples, shaft, layout, CHUNK_SAMPLES // density):
+        per_rev = density * samples_per_rev_for(
+            samples, layout.method.kernel, slowest_hz=slowest_hz, max_order=max_order
+        )
+        spectrum[:, chunk] = _resampled(samples, shaft, layout, chunk, per_rev, n_orders)
     return spectrum
 
 
@@ -60,14 +77,12 @@ def _resampled(
     shaft: xr.Dataset,
     layout: FrameLayout,
     chunk: slice,
-    slowest_hz: float,
+    per_rev: int,
     n_orders: int,
-    max_order: float,
 ) -> NDArray[np.complex128]:
-    """Spectra of the frames ``chunk``, resampled at angles even enough for the lowest speed among them."""
+    """Spectra of the frames ``chunk``, resampled ``per_rev`` times in a revolution."""
     kernel = layout.method.kernel
     assert kernel is not None
-    per_rev = samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=max_order)
     begin = layout.begin_rev[chunk]
     angle = begin[0] + np.arange(round((begin[-1] - begin[0] + layout.revs) * per_rev)) / per_rev
     values, usable = signals_at(samples, shaft, angle, kernel)
@@ -98,8 +113,10 @@ def spectra_by_angle(
     return spectrum
 
 
-def _chunks(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout) -> Iterator[tuple[slice, float]]:
-    """Runs of frames of like speed that fit into memory, each with its lowest rotational frequency [Hz]."""
+def _chunks(
+    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, most_samples: int
+) -> Iterator[tuple[slice, float]]:
+    """Runs of like speed, of ``most_samples`` or one frame, each with its lowest rotational frequency [Hz]."""
     n_frames, hop, revs = len(layout.begin_rev), layout.hop_rev, layout.revs
     edges = layout.begin_rev[0] + np.arange((n_frames - 1) * hop + revs + 1, dtype=np.float64)
     edges[-1] = min(edges[-1], float(shaft["crank_angle"].values[-1]))
@@ -110,7 +127,7 @@ def _chunks(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout) -> Ite
     for frame in range(1, n_frames):
         below, above = min(low, slowest[frame]), max(high, slowest[frame])
         n_samples = ((frame - begin) * hop + revs) * samples.rate_hz / below
-        if above > CHUNK_SPEED_RATIO * below or n_samples > CHUNK_SAMPLES:
+        if above > CHUNK_SPEED_RATIO * below or n_samples > most_samples:
             yield slice(begin, frame), float(low)
             begin, low, high = frame, slowest[frame], slowest[frame]
         else:
@@ -122,28 +139,41 @@ def achieved_error(
     samples: TimeSamples,
     shaft: xr.Dataset,
     layout: FrameLayout,
+    spectrum: NDArray[np.complex128],
     *,
     speed_rpm: NDArray[np.float64],
     max_order: float,
+    density: int = 1,
 ) -> float:
-    """Largest error of two tones of unit amplitude, at a low and at the highest order carried, in the fastest frame.
+    """Largest error of the fastest frame of ``spectrum`` (channels, frames, orders), over its largest amplitude.
 
-    The tones are sampled where ``samples`` are, follow the crank angle of ``shaft``, and go through the method of
-    ``layout``; ``speed_rpm`` (frames,) are the frames' speeds, ``max_order`` is the highest order wanted.
+    The truth is the same frame of the same ``samples`` and ``shaft``, resampled four times as densely as with
+    ``density`` and by a kernel without an error of its own where the recording has the neighbours that it takes.
+    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) how fast they are, ``max_order`` the highest order
+    wanted; those beyond the content of the samples are not looked at. NaN where no frame is whole.
     """
-    fastest = int(np.argmax(speed_rpm))
-    begin = layout.begin_rev[fastest]
-    knots = knots_of(shaft)
-    spread = layout.method.margin + PROBE_SPREAD
-    span = (time_at(np.array([begin, begin + layout.revs]), **knots) - samples.start_s) * samples.rate_hz
-    low = max(0, math.floor(span[0]) - spread)
-    high = min(samples.signals.shape[1], math.ceil(span[1]) + spread + 1)
+    whole = np.isfinite(spectrum[:, :, 0])
+    if not whole.any():
+        return math.nan
+    frame = int(np.argmax(np.where(whole.any(axis=0), speed_rpm, -np.inf)))
+    begin = layout.begin_rev[frame : frame + 1]
+    place = (time_at(np.append(begin, begin + layout.revs), **knots_of(shaft)) - samples.start_s) * samples.rate_hz
+    room = min(place[0], samples.signals.shape[1] - 1 - place[1])
+    kernel = cheapest_kernel(LEAST_TOLERANCE, content=samples.content, smooth=True)
+    if kernel.margin > room:
+        kernel = kernel_for(samples, LARGEST_TOLERANCE) if layout.method.kernel is None else layout.method.kernel
+        if kernel.margin > room:
+            return layout.method.predicted_error  # there is nothing to compare with
+    low = max(0, math.floor(place[0]) - kernel.margin)
+    piece = samples.signals[:, low : math.ceil(place[1]) + kernel.margin + 1].astype(np.float64)
     start_s = samples.start_s + low / samples.rate_hz
-    times = np.clip(start_s + np.arange(high - low) / samples.rate_hz, *knots["knot_time_s"][[0, -1]])
-    carried = min(max_order, PROBE_SHARE * samples.content * samples.rate_hz * 60.0 / float(speed_rpm[fastest]))
-    bins = np.maximum(4, np.array([layout.revs, math.floor(carried * layout.revs)]))
-    tones = np.cos(2.0 * np.pi * (bins[:, None] / layout.revs * angle_at(times, **knots)[None, :] % 1.0))
-    probe = TimeSamples(tones.astype(samples.signals.dtype), samples.rate_hz, start_s, samples.content)
-    one = FrameLayout(layout.method, layout.revs, layout.hop_rev, layout.begin_rev[fastest : fastest + 1])
-    made = spectra(probe, shaft, one, n_orders=int(bins.max()) + 1, max_order=max_order)
-    return float(np.abs(made[[0, 1], 0, bins] - 1.0).max())
+    fine = OrderMethod("resample", kernel.predicted_error, kernel.margin, samples.content, kernel)
+    one = FrameLayout(fine, layout.revs, layout.hop_rev, begin)
+    carried = min(max_order, samples.content * samples.rate_hz * 60.0 / float(speed_rpm[frame]))
+    n_orders = min(spectrum.shape[2], math.floor(carried * layout.revs) + 1)
+    alone = TimeSamples(piece, samples.rate_hz, start_s, samples.content)
+    dense = spectra(alone, shaft, one, n_orders=n_orders, max_order=max_order, density=DENSER * density)[:, 0]
+    found = spectrum[whole[:, frame], frame, :n_orders]
+    truth = dense[whole[:, frame]]
+    largest = np.maximum(np.abs(truth).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    return float((np.abs(found - truth) / largest).max())
