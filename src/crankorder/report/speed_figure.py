@@ -88,5 +88,5 @@ def _said(shaft: xr.Dataset, numbers: list[int]) -> str:
     more = f" {rest} other{'s keep their' if rest > 1 else ' keeps its'} speed." if rest else ""
     return (
         f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
-        f"the band is the swing of the speed within each piece of time.{more}"
+        f"the band: lowest to highest within each piece of time, with the noise of the encoder's edges.{more}"
     )

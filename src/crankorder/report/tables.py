@@ -127,7 +127,7 @@ def _crossings(findings: dict[str, Any]) -> Table:
     heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification#|Response"
     more = None
     if outside:
-        title = f"{len(outside)} crossings outside the tested speeds"
+        title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} outside the tested speeds"
         more = _table(title, heads, [_crossing(record) for record in outside], empty="")
     note = "Speeds at which an order meets a natural frequency; excited ones first." if inside else ""
     empty = "No order crosses a natural frequency inside the tested speeds."
@@ -138,7 +138,8 @@ def _crossing(record: dict[str, Any]) -> list[str]:
     response = "excited" if record.get("excited") else "not excited" if record.get("in_range") else "not measured"
     speed = estimate_text(record, "rpm") if "rpm_ci95" in record else _whole(record.get("rpm"))
     factor = record.get("amplification")
-    times = f"× {number_text(float(factor), digits=2)}" if is_number(factor) and record.get("in_range") else "–"
+    measured = is_number(factor) and float(factor) > 0.0 and record.get("in_range")
+    times = f"× {number_text(float(factor), digits=2)}" if measured else "–"
     return [_order(record, "order"), estimate_text(record, "mode_hz"), speed, times, response]
 
 
@@ -169,7 +170,7 @@ def _balance(findings: dict[str, Any], limit: int) -> Table:
                 continue
             title, unit = _BALANCE.get(key, (key.replace("_", " "), ""))
             rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
-    why = f" {named(reason, limit=4 * limit)}" if reason else ""
+    why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
     return _table("Balance", "Quantity|Value#", rows, empty=f"No residual unbalance was worked out.{why}")
 
 
