@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
-LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1  # as settings.OrderSettings has it
 MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
 
 
@@ -101,8 +100,15 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
 @click.option(
     "--tol",
-    type=click.FloatRange(LEAST_TOLERANCE, LARGEST_TOLERANCE),
-    help="Relative amplitude error that the numerics may add; the cheapest method that meets it is taken.",
+    type=float,
+    help="Relative amplitude error that the numerics may add, 1e-12 to 0.1: the cheapest method that meets it.",
+)
+@click.option(
+    "--max-memory",
+    "max_memory_mb",
+    type=click.IntRange(0),
+    metavar="MB",
+    help="Memory for the samples of one recording; a larger one is streamed through a file in TMPDIR or /var/tmp.",
 )
 @click.option("--fresh", is_flag=True, help="Recompute even what is finished and unchanged.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done; write nothing.")
@@ -114,6 +120,7 @@ def run(
     manifest: Path | None,
     recipe: str | None,
     tol: float | None,
+    max_memory_mb: int | None,
     fresh: bool,
     dry_run: bool,
     strict: bool,
@@ -125,7 +132,7 @@ def run(
     """Analyse test-run folders."""
     from crankorder.batch.plan import plan_tests
 
-    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol)
+    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol, max_memory_mb=max_memory_mb)
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
@@ -152,24 +159,25 @@ def _run_plans(
                 outcome = run_test(plan, helper=helper, jobs=jobs, fresh=fresh, strict=strict, progress=progress.update)
             _say(outcome, quiet, verbose)
             outcomes.append(outcome)
+        publish_index(out, outcomes, page_of=helper.index_page)
     finally:
         gc.enable()
         helper.close()
-    publish_index(out, outcomes)
     if as_json:
         click.echo(json.dumps(summary(outcomes, out=out), ensure_ascii=False, indent=2))
     return _exit_status(outcomes)
 
 
 def _started(plans: list[Any], jobs: int) -> Helper:
-    """A helper that hashes inputs and loads what draws, while this process loads what analyses."""
+    """A helper that hashes inputs and loads what draws and writes, while this process loads what analyses."""
     gc.disable()  # modules that load make no garbage, and looking for it costs a fifth of the time
     atexit.register(gc.freeze)  # nor is it worth 0.4 s to take everything apart before the process ends
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # recordings run side by side; small products run in one thread
     from crankorder.batch.lean import leave_out_unused
 
     leave_out_unused()
-    import xarray  # noqa: F401  # which both need, so it is loaded before the helper is split off
+    import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before the helper is split off
+    import xarray  # noqa: F401
 
     from crankorder.batch.ahead import Helper
 

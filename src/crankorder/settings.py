@@ -11,13 +11,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from crankorder.errors import ManyErrors, RequestError
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1
+"""Relative amplitude errors that can be asked for."""
 ResultName = Literal["order_map", "campbell_map", "order_tracks", "findings", "cycle_average", "operating_shapes"]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
@@ -34,12 +36,14 @@ class IngestSettings(StageSettings):
     """Limits on what is read (``1-ingest.toml``)."""
 
     max_bytes: Count
+    in_memory_bytes: Annotated[int, Field(ge=0)]
     max_objects: Count
     clip_run_samples: Count
     dropout_samples: Count
     dropout_fraction: Fraction
     max_gap_samples: Annotated[int, Field(ge=0)]
     max_gap_fraction: Fraction
+    max_missing_fraction: Fraction
     max_clipped_fraction: Fraction
     rate_tolerance: Fraction
     time_jitter_samples: Fraction
@@ -77,7 +81,7 @@ class OrderSettings(StageSettings):
     speed_bin_rpm: Positive
     track_orders: tuple[Positive, ...] = Field(strict=False)
     band_width_orders: Positive
-    tolerance: Annotated[float, Field(ge=1e-12, le=0.1)]
+    tolerance: Annotated[float, Field(ge=LEAST_TOLERANCE, le=LARGEST_TOLERANCE)]
     method: Literal["auto", "resample", "nufft"]
     track_method: Literal["frames", "least_squares", "vold_kalman"]
     track_bandwidth: Positive
@@ -115,10 +119,16 @@ class IdentifySettings(StageSettings):
     crossing_band_rpm: Positive
 
 
+def _different(names: tuple[ResultName, ...]) -> tuple[ResultName, ...]:
+    if len(set(names)) < len(names):
+        raise ValueError("each result is named once")
+    return names
+
+
 class ReportSettings(StageSettings):
     """What is made, pictures and page (``6-report.toml``)."""
 
-    results: tuple[ResultName, ...] = Field(strict=False, min_length=1)
+    results: Annotated[tuple[ResultName, ...], AfterValidator(_different)] = Field(strict=False, min_length=1)
     width_in: Positive
     height_in: Positive
     dpi: Count
@@ -186,10 +196,13 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
         ) from None
 
 
-def load_settings(recipe: str | None = None, *, beside: Path | None = None) -> Settings:
+def load_settings(
+    recipe: str | None = None, *, beside: Path | None = None, asked: dict[str, dict[str, Any]] | None = None
+) -> Settings:
     """Settings of all stages with the differences of ``recipe`` (a shipped name or a path of a TOML file) applied.
 
-    A relative path is tried from the folder ``beside`` first.
+    A relative path is tried from the folder ``beside`` first. What the command line ``asked`` for, by stage and key,
+    goes before both.
     Raises ManyErrors that lists every unknown key and every value out of range, or RequestError for a missing file.
     """
     tables, source = dict(_defaults()), "pipeline"
@@ -200,6 +213,9 @@ def load_settings(recipe: str | None = None, *, beside: Path | None = None) -> S
                 tables[stage] = {**tables.get(stage, {}), **table}
             elif stage not in ("title", "description"):
                 tables[stage] = table
+    for stage, values in (asked or {}).items():
+        tables[stage] = {**tables.get(stage, {}), **values}
+        source = "the command line" if values else source
     try:
         return Settings.model_validate(tables)
     except ValidationError as error:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import resource
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,10 @@ import pytest
 import xarray as xr
 
 from crankorder.batch.plan import plan_tests
+from crankorder.fft.band import band_limited
 from crankorder.identify.explain import Sources
+from crankorder.ingest.recording import read_recording
+from crankorder.scratch import is_on_disk
 from crankorder.stages import TestResult, analyse_recording, analyse_test
 from made.long_recordings import AMPLITUDES, write_long
 
@@ -94,3 +99,27 @@ def test_the_memory_asked_for_is_said_in_the_results(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     stated: dict[str, Any] = json.loads((tmp_path / "out" / "long" / "run.json").read_text())
     assert stated["settings"]["ingest"]["in_memory_bytes"] == 1_000_000
+
+
+def peak_of_reading(folder: Path) -> int:
+    """Bytes that reading a recording and limiting its band hold at most."""
+    plan = plan_tests([folder], folder.parent / "out", max_memory_mb=0)[0]
+    gc.collect()
+    tracemalloc.start()
+    try:
+        recording = read_recording(
+            plan.recordings[0], plan.manifest, settings=plan.settings.ingest, shaft=plan.settings.shaft
+        )
+        band = band_limited(recording, band_hz=1250.0, grid_hz=1.0)
+        assert is_on_disk(recording["signal"].values)
+        assert is_on_disk(band["signal"].values)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_reading_three_times_as_long_a_record_takes_no_more_memory(tmp_path: Path) -> None:
+    peak_of_reading(write_long(tmp_path / "first" / "data", 3.0))  # filters are designed and kept
+    short, long = (peak_of_reading(write_long(tmp_path / str(s) / "data", s)) for s in (48.0, 144.0))
+    assert short < 10_000_000  # of 48 MB of samples
+    assert long < short + 100_000

@@ -158,7 +158,7 @@ def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(anal
     scene = analysed("hard-faulty-signals")
     assert scene.status == [3]
     assert "rpm_1000.h5: left out of all averages; found clipped" in scene.said[0]
-    assert "missing samples" in scene.said[0]
+    assert "gap" in scene.flags("rpm_1400.h5")
     assert "rpm_1800.h5: left out of all averages; found dropout" in scene.said[0]
     put_in, found = scene.line("X", 5.5)
     assert found["amplitude"] == pytest.approx(put_in["amplitude"], rel=0.1)

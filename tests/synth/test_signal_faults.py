@@ -95,11 +95,14 @@ def test_a_few_missing_samples_are_bridged_and_counted_as_told(duration_s: float
     assert found(signal[0], "Y") == []
 
 
-def test_many_missing_samples_are_told_as_bad_and_refused_by_the_pipeline() -> None:
-    signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=1.0, channels=("Y",)))
-    assert told(records, "Y") == [("non_finite", "bad")]
-    assert records[0]["n_samples"] == np.isnan(signal[0]).sum() == 5000
-    with pytest.raises(InputError, match="5000 missing samples"):
+def test_many_missing_samples_are_a_gap_and_too_many_are_refused_as_told() -> None:
+    signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=0.5, channels=("Y",)))
+    assert found(signal[0], "Y") == told(records, "Y") == [("gap", "suspect")]
+    assert records[0]["n_samples"] == np.isnan(signal[0]).sum() == 2500
+    duration_s = 0.26 * signal.shape[1] / 5000.0
+    signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=duration_s, channels=("Y",)))
+    assert told(records, "Y") == [("gap", "bad")]
+    with pytest.raises(InputError, match="missing samples"):
         found(signal[0], "Y")
 
 

@@ -6,6 +6,7 @@ import re
 import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from crankorder.errors import CrankorderError, ManyErrors, RequestError, printable
 from crankorder.ingest.folder import recordings_of
@@ -37,19 +38,25 @@ def plan_tests(
     manifest: Path | None = None,
     recipe: str | None = None,
     tolerance: float | None = None,
+    max_memory_mb: int | None = None,
 ) -> list[TestPlan]:
     """Plans of the tests in ``folders``, whose results go below ``out``.
 
     ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
-    the manifest names, ``tolerance`` (relative amplitude error) before that of the recipe. Raises ManyErrors with the
-    faults of all folders; nothing has been written then.
+    the manifest names; ``tolerance`` (relative amplitude error) and ``max_memory_mb`` (megabytes of samples of one
+    recording in memory) go before those of the recipe. Raises ManyErrors with the faults of all folders; nothing has
+    been written then.
     """
+    asked: dict[str, dict[str, Any]] = {
+        "orders": {} if tolerance is None else {"tolerance": tolerance},
+        "ingest": {} if max_memory_mb is None else {"in_memory_bytes": max_memory_mb * 1_000_000},
+    }
     plans: list[TestPlan] = []
     faults: list[CrankorderError] = []
     taken = {"batch.json", "index.html"}
     for folder in folders:
         try:
-            plans.append(_plan(folder, out, manifest, recipe, tolerance, taken))
+            plans.append(_plan(folder, out, manifest, recipe, asked, taken))
         except ManyErrors as error:
             faults += error.faults
         except CrankorderError as error:
@@ -62,7 +69,12 @@ def plan_tests(
 
 
 def _plan(
-    folder: Path, out: Path, manifest: Path | None, recipe: str | None, tolerance: float | None, taken: set[str]
+    folder: Path,
+    out: Path,
+    manifest: Path | None,
+    recipe: str | None,
+    asked: dict[str, dict[str, Any]],
+    taken: set[str],
 ) -> TestPlan:
     if not folder.is_dir():
         raise RequestError(
@@ -71,9 +83,7 @@ def _plan(
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
-    settings = load_settings(chosen, beside=beside if recipe is None else None)
-    if tolerance is not None:
-        settings = settings.model_copy(update={"orders": settings.orders.model_copy(update={"tolerance": tolerance})})
+    settings = load_settings(chosen, beside=beside if recipe is None else None, asked=asked)
     found = recordings_of(folder, stated)
     name = folder_name(stated.test.name or folder.resolve().name, taken)
     _refuse_inside(folder, out / name)

@@ -18,6 +18,9 @@ from crankorder.fft.decimation import (
     decimation_stages,
 )
 from crankorder.quantities import channel_coords
+from crankorder.scratch import blocks, empty_like
+
+Runs = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 LARGEST_LOSS = 0.02
 """A recording of which the filters' ends would cost a larger share keeps its rate: short ones are cheap anyway."""
@@ -58,22 +61,42 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
         attrs=attrs | {"band_hz": band_hz, "decimation_error": error + float(attrs.get("decimation_error", 0.0))},
     )
     if bad is not None:
-        usable = np.stack([_untouched(row, signals.shape[1], factor, reach) for row in bad])
+        usable = empty_like(signals, signals.shape, np.bool_)
+        for row, (starts, ends) in zip(usable, bad, strict=True):
+            _mark_untouched(row, starts, ends, factor, reach)
         made["usable"] = (("channel", axis), usable, {"units": "1", "long_name": "free of gaps and of their filtering"})
     return made
 
 
-def _unusable(recording: xr.Dataset, signals: NDArray[np.floating], *, gaps: bool) -> list[NDArray[np.int64]] | None:
-    """Numbers of the samples of each channel that are missing or not usable; None where there is none."""
+def _unusable(recording: xr.Dataset, signals: NDArray[np.floating], *, gaps: bool) -> list[Runs] | None:
+    """Runs of samples of each channel that are missing or not usable; None where there is none."""
     if "usable" not in recording and not gaps:
         return None
-    rows = [np.flatnonzero(~np.isfinite(row)) for row in signals]
-    if "usable" in recording:
-        rows = [np.union1d(row, np.flatnonzero(~u)) for row, u in zip(rows, recording["usable"].values, strict=True)]
-    return rows
+    usable = recording["usable"].values if "usable" in recording else [None] * len(signals)
+    return [_bad_runs(row, mask) for row, mask in zip(signals, usable, strict=True)]
 
 
-def _untouched(bad: NDArray[np.int64], n_out: int, factor: int, reach: int) -> NDArray[np.bool_]:
-    """Whether none of the samples ``bad`` lies within ``reach`` of each of ``n_out`` outputs."""
-    centre = (-(-reach // factor) + np.arange(n_out)) * factor
-    return np.asarray(np.searchsorted(bad, centre - reach) == np.searchsorted(bad, centre + reach, side="right"))
+def _bad_runs(signal: NDArray[np.floating], usable: NDArray[np.bool_] | None) -> Runs:
+    """First samples, and those after the last, of the runs in which ``signal`` is not finite or not ``usable``."""
+    turns, was_bad = [np.empty(0, dtype=np.int64)], False
+    for part in blocks(signal.size):
+        bad = ~np.isfinite(signal[part])
+        if usable is not None:
+            bad |= ~usable[part]
+        if was_bad or bad.any():
+            turns.append(part.start + np.flatnonzero(np.diff(bad, prepend=was_bad)))
+            was_bad = bool(bad[-1])
+    edges = np.concatenate([*turns, [signal.size] * was_bad])
+    return edges[::2].astype(np.int64), edges[1::2].astype(np.int64)
+
+
+def _mark_untouched(
+    out: NDArray[np.bool_], starts: NDArray[np.int64], ends: NDArray[np.int64], factor: int, reach: int
+) -> None:
+    """Set ``out`` where no bad sample, from ``starts`` to before ``ends``, lies within ``reach`` of the output."""
+    out[:] = True
+    first = -(-reach // factor)
+    low = np.maximum(-(-(starts - reach) // factor) - first, 0)
+    high = np.maximum((ends - 1 + reach) // factor - first + 1, 0)
+    for begin, end in zip(low, high, strict=True):
+        out[begin:end] = False

@@ -13,6 +13,7 @@ from crankorder.fft.decimation_stages import (
     decimation_factor,
     decimation_stages,
 )
+from crankorder.scratch import blocks, empty_like
 
 __all__ = [
     "TOLERANCE",
@@ -226,6 +227,17 @@ class Decimator:
         return signal
 
 
+def _without_offset(signals: NDArray[np.floating], offset: NDArray[np.float64], gaps: bool) -> NDArray[np.floating]:
+    """``signals`` less the ``offset`` of each; where they are not finite, looked for only with ``gaps``, 0."""
+    rested = empty_like(signals, signals.shape, signals.dtype)
+    for part in blocks(signals.shape[1], size=PASS_SAMPLES):
+        out = rested[:, part]
+        np.subtract(signals[:, part], offset[:, None], out=out, dtype=np.float64, casting="same_kind")
+        if gaps:
+            np.nan_to_num(out, copy=False, posinf=0.0, neginf=0.0)
+    return rested
+
+
 def decimate(
     signals: NDArray[np.floating],
     *,
@@ -246,13 +258,13 @@ def decimate(
     signals = signals if signals.dtype in (np.float32, np.float64) else signals.astype(np.float64)
     offset, gaps = channel_offsets(signals) if offset is None else (offset, True)
     if factor == 1:
-        rested = np.empty(signals.shape, dtype=signals.dtype)
-        np.subtract(signals, offset[:, None], out=rested, dtype=np.float64, casting="same_kind")
-        return np.nan_to_num(rested, copy=False, posinf=0.0, neginf=0.0) if gaps else rested, rate_hz, 0.0
+        return _without_offset(signals, offset, gaps), rate_hz, 0.0
     decimator = Decimator(
         rate_hz=rate_hz, band_hz=band_hz, factor=factor, offset=offset, dtype=signals.dtype, tolerance=tolerance,
         gaps=gaps,
     )  # fmt: skip
     stop = (signals.shape[1] - 1 - decimator.reach) // factor + 1
-    made = decimator.outputs(signals, 0, decimator.first, stop)
+    made = empty_like(signals, (len(signals), max(0, stop - decimator.first)), signals.dtype)
+    for part in blocks(made.shape[1], size=max(1, PASS_SAMPLES // factor)):
+        made[:, part] = decimator.outputs(signals, 0, decimator.first + part.start, decimator.first + part.stop)
     return made, rate_hz / factor, decimator.first * factor / rate_hz

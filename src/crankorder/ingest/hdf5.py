@@ -23,10 +23,15 @@ from crankorder.ingest.rawfile import (
     check_budget,
     common_rate,
     named,
+    rows_for,
 )
+from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
 
 _MAX_DEPTH = 32
+PIECE_BYTES = 1 << 22
+"""Bytes of a column read at a time where it goes to disk; whole chunks, and at least one."""
+
 # deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lzf: all others would load code from a plugin folder
 _FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
 _RATE_NAMES = ("rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_frequency", "sample_freq", "fs")
@@ -62,7 +67,7 @@ def read_hdf5(path: Path, *, sources: Sequence[Source], settings: IngestSettings
         check_budget(n_bytes, path, max_bytes=settings.max_bytes)
         attributes = _Attributes(file)
         rates = {name: attributes.rate_hz(used[columns[name].dataset], path) for name in names}
-        values = _read_columns([columns[name] for name in names], used, attributes, path)
+        values = _read_columns([columns[name] for name in names], used, attributes, path, settings)
         units = {
             source: attributes.text(used[columns[name].dataset], _UNIT_NAMES)
             for source, name in zip(sources, names, strict=True)
@@ -249,19 +254,15 @@ def _check_written(dataset: h5py.Dataset, path: Path, place: str) -> None:
 
 
 def _read_columns(
-    columns: list[_Column], used: dict[str, Any], attributes: _Attributes, path: Path
+    columns: list[_Column], used: dict[str, Any], attributes: _Attributes, path: Path, settings: IngestSettings
 ) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
     kinds = [(column.n_samples, _target(used[column.dataset].dtype)) for column in columns]
-    blocks = {kind: np.empty((kinds.count(kind), kind[0]), kind[1]) for kind in set(kinds)}
-    rows = dict.fromkeys(blocks, 0)
-    tables: dict[str, Any] = {}
-    out: list[FloatArray] = []
-    for column, kind in zip(columns, kinds, strict=True):
-        dataset, row = used[column.dataset], blocks[kind][rows[kind]]
-        rows[kind] += 1
+    room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
+    for name, dataset in used.items():
+        rows = [(column.index, row) for column, row in zip(columns, room, strict=True) if column.dataset == name]
         try:
-            _read_into(row, dataset, column.index, tables)
+            _read_into(rows, dataset)
         except _H5PY_ERRORS as error:
             raise InputError(
                 "damaged: the checksum or the compression of the samples is wrong",
@@ -270,22 +271,27 @@ def _read_columns(
                 found=str(error).split("\n")[0],
                 remedy="Copy the file again",
             ) from None
-        _unpack(row, dataset, attributes)
-        out.append(row)
-    return out
+        for _, row in rows:
+            _unpack(row, dataset, attributes)
+    return room
 
 
-def _read_into(row: FloatArray, dataset: Any, index: int | None, tables: dict[str, Any]) -> None:
-    if index is not None:
-        # a column of an interleaved table costs as much as the whole table: read that once
-        if dataset.name not in tables:
-            tables[dataset.name] = dataset[()]
-        table = tables[dataset.name]
-        row[:] = table[:, index] if table.shape[0] >= table.shape[1] else table[index]
-    elif dataset.dtype == row.dtype and dataset.size:
+def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any) -> None:
+    """Fill ``rows``, each a column of ``dataset`` (None: it has no columns), in pieces where they lie on disk."""
+    index, row = rows[0]
+    if not row.size:
+        return
+    if len(rows) == 1 and index is None and dataset.dtype == row.dtype and not is_on_disk(row):
         dataset.read_direct(row)
-    elif dataset.size:
-        row[:] = dataset[()]
+        return
+    axis = 0 if index is None else int(np.argmax(dataset.shape))
+    chunk = dataset.chunks[axis] if dataset.chunks else 1
+    size = chunk * max(1, PIECE_BYTES // (chunk * row.itemsize)) if is_on_disk(row) else row.size
+    for part in blocks(row.size, size=size):
+        # a column of an interleaved table costs as much as the whole table: read that once
+        piece = dataset[part] if axis == 0 else dataset[:, part]
+        for index, row in rows:
+            row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 
 
 def _target(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
@@ -297,7 +303,8 @@ def _unpack(row: FloatArray, dataset: Any, attributes: _Attributes) -> None:
     """Undo the packing conventions of NetCDF: fill value, scale and offset."""
     fill = attributes.number(dataset, ("_FillValue", "missing_value"), inherited=False)
     if fill is not None:
-        row[row == row.dtype.type(fill)] = np.nan
+        for part in blocks(row.size):
+            row[part][row[part] == row.dtype.type(fill)] = np.nan
     scale = attributes.number(dataset, ("scale_factor",), inherited=False)
     offset = attributes.number(dataset, ("add_offset",), inherited=False)
     if scale is not None:

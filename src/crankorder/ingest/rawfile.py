@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.quantities import QualityFlag, Severity
+from crankorder.scratch import empty
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
@@ -93,6 +94,18 @@ def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> 
                 remedy="Export all channels at one rate",
             )
     return first[1] if first else None
+
+
+def rows_for(
+    kinds: Sequence[tuple[int, type[np.float32] | type[np.float64]]], *, in_memory_bytes: int
+) -> list[FloatArray]:
+    """A row to be filled for each of ``kinds`` (samples, type); those of one kind are neighbours in one block.
+
+    They lie on disk where all of them together are more than ``in_memory_bytes``.
+    """
+    on_disk = sum(n_samples * np.dtype(dtype).itemsize for n_samples, dtype in kinds) > in_memory_bytes
+    room = {kind: iter(empty((kinds.count(kind), kind[0]), kind[1], on_disk=on_disk)) for kind in dict.fromkeys(kinds)}
+    return [next(room[kind]) for kind in kinds]
 
 
 def check_budget(n_bytes: int, path: Path, *, max_bytes: int) -> None:

@@ -20,6 +20,7 @@ from crankorder.ingest.sampling import agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import conversion_factor, known_unit, unit_of
 from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
+from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
@@ -293,7 +294,10 @@ def _stacked(rows: Sequence[FloatArray]) -> FloatArray:
         if neighbours and base.shape[1] == rows[0].size:
             block: FloatArray = base[start : start + len(rows)]
             return block
-    return np.stack(rows)
+    stacked = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
+    for number, row in enumerate(rows):
+        stacked[number] = row
+    return stacked
 
 
 def _to_analysed_unit(

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from crankorder.errors import InputError
 from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.quantities import QualityFlag
+from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
+
+SOME_TIMES = 1 << 20
+"""Times that are enough to tell the usual step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +35,14 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     ``path`` names the recording in errors; ``settings`` say how far a time may lie off the uniform grid.
     Raises InputError naming the sample where times repeat, go back, leave a gap or wander.
     """
-    times = times.astype(np.float64, copy=False)
     _refuse_gaps(times, path)
-    span_s = float(times[-1] - times[0])
+    start = float(times[0])
+    span_s = float(times[-1]) - start
     step_s = span_s / (times.size - 1)
-    jitter = float(np.abs((times - times[0]) / step_s - np.arange(times.size)).max())
+    jitter = max(
+        float(np.abs((_double(times, part) - start) / step_s - np.arange(part.start, part.stop)).max())
+        for part in blocks(times.size)
+    )
     if jitter > settings.max_time_jitter_samples:
         raise InputError(
             f"the time column is not uniform: off by {jitter:.3g} samples",
@@ -48,35 +57,48 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     # each end is known to within its own jitter, and a rounding error of the arithmetic
     uncertainty = 2.0 * max(jitter, 1e-9) / (times.size - 1)
     # twelve digits: 100 kHz in a decimal column is 100 kHz, not 100000.00000000001
-    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, float(times[0]), flags)
+    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, start, flags)
+
+
+def _double(times: FloatArray, part: slice) -> npt.NDArray[np.float64]:
+    return times[part].astype(np.float64, copy=False)
+
+
+def _steps(times: FloatArray) -> Iterator[tuple[int, npt.NDArray[np.float64]]]:
+    """First sample and steps of each block of ``times``."""
+    for part in blocks(times.size - 1):
+        yield part.start, np.diff(_double(times, slice(part.start, part.stop + 1)))
 
 
 def _refuse_gaps(times: FloatArray, path: Path) -> None:
     if times.size < 3:
         raise InputError(f"too short: {times.size} samples", file=path, allowed="3 samples or more")
-    if not np.isfinite(times).all():
-        raise InputError("a time is missing", file=path, place=f"sample {int(np.argmin(np.isfinite(times)))}")
-    steps = np.diff(times)
-    step_s = float(np.median(steps))
-    if steps.min() <= 0:
-        place = int(np.argmax(steps <= 0)) + 1
-        raise InputError(
-            "time does not grow",
-            file=path,
-            place=f"sample {place}",
-            found=f"{times[place]:.9g} s after {times[place - 1]:.9g} s",
-            remedy="Mend time_source, or leave the recording out",
-        )
-    if steps.max() > 1.5 * step_s:
-        place = int(np.argmax(steps > 1.5 * step_s))
-        lost = round(steps[place] / step_s) - 1
-        raise InputError(
-            f"{lost} samples are missing",
-            file=path,
-            place=f"after sample {place} ({times[place]:.9g} s)",
-            found=f"a step of {steps[place]:.6g} s among steps of {step_s:.6g} s",
-            remedy="Split the recording there, or record it again",
-        )
+    for part in blocks(times.size):
+        finite = np.isfinite(times[part])
+        if not finite.all():
+            raise InputError("a time is missing", file=path, place=f"sample {part.start + int(np.argmin(finite))}")
+    for first, steps in _steps(times):
+        if steps.min() <= 0:
+            place = first + int(np.argmax(steps <= 0)) + 1
+            raise InputError(
+                "time does not grow",
+                file=path,
+                place=f"sample {place}",
+                found=f"{times[place]:.9g} s after {times[place - 1]:.9g} s",
+                remedy="Mend time_source, or leave the recording out",
+            )
+    step_s = float(np.median(np.diff(_double(times, slice(SOME_TIMES)))))
+    for first, steps in _steps(times):
+        if steps.max() > 1.5 * step_s:
+            place = first + int(np.argmax(steps > 1.5 * step_s))
+            lost = round(steps[place - first] / step_s) - 1
+            raise InputError(
+                f"{lost} samples are missing",
+                file=path,
+                place=f"after sample {place} ({times[place]:.9g} s)",
+                found=f"a step of {steps[place - first]:.6g} s among steps of {step_s:.6g} s",
+                remedy="Split the recording there, or record it again",
+            )
 
 
 def agreed_rate(

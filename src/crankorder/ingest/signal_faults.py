@@ -1,7 +1,12 @@
-"""What is wrong with the samples of a signal: missing, clipped, constant. Nothing non-finite leaves this module."""
+"""What is wrong with the samples of a signal: missing, clipped, constant. What leaves this module is finite or NaN.
+
+All of it is done block by block, for a signal may be larger than memory.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +15,7 @@ import numpy.typing as npt
 from crankorder.errors import InputError
 from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.quantities import QualityFlag, Severity
+from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
 # beyond any physical signal: fill values of NetCDF (9.97e36) and of LabVIEW lie above it
@@ -19,83 +25,179 @@ _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0)
 _STEEP_STEPS = 10.0
 
 
-def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSettings) -> list[QualityFlag]:
-    """Flags of ``signal``, shape (sample,), whose missing samples are bridged in place where they are few enough.
+Mask = Callable[[FloatArray], npt.NDArray[np.bool_]]
 
-    ``name`` and ``path`` say which channel of which recording it is; ``settings`` say how many missing samples are few
-    and what counts as clipping. Raises InputError where more are missing than can be bridged.
+
+@dataclass(frozen=True, slots=True)
+class _Survey:
+    """Least and greatest number among the samples, how many equal the one before them, and whether any is NaN."""
+
+    low: float
+    high: float
+    n_still: int
+    has_nan: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Runs:
+    """Samples ``starts`` (runs,) to before ``ends`` (runs,), in order."""
+
+    starts: npt.NDArray[np.int64]
+    ends: npt.NDArray[np.int64]
+
+    @property
+    def lengths(self) -> npt.NDArray[np.int64]:
+        return self.ends - self.starts
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> _Runs:
+        return _Runs(self.starts[chosen], self.ends[chosen])
+
+
+def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSettings) -> list[QualityFlag]:
+    """Flags of ``signal``, shape (sample,), whose missing samples are bridged in place where they are few in a row.
+
+    Samples of a longer gap become NaN, whatever stood there. ``name`` and ``path`` say which channel of which recording
+    it is; ``settings`` say how many missing samples are few and what counts as clipping. Raises InputError where more
+    are bridged than the spectrum bears, or more are missing than leave a recording to speak of.
     """
-    low, high, n_still = _survey(signal)
+    survey = _survey(signal)
     flags: list[QualityFlag] = []
-    if not (low > -_FILL_ABOVE and high < _FILL_ABOVE) or low in _SENTINELS or high in _SENTINELS:
-        missing = _missing(signal)
-        if missing.any():
-            _bridge(signal, missing, name, path, settings)
-            detail = (
-                f"channel {name}: {int(missing.sum())} missing samples bridged, first at sample {int(missing.argmax())}"
-            )
-            flags.append(flag(path, "non_finite_interpolated", "suspect", detail))
-            low, high, n_still = _survey(signal)
-    if low == high:
-        return [*flags, flag(path, "constant_signal", "bad", f"channel {name}: all samples equal {low:.6g}")]
+    finite = not survey.has_nan and survey.low > -_FILL_ABOVE and survey.high < _FILL_ABOVE
+    if not finite or survey.low in _SENTINELS or survey.high in _SENTINELS:
+        missing = _runs(signal, _missing(signal))
+        if missing.starts.size:
+            flags += _without(signal, missing, name, path, settings)
+            survey = _survey(signal)
+    if survey.low == survey.high:
+        return [*flags, flag(path, "constant_signal", "bad", f"channel {name}: all samples equal {survey.low:.6g}")]
     # each fault needs so many samples that stand still: most signals have too few for any, and are done
-    if n_still >= 2 * (settings.clip_run_samples - 1):
-        flags += _clipping(signal, low, high, name, path, settings)
-    if n_still >= settings.dropout_samples - 1:
+    if survey.n_still >= 2 * (settings.clip_run_samples - 1):
+        flags += _clipping(signal, survey.low, survey.high, name, path, settings)
+    if survey.n_still >= settings.dropout_samples - 1:
         flags += _dropout(signal, name, path, settings)
     return flags
 
 
-def _survey(signal: FloatArray) -> tuple[float, float, int]:
-    """Least and greatest sample (NaN where one is NaN), and how many samples equal the one before them."""
-    return float(signal.min()), float(signal.max()), int(np.count_nonzero(signal[1:] == signal[:-1]))
+def _survey(signal: FloatArray) -> _Survey:
+    lows, highs, n_still, has_nan, last = [], [], 0, False, np.nan
+    for part in blocks(signal.size):
+        piece = signal[part]
+        low = piece.min()
+        if low != low:
+            has_nan = True
+            low = np.fmin.reduce(piece)
+        lows.append(low)
+        highs.append(np.fmax.reduce(piece) if has_nan else piece.max())
+        n_still += int(np.count_nonzero(piece[1:] == piece[:-1])) + int(piece[0] == last)
+        last = piece[-1]
+    return _Survey(float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs)), n_still, has_nan)
+
+
+def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> _Runs:
+    """Runs of ``least`` samples or more in a row for which ``mask`` (of a block of samples) is true."""
+    found: list[_Runs] = []
+    begun = -1  # where the run that has not ended yet began
+    for part in blocks(signal.size):
+        chosen = mask(signal[part])
+        if begun < 0 and not chosen.any():
+            continue
+        turns = part.start + np.flatnonzero(np.diff(chosen, prepend=begun >= 0))
+        turns = turns if begun < 0 else np.concatenate(([begun], turns))
+        begun = int(turns[-1]) if turns.size % 2 else -1
+        turns = turns[: turns.size // 2 * 2].reshape(-1, 2)
+        turns = turns[turns[:, 1] - turns[:, 0] >= least]
+        found.append(_Runs(turns[:, 0], turns[:, 1]))
+    if begun >= 0 and signal.size - begun >= least:
+        found.append(_Runs(np.array([begun]), np.array([signal.size])))
+    starts, ends = ([getattr(run, name) for run in found] for name in ("starts", "ends"))
+    none = np.empty(0, dtype=np.int64)
+    return _Runs(np.concatenate([none, *starts]), np.concatenate([none, *ends]))
 
 
 def _dropout(signal: FloatArray, name: str, path: Path, settings: IngestSettings) -> list[QualityFlag]:
     """Flag the longest stretch in which the signal stands still, whatever its level, if too long for chance."""
-    still = signal[1:] == signal[:-1]
-    if not still.any():
+    last = np.array([np.nan], dtype=signal.dtype)
+
+    def still(piece: FloatArray) -> npt.NDArray[np.bool_]:
+        nonlocal last
+        held = np.diff(np.concatenate((last, piece))) == 0.0
+        last = piece[-1:]
+        return np.asarray(held)
+
+    runs = _runs(signal, still, least=settings.dropout_samples - 1)
+    if not runs.starts.size:
         return []
-    starts, ends = _runs(still)
-    longest = int(np.argmax(ends - starts))
-    length = int(ends[longest] - starts[longest]) + 1
-    if length < settings.dropout_samples or length < settings.dropout_fraction * signal.size:
+    longest = int(np.argmax(runs.lengths))
+    length = int(runs.lengths[longest]) + 1
+    if length < settings.dropout_fraction * signal.size:
         return []
     share = f"{length} samples ({length / signal.size:.1%})"
-    detail = f"channel {name}: the same value for {share} from sample {starts[longest]}"
+    detail = f"channel {name}: the same value for {share} from sample {runs.starts[longest] - 1}"
     return [flag(path, "dropout", "bad", detail)]
 
 
-def _missing(signal: FloatArray) -> npt.NDArray[np.bool_]:
-    """Samples that are not finite, fill values, or a sentinel such as -999 that lies far outside all other samples."""
-    missing = ~(np.abs(signal) < _FILL_ABOVE)
-    for sentinel in _SENTINELS:
-        hits = signal == signal.dtype.type(sentinel)
-        rest = np.abs(signal[~(missing | hits)])
-        if hits.any() and rest.size and float(rest.max()) < 0.1 * abs(sentinel):
-            missing |= hits
+def _missing(signal: FloatArray) -> Mask:
+    """Which samples are not finite, fill values, or a sentinel such as -999 that lies far outside all other samples."""
+    known: list[np.floating] = []
+
+    def missing(piece: FloatArray) -> npt.NDArray[np.bool_]:
+        found = ~(np.abs(piece) < _FILL_ABOVE)
+        for sentinel in known:
+            found |= piece == sentinel
+        return np.asarray(found)
+
+    for number in _SENTINELS:
+        sentinel = signal.dtype.type(number)
+        n_hits, largest, n_rest = 0, 0.0, 0
+        for part in blocks(signal.size):
+            hits = signal[part] == sentinel
+            rest = np.abs(signal[part][~(missing(signal[part]) | hits)])
+            n_hits, n_rest = n_hits + int(np.count_nonzero(hits)), n_rest + rest.size
+            largest = max(largest, float(rest.max(initial=0.0)))
+        if n_hits and n_rest and largest < 0.1 * abs(number):
+            known.append(sentinel)
     return missing
 
 
-def _bridge(
-    signal: FloatArray, missing: npt.NDArray[np.bool_], name: str, path: Path, settings: IngestSettings
-) -> None:
-    starts, ends = _runs(missing)
-    longest = int((ends - starts).max())
-    share = float(missing.mean())
-    if longest > settings.max_gap_samples or share > settings.max_gap_fraction:
-        at = int(starts[np.argmax(ends - starts)])
-        raise InputError(
-            f"channel {name} has {int(missing.sum())} missing samples (not a number, infinite or a fill value)",
-            file=path,
-            place=f"sample {at}",
-            found=f"{longest} in a row",
-            allowed=f"{settings.max_gap_samples} in a row and {settings.max_gap_fraction:.1%} in all",
-            remedy="Leave the channel or the recording out, or cut it before the gap",
+def _without(signal: FloatArray, missing: _Runs, name: str, path: Path, settings: IngestSettings) -> list[QualityFlag]:
+    """Bridge the short of the ``missing`` runs, make the others NaN, and flag both."""
+    short = missing.where(missing.lengths <= settings.max_gap_samples)
+    gaps = missing.where(missing.lengths > settings.max_gap_samples)
+    total, bridged = int(missing.lengths.sum()), int(short.lengths.sum())
+    limits = ((total, settings.max_missing_fraction, "in all"), (bridged, settings.max_gap_fraction, "to bridge"))
+    for count, most, how in limits:
+        if count > most * signal.size:
+            raise InputError(
+                f"channel {name} has {total} missing samples (not a number, infinite or a fill value)",
+                file=path,
+                place=f"sample {missing.starts[int(np.argmax(missing.lengths))]}",
+                found=f"{count / signal.size:.3%} {how}",
+                allowed=f"{most:.1%} {how}",
+                remedy="Leave the channel or the recording out, or cut it before the gap",
+            )
+    flags = []
+    for start, end in zip(gaps.starts, gaps.ends, strict=True):
+        signal[start:end] = np.nan
+    if gaps.starts.size:
+        longest, count = int(np.argmax(gaps.lengths)), int(gaps.lengths.sum())
+        detail = (
+            f"channel {name}: {count} samples ({count / signal.size:.2%}) missing in {gaps.starts.size} "
+            f"gap{'s' * (gaps.starts.size > 1)}, the longest of {gaps.lengths[longest]} from sample "
+            f"{gaps.starts[longest]}; what touches a gap is left out"
         )
-    places = np.flatnonzero(missing)
-    good = np.flatnonzero(~missing)
-    signal[places] = np.interp(places, good, signal[good])
+        flags.append(flag(path, "gap", "suspect", detail))
+    if short.starts.size:
+        _bridge(signal, short)
+        detail = f"channel {name}: {bridged} missing samples bridged, first at sample {short.starts[0]}"
+        flags.append(flag(path, "non_finite_interpolated", "suspect", detail))
+    return flags
+
+
+def _bridge(signal: FloatArray, short: _Runs) -> None:
+    """Put a straight line between the neighbours of each of the ``short`` runs; at an end, the one there is."""
+    for start, end in zip(short.starts, short.ends, strict=True):
+        beside = [place for place in (start - 1, end) if 0 <= place < signal.size]
+        signal[start:end] = np.interp(np.arange(start, end), beside, signal[beside])
 
 
 def _clipping(
@@ -104,17 +206,16 @@ def _clipping(
     """Flag runs of equal samples at an extreme, where they are cut off and not the smooth top of a quantised signal."""
     clipped, first, n_runs = 0, signal.size, 0
     for extreme in (low, high):
-        flat = signal == signal.dtype.type(extreme)
-        if np.count_nonzero(flat) < 2 * settings.clip_run_samples:
+        at_extreme = _equal_to(signal.dtype.type(extreme))
+        n_flat = sum(int(np.count_nonzero(at_extreme(signal[part]))) for part in blocks(signal.size))
+        if n_flat < 2 * settings.clip_run_samples:
             continue
-        starts, ends = _runs(flat)
-        long = ends - starts >= settings.clip_run_samples
-        starts, ends = starts[long], ends[long]
-        cut_off = _is_cut_off(signal, extreme, starts, ends)
-        if cut_off.any():
-            n_runs += int(cut_off.sum())
-            clipped += int((ends - starts)[cut_off].sum())
-            first = min(first, int(starts[cut_off][0]))
+        flat = _runs(signal, at_extreme, least=settings.clip_run_samples)
+        flat = flat.where(_is_cut_off(signal, extreme, flat))
+        if flat.starts.size:
+            n_runs += flat.starts.size
+            clipped += int(flat.lengths.sum())
+            first = min(first, int(flat.starts[0]))
     if n_runs < 2:
         return []
     share = clipped / signal.size
@@ -123,23 +224,20 @@ def _clipping(
     return [flag(path, "clipped", severity, detail)]
 
 
-def _is_cut_off(
-    signal: FloatArray, extreme: float, starts: npt.NDArray[np.intp], ends: npt.NDArray[np.intp]
-) -> npt.NDArray[np.bool_]:
-    """Which flat runs the signal enters or leaves steeply.
+def _equal_to(level: np.floating) -> Mask:
+    return lambda piece: np.asarray(piece == level)
+
+
+def _is_cut_off(signal: FloatArray, extreme: float, flat: _Runs) -> npt.NDArray[np.bool_]:
+    """Which ``flat`` runs the signal enters or leaves steeply.
 
     The top of a parabola that rounding flattens over L samples has fallen by 4.5 rounding steps L samples further on.
     """
-    steps = np.abs(np.diff(signal))
-    rounding_step = float(steps[steps > 0].min())
-    lengths = ends - starts
-    before = np.abs(signal[np.maximum(starts - lengths, 0)] - extreme)
-    after = np.abs(signal[np.minimum(ends - 1 + lengths, signal.size - 1)] - extreme)
-    steep: npt.NDArray[np.bool_] = np.maximum(before, after) > _STEEP_STEPS * rounding_step
+    rounding_step = np.inf
+    for part in blocks(signal.size - 1):
+        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
+        rounding_step = min(rounding_step, float(steps.min(where=steps > 0, initial=np.inf)))
+    before = np.abs(signal[np.maximum(flat.starts - flat.lengths, 0)] - extreme)
+    after = np.abs(signal[np.minimum(flat.ends - 1 + flat.lengths, signal.size - 1)] - extreme)
+    steep: npt.NDArray[np.bool_] = np.fmax(before, after) > _STEEP_STEPS * rounding_step
     return steep
-
-
-def _runs(mask: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    padded = np.concatenate(([False], mask, [False]))
-    edges = np.flatnonzero(padded[1:] != padded[:-1])
-    return edges[::2], edges[1::2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +13,13 @@ from crankorder.errors import InputError, printable
 from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named
 from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import QualityFlag, Severity
+from crankorder.scratch import empty
 from crankorder.settings import IngestSettings
 
 _HEAD_BYTES = 65_536
+PIECE_BYTES, PIECE_LINES = 1 << 22, 1 << 16
+"""Of a table that goes to disk so much is read at a time."""
+
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
 )
@@ -47,8 +51,10 @@ def read_text(path: Path, *, sources: Sequence[Source], settings: IngestSettings
     check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
     layout = _layout_of(path)
     positions = [layout.names.index(named(source, layout.names, path)) for source in sources]
-    table = _parsed(path, layout)
-    block = np.ascontiguousarray(table[:, positions].T)
+    if path.stat().st_size > settings.in_memory_bytes:
+        block = _streamed(path, layout, positions)
+    else:
+        block = np.ascontiguousarray(_parsed(path, layout)[:, positions].T)
     return RawFile(
         columns=dict(zip(sources, block, strict=True)),
         units={
@@ -165,10 +171,34 @@ def _rate_in(comments: str) -> float | None:
 
 def _parsed(path: Path, layout: _Layout) -> FloatArray:
     """The whole table (sample, column); an empty or unreadable cell is an error, ``nan`` a missing sample."""
+    table, bare = next(_pieces(path, layout, None))
+    if bare:
+        _find_bad_cell(path, layout)
+    return table
+
+
+def _streamed(path: Path, layout: _Layout, positions: list[int]) -> FloatArray:
+    """Columns (column, sample) at ``positions`` of a table that is parsed in pieces and laid on disk."""
+    n_lines = 1 - layout.n_head_lines
+    with path.open("rb") as stream:
+        while piece := stream.read(PIECE_BYTES):
+            n_lines += piece.count(b"\n")
+    block = empty((len(positions), n_lines), np.float64, on_disk=True)
+    n, any_bare = 0, False
+    for table, bare in _pieces(path, layout, PIECE_LINES):
+        block[:, n : n + len(table)] = table[:, positions].T
+        n, any_bare = n + len(table), any_bare or bare
+    if any_bare:
+        _find_bad_cell(path, layout)
+    return block[:, :n]
+
+
+def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[FloatArray, bool]]:
+    """Tables (sample, column) of ``n_lines`` each, or one of all, and whether it may have lines that are too short."""
     import pandas as pd
 
     try:
-        frame = pd.read_csv(
+        made = pd.read_csv(
             path,
             engine="c",
             sep=r"\s+" if layout.separator == " " else layout.separator,
@@ -181,17 +211,22 @@ def _parsed(path: Path, layout: _Layout) -> FloatArray:
             keep_default_na=False,
             na_values=list(_NAN_WORDS),
             skip_blank_lines=True,
+            chunksize=n_lines,
         )
+        for frame in [made] if n_lines is None else made:
+            if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
+                frame = frame.iloc[:, :-1]  # every line ends with a separator
+            table: FloatArray = np.asarray(frame.to_numpy(), dtype=np.float64)
+            # pandas fills short lines with NaN without a word
+            wrong = table.shape[1] != len(layout.names)
+            if wrong:
+                _find_bad_cell(path, layout)
+            yield table, wrong or bool(np.isnan(table).any())
     except (ValueError, OverflowError, pd.errors.ParserError) as error:
+        if isinstance(error, InputError):
+            raise
         _find_bad_cell(path, layout)
         raise InputError("not a table of numbers", file=path, found=error) from None
-    if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
-        frame = frame.iloc[:, :-1]  # every line ends with a separator
-    table: FloatArray = np.asarray(frame.to_numpy(), dtype=np.float64)
-    if table.shape[1] != len(layout.names) or np.isnan(table).any():
-        # pandas fills short lines with NaN without a word
-        _find_bad_cell(path, layout)
-    return table
 
 
 def _find_bad_cell(path: Path, layout: _Layout) -> None:

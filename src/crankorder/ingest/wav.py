@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from crankorder.errors import InputError
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, flag, named
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named, rows_for
 from crankorder.quantities import QualityFlag
+from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
@@ -67,24 +68,30 @@ def read_wav(path: Path, *, sources: Sequence[Source], settings: IngestSettings)
     numbers = [header.names.index(named(source, header.names, path)) for source in sources]
     frame_bytes = header.n_channels * header.n_bits // 8
     check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    kind = (header.n_present, _sample_type(header))
+    rows = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
     with path.open("rb") as stream:
         stream.seek(header.data_start)
-        data = stream.read(header.n_present * frame_bytes)
-    frames = _decoded(data, header)
-    block = np.empty((len(numbers), header.n_present), _sample_type(header))
-    for row, number in enumerate(numbers):
-        block[row] = frames[:, number]
-        scale = (1.0 if header.is_float else 2.0 ** (1 - header.n_bits)) * _scale(header, number)
-        if header.n_bits == 8:
-            block[row] -= 128.0
-        if scale != 1.0:
-            block[row] *= scale
+        for part in blocks(header.n_present):
+            frames = _decoded(stream.read((part.stop - part.start) * frame_bytes), header)
+            for row, number in zip(rows, numbers, strict=True):
+                row[part] = frames[:, number]
+                _scaled(row[part], header, number)
     return RawFile(
-        columns=dict(zip(sources, block, strict=True)),
+        columns=dict(zip(sources, rows, strict=True)),
         units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
         rate_hz=float(header.rate_hz),
         flags=_flags(header, path),
     )
+
+
+def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
+    """Turn ``samples`` of channel ``number`` in place from steps of the converter into its unit."""
+    scale = (1.0 if header.is_float else 2.0 ** (1 - header.n_bits)) * _scale(header, number)
+    if header.n_bits == 8:
+        samples -= 128.0
+    if scale != 1.0:
+        samples *= scale
 
 
 def contents_of_wav(path: Path, *, settings: IngestSettings) -> Contents:

@@ -10,6 +10,7 @@ the local height off it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -44,6 +45,8 @@ FIRST_BLOCK = 512
 OVERLAP_SHARE = 0.3
 # Blocks of a trace with one pulse per revolution whose extremes tell how high it is.
 MARK_BLOCKS = 16
+# A square wave is cut so many samples at a time, a multiple of 64; the list of a pickup's pulses begins so long.
+PIECE_SAMPLES, FIRST_PULSES = 1 << 20, 1 << 16
 # Samples that are enough to find the two levels of a trace.
 LEVEL_SAMPLES = 1 << 17
 # A trace has two levels where this share of the samples on either side of the middle lies within LEVEL_WIDTH of the
@@ -110,25 +113,23 @@ def find_pulses(
     square = kind == "square" or _is_two_level(some, *levels)
     if square:
         half = 0.5 * settings.hysteresis_fraction * (high - low)
-        fired = np.empty(samples.size // 2 + 2, dtype=np.int64)
-        n, n_missing = _fire(samples, sign, 0.5 * (low + high) - half, 0.5 * (low + high) + half, fired)
-        fired, level = fired[:n], np.full(n, 0.5 * (low + high))
+        pieces = _fired_square(samples, sign, 0.5 * (low + high), half)
     else:
         extremes = sorted(sign * level for level in _mark_levels(samples)) if pulses_per_rev == 1 else None
         low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction, extremes)
-        fired, level, n_missing = _fired_pickup(
+        fired = _fired_pickup(
             samples, sign, low, high, rest, share, settings.hysteresis_fraction, sure, settings.envelope_teeth
         )
+        pieces = iter([fired])
     settled_at = (low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low))
-    position = np.empty(fired.size)
-    n, settled = _cross(samples, sign, fired, level, *settled_at, position)
-    position = position[:n]
+    position, settled, n_missing = _crossings(samples, sign, pieces, settled_at)
+    n = position.size
     if n == 0:
         raise _no_pulses(edge, pulses_per_rev, f"levels {levels[0]:g} and {levels[1]:g}")
     variance = settled * QUANTISED_EDGE_SAMPLES**2 + (n - settled) * INTERPOLATED_EDGE_SAMPLES**2
     noise_samples = math.sqrt(variance / n)
-    how = "quantised" if 2 * settled > position.size else "interpolated"
-    detail = f"{settled} of {position.size} edges lie between settled samples: pulse noise {noise_samples:.3g} samples"
+    how = "quantised" if 2 * settled > n else "interpolated"
+    detail = f"{settled} of {n} edges lie between settled samples: pulse noise {noise_samples:.3g} samples"
     flags: list[Remark] = [(f"encoder_edge_{how}", "info", detail)]
     spread = _spread(some, *levels) if square else 0.0
     if spread > OVERLAP_SHARE:
@@ -136,7 +137,38 @@ def find_pulses(
         flags.append(("encoder_unclear", "suspect", detail))
     if n_missing:
         flags.append(("encoder_gap", "suspect", f"{n_missing} of {samples.size} encoder samples are not a number"))
-    return Pulses(time_s=position / rate_hz, noise_s=noise_samples / rate_hz, flags=flags)
+    position /= rate_hz
+    return Pulses(time_s=position, noise_s=noise_samples / rate_hz, flags=flags)
+
+
+def _fired_square(
+    samples: npt.NDArray[Any], sign: float, middle: float, half: float
+) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, int]]:
+    """Samples at which ``sign * samples`` fires, the level to cut, and the count of NaN, piece by piece."""
+    at = np.empty(min(samples.size, PIECE_SAMPLES) // 2 + 2, dtype=np.int64)
+    carry = 1
+    for first in range(0, samples.size, PIECE_SAMPLES):
+        piece = samples[first : first + PIECE_SAMPLES]
+        n, n_missing, carry = _fire(piece, sign, middle - half, middle + half, np.uint64(carry), at)
+        at[:n] += first
+        yield at[:n], np.full(n, middle), n_missing
+
+
+def _crossings(
+    samples: npt.NDArray[Any],
+    sign: float,
+    pieces: Iterable[tuple[npt.NDArray[np.int64], FloatArray, int]],
+    settled_at: tuple[float, float],
+) -> tuple[FloatArray, int, int]:
+    """Places [samples] of the edges of all ``pieces``, how many lie between settled samples, and the count of NaN."""
+    found: list[FloatArray] = []
+    settled = n_missing = 0
+    for fired, level, missing in pieces:
+        position = np.empty(fired.size)
+        n, n_settled = _cross(samples, sign, fired, level, *settled_at, position)
+        found.append(position[:n])
+        settled, n_missing = settled + n_settled, n_missing + missing
+    return found[0] if len(found) == 1 else np.concatenate(found), settled, n_missing
 
 
 def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> NoPulsesError:
@@ -193,15 +225,16 @@ def _levels(trace: npt.NDArray[Any], low: float, high: float) -> tuple[float, fl
 
 
 @njit(cache=True, nogil=True)
-def _fire(trace, sign, arm, fire, at):  # type: ignore[no-untyped-def]
+def _fire(trace, sign, arm, fire, carry, at):  # type: ignore[no-untyped-def]
     """Fill ``at`` with the first samples of ``sign * trace`` above ``fire`` since it was below ``arm``.
 
-    Returns how many there are, and how many samples are NaN.
+    ``carry`` is 1 at the start, then as the piece of a multiple of 64 samples before gave it. Returns how many there
+    are, how many samples are NaN, and the carry.
 
     64 samples at a time, one bit each. A sample above ``fire`` sets the state, one below ``arm`` clears it, any other
     hands it on: so does the carry in the sum of the bits that do not clear and those that set.
     """
-    one, carry = np.uint64(1), np.uint64(1)
+    one = np.uint64(1)
     n, missing = 0, 0
     for first in range(0, trace.size, 64):
         part = trace[first : first + 64]
@@ -220,7 +253,7 @@ def _fire(trace, sign, arm, fire, at):  # type: ignore[no-untyped-def]
             at[n] = first + _bits(lowest - one)
             n += 1
             fires ^= lowest
-    return n, missing
+    return n, missing, carry
 
 
 @njit(cache=True, nogil=True)
@@ -273,7 +306,7 @@ def _pickup_levels(
 @njit(cache=True, nogil=True)
 def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sure, envelope_teeth):  # type: ignore[no-untyped-def]
     """Samples at which each pulse of ``sign * trace`` is sure, the level at which to cut it, and the count of NaN."""
-    at, level_at = np.empty(trace.size // 2 + 2, dtype=np.int64), np.empty(trace.size // 2 + 2)
+    at, level_at = np.empty(FIRST_PULSES, dtype=np.int64), np.empty(FIRST_PULSES)
     n, missing, armed, last = 0, 0, False, 0.0
     block = min(trace.size, max(FIRST_BLOCK, trace.size // 64))
     interval = block / 8.0
@@ -295,6 +328,8 @@ def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sur
         if armed:
             trough = min(trough, value)
             if value > level + band:
+                if n == at.size:
+                    at, level_at = _doubled(at), _doubled(level_at)
                 at[n], level_at[n] = i, level
                 n += 1
                 low = _followed(low, trough, envelope_teeth)
@@ -310,6 +345,14 @@ def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sur
             shrink, last = 0.25 * (high - low), float(i)
             low, high = (low if rest < 0 else low + shrink), (high if rest > 0 else high - shrink)
     return at[:n].copy(), level_at[:n].copy(), missing
+
+
+@njit(cache=True, nogil=True)
+def _doubled(values):  # type: ignore[no-untyped-def]
+    """``values`` with as much room again behind them."""
+    more = np.empty(2 * values.size, dtype=values.dtype)
+    more[: values.size] = values
+    return more
 
 
 @njit(cache=True, nogil=True)
