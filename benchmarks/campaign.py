@@ -192,7 +192,7 @@ def figure(rows: dict[str, dict[str, Any]]) -> Figure:
     axes.set_ylim(-0.6, len(names) - 0.4)
     axes.grid(axis="x", color="#dddddd")
     axes.set_xscale("log")
-    axes.set_xlim(min(row["seconds"] for row in rows.values()) / 3, max(row["seconds"] for row in rows.values()) * 4)
+    axes.set_xlim(min(row["seconds"] for row in rows.values()) / 3, max(row["seconds"] for row in rows.values()) * 6)
     axes.set_xlabel("seconds of the whole process, 35 recordings (logarithmic)")
     axes.set_title("From the shell to the results", loc="left")
     axes.spines[["top", "right"]].set_visible(False)

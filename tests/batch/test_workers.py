@@ -6,8 +6,10 @@ import os
 import signal
 import time
 
+import numpy as np
 import pytest
 
+from crankorder.batch.shared_pages import LEAST_BYTES
 from crankorder.batch.workers import FORKS, Worker, WorkerDiedError, each
 from crankorder.errors import InputError
 
@@ -98,4 +100,66 @@ def test_a_worker_answers_in_the_order_of_the_requests():
     for request in (1, 2, 3):
         worker.ask(request)
     assert [worker.answer() for _ in range(3)] == [2, 4, 6]
+    worker.close()
+
+
+@needs_fork
+@pytest.mark.parametrize("size", [1, LEAST_BYTES // 8 - 1, LEAST_BYTES // 8, 1_000_003])
+def test_arrays_come_back_bit_for_bit_and_outlive_their_worker(size):
+    def task(number):
+        return {"frames": np.random.default_rng(number).normal(size=(2, size)), "number": number}
+
+    made = {number: answer() for number, answer in answers(task, 5, jobs=2).items()}
+    for number, answer in made.items():
+        assert answer["number"] == number
+        np.testing.assert_array_equal(answer["frames"], task(number)["frames"])
+        answer["frames"] += 1.0  # as writable as any array
+
+
+@needs_fork
+def test_strided_arrays_come_back_too():
+    def task(number):
+        return np.arange(300_000.0).reshape(3, -1)[:, ::2]
+
+    np.testing.assert_array_equal(answers(task, 1, jobs=1)[0](), task(0))
+
+
+@needs_fork
+def test_without_room_for_shared_pages_all_goes_through_the_pipe(monkeypatch):
+    monkeypatch.setattr("crankorder.batch.shared_pages.MOST_BYTES", 1 << 16)
+    made = answers(lambda number: np.full(20_000, float(number)), 3, jobs=1)
+    for number, answer in made.items():
+        np.testing.assert_array_equal(answer(), np.full(20_000, float(number)))
+
+
+@needs_fork
+def test_a_task_asked_ahead_of_a_death_is_done_by_another_worker():
+    def task(number):
+        if number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number
+
+    made = answers(task, 6, jobs=1)
+    assert {number: made[number]() for number in (0, 2, 3, 4, 5)} == {0: 0, 2: 2, 3: 3, 4: 4, 5: 5}
+    with pytest.raises(WorkerDiedError, match="SIGKILL"):
+        made[1]()
+
+
+def test_what_is_to_be_done_meanwhile_is_done_once_while_tasks_wait_for_it(tmp_path):
+    def task(number):
+        while not (tmp_path / "done").exists():
+            time.sleep(0.001)
+        return number
+
+    made = dict(each(task, 3, jobs=2, meanwhile=lambda: (tmp_path / "done").touch(exist_ok=False)))
+    assert sorted(answer() for answer in made.values()) == [0, 1, 2]
+
+
+@needs_fork
+def test_a_dead_worker_says_so_every_time_it_is_asked():
+    worker = Worker(lambda request: os.kill(os.getpid(), signal.SIGKILL))
+    for said in ("SIGKILL", "ended before"):
+        worker.ask(1)
+        with pytest.raises(WorkerDiedError, match=said):
+            worker.answer()
     worker.close()

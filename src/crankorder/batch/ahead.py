@@ -1,4 +1,4 @@
-"""Work beside the analysis: inputs are hashed while modules load, pictures drawn while data are written.
+"""Work beside the analysis: inputs are hashed, and what draws and writes is loaded, while this process loads the rest.
 
 This module imports nothing heavy itself.
 """
@@ -9,18 +9,21 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from crankorder.batch.store import code_sha256, file_sha256
-from crankorder.batch.workers import Worker
+from crankorder.batch.store import code_sha256, file_sha256, library_versions
+from crankorder.batch.workers import Worker, WorkerDiedError
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from crankorder.batch.plan import TestPlan
+    from crankorder.settings import ReportSettings
 
 
 class Helper:
-    """A process beside this one that hashes the inputs of ``plans``, then loads what draws, then draws when asked."""
+    """A process beside this one that hashes the inputs of ``plans``, then loads what writes, then writes when asked."""
 
     def __init__(self, plans: list[TestPlan], *, jobs: int) -> None:
-        """Start hashing the recordings of ``plans``, ``jobs`` at a time, and loading what draws."""
+        """Start hashing the recordings of ``plans``, ``jobs`` at a time, and loading what draws and writes."""
         self._plans, self._jobs = plans, jobs
         self._worker = Worker(self._do)
         self._asked: list[str] = []
@@ -43,26 +46,54 @@ class Helper:
         if name == "hash":
             paths = [path for plan in self._plans for path in plan.recordings]
             with ThreadPoolExecutor(max_workers=self._jobs) as pool:
-                return {"code": code_sha256(), "files": dict(zip(paths, pool.map(_digest, paths), strict=True))}
-        from crankorder.batch import publish
-        from crankorder.report.pictures import prepare
+                files = dict(zip(paths, pool.map(_digest, paths), strict=True))
+            return {"code": code_sha256(), "versions": library_versions(), "files": files}
+        from crankorder.batch.publish import files_of_test, prepare
+        from crankorder.report.page import index_page
 
-        return publish.pictures(*given, jobs=self._jobs) if name == "draw" else prepare()
+        if name == "load":
+            return prepare()
+        if name == "index":
+            return index_page(*given)
+        groups, findings, provenance, settings = given
+        return files_of_test(groups, findings, provenance, settings=settings, jobs=self._jobs)
 
-    def hashes(self, plan: TestPlan) -> tuple[str, dict[Path, str]]:
-        """SHA-256 of the program, and of every recording of ``plan``; of one that cannot be read its fault instead."""
+    def program(self) -> tuple[str, dict[str, str]]:
+        """SHA-256 of the program, and the versions of it and of the libraries that results may depend on."""
+        return self._hashed()["code"], self._hashed()["versions"]
+
+    def hashes(self, plan: TestPlan) -> dict[Path, str]:
+        """SHA-256 of every recording of ``plan``; of one that cannot be read its fault instead."""
+        return {path: self._hashed()["files"][path] for path in plan.recordings}
+
+    def _hashed(self) -> dict[str, Any]:
         if not self._hashes:
             self._hashes = self._answer_to("hash")
-        return self._hashes["code"], {path: self._hashes["files"][path] for path in plan.recordings}
+        return self._hashes
 
-    def start_drawing(self, *given: Any) -> None:
-        """Have the pictures of a test drawn from what is ``given``: the arguments of ``publish.pictures``."""
-        self._ask("draw", given)
+    def files_of_test(
+        self,
+        groups: dict[str, xr.Dataset],
+        findings: dict[str, Any],
+        provenance: dict[str, Any],
+        settings: ReportSettings,
+    ) -> dict[str, bytes]:
+        """All files of a test by name, from its ``groups``, ``findings``, ``provenance`` and ``settings``.
 
-    def drawn(self) -> dict[str, tuple[bytes, str]]:
-        """PNG and caption by file name of the pictures whose drawing was started."""
-        made: dict[str, tuple[bytes, str]] = self._answer_to("draw")
+        See :func:`crankorder.batch.publish.files_of_test`.
+        """
+        self._ask("write", (groups, findings, provenance, settings))
+        made: dict[str, bytes] = self._answer_to("write")
         return made
+
+    def index_page(self, tests: list[dict[str, Any]]) -> str:
+        """HTML list of the ``tests`` of a run, as :func:`crankorder.report.page.index_page` makes it."""
+        self._ask("index", (tests,))
+        try:
+            page: str = self._answer_to("index")
+        except WorkerDiedError:
+            page = self._do(("index", (tests,)))
+        return page
 
     def close(self) -> None:
         """End the helper."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crankorder.batch.execute import LIBRARIES
+from crankorder.batch.store import LIBRARIES
 from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import hann
 

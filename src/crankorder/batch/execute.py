@@ -7,7 +7,6 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from crankorder.batch.ahead import Helper
 from crankorder.batch.calibrate import knowledge_of
 from crankorder.batch.lean import load_kernels
 from crankorder.batch.plan import TestPlan
-from crankorder.batch.publish import files_of_test
 from crankorder.batch.store import (
     finished_with,
     json_bytes,
@@ -36,8 +34,6 @@ from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
-
-LIBRARIES = ("numpy", "scipy", "xarray", "h5py", "h5netcdf", "matplotlib", "numba", "pyfftw")
 
 SHA256_DIGITS = 64
 
@@ -73,16 +69,16 @@ def run_test(
 ) -> Outcome:
     """Analyse the test of ``plan`` and publish its results; nothing is raised for a fault of the input.
 
-    ``helper`` has the hashes of its recordings and draws its pictures; ``jobs`` recordings are analysed at a time, each
+    ``helper`` has the hashes of its recordings and writes its files; ``jobs`` recordings are analysed at a time, each
     in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into faults;
     ``progress`` is told of every recording that is done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
     clock = _Clock(outcome.seconds)
     try:
-        code, hashes = helper.hashes(plan)
+        (code, versions), hashes = helper.program(), helper.hashes(plan)
         clock.lap("hash")
-        provenance = _provenance(plan, code, hashes)
+        provenance = _provenance(plan, code, versions, hashes)
         key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(strict))
         if not fresh and not plan.faults and finished_with(plan.out, key):
             outcome.status = "unchanged"
@@ -127,13 +123,12 @@ def _finish(
         for flag in findings["quality"]
         if flag["flag"] == "frame_length_differs"
     ]
-    findings["quality"] = [*findings["quality"], *outcome.flags, *_fault_flags(outcome.faults)]
+    told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
+    findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
     groups = {**made.datasets, "shaft": _shaft_summary(results)}
     outcome.accuracy = _accuracy_text(made.datasets.get("order_map"))
-    report = plan.settings.report
-    helper.start_drawing(groups, findings, report)
     stated = {**provenance, "quality": findings["quality"]}
-    files = files_of_test(groups, findings, stated, drawn=helper.drawn, settings=report)
+    files = helper.files_of_test(groups, findings, stated, plan.settings.report)
     clock.lap("report")
     publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
     clock.lap("publish")
@@ -231,18 +226,18 @@ def _engine(plan: TestPlan) -> Engine | None:
 
 
 def _sources(plan: TestPlan) -> Sources:
-    """What the manifest and the engine say of the machine."""
+    """What the manifest and the engine say of the machine; less where no findings are asked for that need it."""
     orders: tuple[float, ...] = ()
     bearings = plan.manifest.bearings
     engine = _engine(plan)
-    if engine is not None:
+    if engine is not None and "findings" in plan.settings.report.results:
         orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(plan.settings.orders.max_order))
         named = {bearing.name for bearing in bearings}
         bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
     return Sources(revs_per_cycle=plan.manifest.revs_per_cycle, engine_orders=orders, bearings=bearings)
 
 
-def _provenance(plan: TestPlan, code: str, hashes: dict[Path, str]) -> dict[str, Any]:
+def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dict[Path, str]) -> dict[str, Any]:
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:
@@ -251,7 +246,7 @@ def _provenance(plan: TestPlan, code: str, hashes: dict[Path, str]) -> dict[str,
         "schema_version": 1,
         "test": plan.name,
         "code_sha256": code,
-        "versions": {name: version(name) for name in ("crankorder", *LIBRARIES)},
+        "versions": versions,
         "inputs": [
             {
                 "name": printable(path.relative_to(plan.folder).as_posix()),
@@ -271,9 +266,10 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
     if order_map is None or "method" not in order_map.attrs:
         return ""
     asked, predicted, achieved = (order_map.attrs[name] for name in ("tolerance", "predicted_error", "achieved_error"))
+    missed = " (missed: the crank angle scatters from tooth to tooth)" if achieved > asked else ""
     return (
-        f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {achieved:.1e} on "
-        f"test tones, {asked:g} asked"
+        f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {achieved:.1e} "
+        f"achieved, {asked:g} asked{missed}"
     )
 
 
@@ -286,10 +282,10 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
 
     summary = xr.Dataset(
         {
-            "speed_mean": each(lambda s: float(s["speed"].mean())),
-            "speed_min": each(lambda s: float(s["speed"].min())),
-            "speed_max": each(lambda s: float(s["speed"].max())),
-            "standard_error": each(lambda s: float(s["standard_error"].mean())),
+            "speed_mean": each(lambda s: _known(np.mean, s["speed"].values)),
+            "speed_min": each(lambda s: _known(np.min, s["speed"].values)),
+            "speed_max": each(lambda s: _known(np.max, s["speed"].values)),
+            "standard_error": each(lambda s: _known(np.mean, s["standard_error"].values)),
             "n_pulses": each(lambda s: float(s.attrs["n_pulses"])),
         },
         coords={"recording": ("recording", [printable(path.name) for path in results])},
@@ -304,6 +300,12 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
     ):
         summary[name].attrs = {"units": units, "long_name": text}
     return summary.assign(trace_variables(shafts))
+
+
+def _known(of: Callable[[Any], Any], values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """What ``of`` makes of those ``values`` that are numbers; NaN of none."""
+    known = values[~np.isnan(values)]
+    return float(of(known)) if known.size else np.nan
 
 
 def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:

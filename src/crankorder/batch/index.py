@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from crankorder.batch.execute import Outcome
 from crankorder.batch.store import json_bytes, write_atomically
 from crankorder.errors import EnvironmentFailure, printable
-from crankorder.report.page import index_page
 from crankorder.report.sentences import headline
 
 
@@ -39,12 +39,15 @@ def _record(outcome: Outcome, out: Path) -> dict[str, Any]:
     }
 
 
-def publish_index(out: Path, outcomes: list[Outcome]) -> None:
-    """Write ``batch.json`` and ``index.html`` of ``outcomes`` into ``out``; EnvironmentFailure where it cannot."""
+def publish_index(out: Path, outcomes: list[Outcome], *, page_of: Callable[[list[dict[str, Any]]], str]) -> None:
+    """Write ``batch.json`` and ``index.html`` of ``outcomes`` into ``out``; ``page_of`` makes the page of the records.
+
+    Raises EnvironmentFailure where it cannot.
+    """
     document = summary(outcomes, out=out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         write_atomically(out / "batch.json", json_bytes(document))
-        write_atomically(out / "index.html", index_page(document["tests"]).encode("utf-8", "backslashreplace"))
+        write_atomically(out / "index.html", page_of(document["tests"]).encode("utf-8", "backslashreplace"))
     except OSError as error:
         raise EnvironmentFailure(f"cannot write ({error.strerror})", file=error.filename or out) from error

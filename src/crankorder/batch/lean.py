@@ -8,8 +8,9 @@ from __future__ import annotations
 import sys
 from types import ModuleType
 
-UNUSED = ("pyfftw.interfaces",)
-"""pyFFTW's stand-ins for numpy.fft and scipy.fft: they load both, and scipy.special, which takes longer than FFTW."""
+UNUSED = ("pyfftw.interfaces", "numpy.f2py")
+"""pyFFTW's stand-ins for numpy.fft and scipy.fft, which load both; a translator of Fortran, which scipy.special loads
+with all that numpy has."""
 
 UNUSED_BY_NUMBA = ("cffi", "scipy.linalg.cython_blas")
 """What numba looks for when its first kernel runs: no kernel here calls C functions by cffi, or BLAS."""
@@ -17,8 +18,11 @@ UNUSED_BY_NUMBA = ("cffi", "scipy.linalg.cython_blas")
 
 def leave_out_unused() -> None:
     """Have the packages of ``UNUSED`` load without the parts that nobody here uses."""
+    import numpy as np
+
     for name in UNUSED:
         sys.modules.setdefault(name, ModuleType(name, "left out by crankorder.batch.lean"))
+    np.f2py = sys.modules["numpy.f2py"]  # numpy looks for it as an attribute
 
 
 def load_kernels() -> None:

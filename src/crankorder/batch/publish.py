@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from crankorder.batch.plan import folder_name
 from crankorder.batch.store import json_bytes
@@ -14,27 +12,30 @@ from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes
 from crankorder.report.page import report_page
 from crankorder.settings import ReportSettings
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def pictures(
-    groups: dict[str, xr.Dataset], findings: dict[str, Any], settings: ReportSettings, *, jobs: int = 1
-) -> dict[str, tuple[bytes, str]]:
-    """PNG and caption of every picture by file name, from ``groups`` and ``findings``, drawn by ``settings``.
+    from crankorder.report.pictures import Picture
 
-    ``jobs`` pictures are drawn at a time, each in a process of its own where there are more than one.
-    """
-    from crankorder.report.pictures import pictures_of
 
-    taken: set[str] = set()
-    planned = pictures_of(
-        as_stored(groups), findings, settings=settings, name_of=lambda channel: folder_name(channel, taken)
-    )
-    pages = list(planned.values())
+def prepare() -> None:
+    """Load what draws and writes, with its fonts and templates: worth doing before there is anything to show."""
+    from crankorder.report.page import index_page
+    from crankorder.report.pictures import prepare
+
+    prepare()
+    index_page([])
+
+
+def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -> list[bytes]:
+    """PNG of each of ``pages``, ``jobs`` at a time in processes of their own where that is more than one."""
     if jobs == 1 or not FORKS:
-        drawn = [page.png() for page in pages]
-    else:
-        made = {number: png() for number, png in each(lambda number: pages[number].png(), len(pages), jobs=jobs)}
-        drawn = [made[number] for number in range(len(pages))]
-    return {name: (png, page.caption) for (name, page), png in zip(planned.items(), drawn, strict=True)}
+        meanwhile()
+        return [page.png() for page in pages]
+    last_first = pages[::-1]  # the spectra at the end take longest
+    drawn = each(lambda number: last_first[number].png(), len(pages), jobs=jobs, meanwhile=meanwhile)
+    made = {number: png() for number, png in drawn}
+    return [made[number] for number in reversed(range(len(pages)))]
 
 
 def files_of_test(
@@ -42,26 +43,28 @@ def files_of_test(
     findings: dict[str, Any],
     provenance: dict[str, Any],
     *,
-    drawn: Callable[[], dict[str, tuple[bytes, str]]],
     settings: ReportSettings,
+    jobs: int = 1,
 ) -> dict[str, bytes]:
     """All files of a test by name: results.nc, findings.json, pictures, report.html, run.json.
 
     ``groups`` are the datasets by group name, ``findings`` what they say, ``provenance`` what ``run.json`` states;
-    ``drawn`` gives the pictures when everything else is made (see :func:`pictures`); ``settings`` shape the page.
+    ``settings`` shape pictures and page. With more ``jobs`` than one, so many pictures are drawn at a time, beside the
+    writing of the other files.
     """
+    from crankorder.report.pictures import pictures_of
+
     attrs = {"title": str(findings["test"]), "source": f"crankorder {provenance['versions']['crankorder']}"}
-    data = {
-        "results.nc": results_bytes({**groups, **findings_datasets(findings)}, attrs=attrs),
-        "findings.json": json_bytes(findings),
-    }
-    run = json_bytes(provenance)
-    made = drawn()
-    captions = [(name, caption) for name, (_, caption) in made.items()]
-    page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
-    return {
-        **data,
-        **{name: png for name, (png, _) in made.items()},
-        "report.html": page.encode("utf-8", "backslashreplace"),
-        "run.json": run,
-    }
+    stored, taken, data = as_stored(groups), set[str](), dict[str, bytes]()
+    planned = pictures_of(stored, findings, settings=settings, name_of=lambda channel: folder_name(channel, taken))
+    captions = [(name, page.caption) for name, page in planned.items()]
+
+    def write() -> None:
+        page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
+        data["results.nc"] = results_bytes({**stored, **findings_datasets(findings)}, attrs=attrs)
+        data["findings.json"] = json_bytes(findings)
+        data["report.html"] = page.encode("utf-8", "backslashreplace")
+        data["run.json"] = json_bytes(provenance)
+
+    drawn = _draw(list(planned.values()), jobs=jobs, meanwhile=write)
+    return data | dict(zip(planned, drawn, strict=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from crankorder.batch.publish import files_of_test, pictures
+from crankorder.batch.publish import files_of_test
 from crankorder.batch.store import DONE, publish
 from crankorder.errors import InputError
 from crankorder.report.netcdf import read_results
@@ -36,9 +36,7 @@ def redraw(result: Path) -> Path:
     # a key that is newer than the results has today's default
     stated = load_settings().report.model_dump() | provenance["settings"]["report"]
     settings = ReportSettings.model_validate(stated)
-    files = files_of_test(
-        groups, findings, provenance, drawn=lambda: pictures(groups, findings, settings), settings=settings
-    )
+    files = files_of_test(groups, findings, provenance, settings=settings)
     kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     publish(folder, files | kept, key=key)
     return folder / "report.html"

@@ -9,6 +9,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from functools import cache
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,10 @@ from typing import Any
 from crankorder.errors import EnvironmentFailure
 
 DONE = "done.json"
-CHUNK = 1 << 22
+CHUNK = 1 << 18
+
+LIBRARIES = ("numpy", "scipy", "xarray", "h5py", "h5netcdf", "matplotlib", "numba", "pyfftw")
+"""Libraries on whose versions results may depend."""
 
 DIGITS = 10
 """Significant digits of a number in JSON: beyond any measurement, short of the noise of arithmetic."""
@@ -68,6 +72,11 @@ def code_sha256() -> str:
     found = {path for root in roots for path in root.rglob("*") if path.suffix in kinds}
     sources = sorted(path for path in found if not any(part.startswith(".") for part in path.parts[-3:]))
     return text_sha256(*(f"{path.name}\n{path.read_text(encoding='utf-8')}" for path in sources))
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of the program and of the ``LIBRARIES``, by name."""
+    return {name: version(name) for name in ("crankorder", *LIBRARIES)}
 
 
 def publish(folder: Path, contents: Mapping[str, bytes], *, key: str) -> None:

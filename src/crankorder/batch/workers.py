@@ -12,9 +12,12 @@ import os
 import signal
 import sys
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
+
+from crankorder.batch.shared_pages import SharedPages
 
 FORKS = sys.platform == "linux"
 """Whether workers are processes; the libraries used here survive a fork on Linux alone."""
@@ -50,11 +53,12 @@ class Worker:
             with contextlib.suppress(OSError, ValueError, AttributeError):
                 stream.flush()
         ours, theirs = Pipe()
+        self._requests, self._answers = SharedPages(), SharedPages()
         gc.freeze()  # what exists stays in pages that both share
         self.pid = os.fork()
         if self.pid == 0:
             ours.close()
-            _serve(self._task, theirs)
+            _serve(self._task, theirs, self._requests, self._answers)
         gc.unfreeze()
         theirs.close()
         self.connection = ours
@@ -65,8 +69,8 @@ class Worker:
         if self.connection is None:
             self._waiting.append(request)
             return
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # told by answer()
-            self.connection.send(request)
+        with contextlib.suppress(OSError):  # its end is told by answer()
+            self.connection.send(self._requests.put(request))
 
     def answer(self) -> Any:
         """Answer to the earliest request that has none yet.
@@ -75,10 +79,13 @@ class Worker:
         """
         if self.connection is None:
             return self._task(self._waiting.pop(0))
+        if self.dead:
+            raise WorkerDiedError("its worker had ended before")
         try:
-            done, value, where = self.connection.recv()
+            packed = self.connection.recv()
         except (EOFError, ConnectionResetError):
             raise WorkerDiedError(self._end()) from None
+        done, value, where = self._answers.get(packed)
         if done:
             return value
         value.__cause__ = RemoteTraceback(where)
@@ -113,7 +120,7 @@ class Worker:
             os.waitpid(self.pid, 0)
 
 
-def _serve(task: Callable[[Any], Any], connection: Connection) -> None:
+def _serve(task: Callable[[Any], Any], connection: Connection, requests: SharedPages, answers: SharedPages) -> None:
     """Answer requests until the other end closes; never return."""
     status = 1
     try:
@@ -123,7 +130,7 @@ def _serve(task: Callable[[Any], Any], connection: Connection) -> None:
             _ours.pop().close()
         _ours.append(connection)  # for the workers of this worker
         while True:
-            connection.send(_answer(task, connection.recv()))
+            connection.send(answers.put(_answer(task, requests.get(connection.recv()))))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         status = 0
     except BaseException:  # nothing may leave: this is a copy of a program that goes on elsewhere
@@ -146,34 +153,47 @@ def _answer(task: Callable[[Any], Any], request: Any) -> tuple[bool, Any, str]:
         return False, error, where
 
 
-def each(task: Callable[[int], Any], count: int, *, jobs: int) -> Iterator[tuple[int, Callable[[], Any]]]:
+AHEAD = 2
+"""Tasks that a worker is given at a time: it begins the second while this process takes in the answer to the first."""
+
+
+def each(
+    task: Callable[[int], Any], count: int, *, jobs: int, meanwhile: Callable[[], object] | None = None
+) -> Iterator[tuple[int, Callable[[], Any]]]:
     """Number and answer of ``task(0)`` … ``task(count - 1)``, ``jobs`` at a time, as they are done.
 
     The answer is a call that gives the value or raises what the task raised; WorkerDiedError where its process died:
-    the others go on in a new one.
+    the others go on in a new one. ``meanwhile`` is done here once the workers have begun.
     """
     if not FORKS:
-        yield from _each_in_threads(task, count, jobs)
+        yield from _each_in_threads(task, count, jobs, meanwhile)
         return
-    left = list(range(count))[::-1]
-    busy: dict[Any, tuple[Worker, int]] = {}
+    left = deque(range(count))
+    busy: dict[Any, tuple[Worker, deque[int]]] = {}
 
-    def go_on(worker: Worker) -> None:
-        number = left.pop()
-        worker.ask(number)
-        busy[worker.connection] = (worker, number)
+    def go_on(worker: Worker, asked: deque[int]) -> None:
+        # as many as there are workers are kept back, so that none waits while another has two
+        while left and (not asked or (len(asked) < AHEAD and len(left) >= jobs)):
+            asked.append(left.popleft())
+            worker.ask(asked[-1])
+        if asked:
+            busy[worker.connection] = (worker, asked)
+        else:
+            worker.close()
 
     try:
         for _ in range(min(jobs, count)):
-            go_on(Worker(task))
+            go_on(Worker(task), deque())
+        if meanwhile is not None:
+            meanwhile()
         while busy:
             for line in wait(list(busy)):
-                worker, number = busy.pop(line)
-                answer = _kept(worker)
-                if left:
-                    go_on(Worker(task) if worker.dead else worker)
-                else:
-                    worker.close()
+                worker, asked = busy.pop(line)
+                number, answer = asked.popleft(), _kept(worker)
+                if worker.dead:
+                    left.extendleft(reversed(asked))  # not begun, so not to blame
+                    asked = deque()
+                go_on(Worker(task) if worker.dead and left else worker, asked)
                 yield number, answer
     finally:
         for worker, _ in busy.values():
@@ -195,12 +215,16 @@ def _raising(error: BaseException) -> Callable[[], Any]:
     return again
 
 
-def _each_in_threads(task: Callable[[int], Any], count: int, jobs: int) -> Iterator[tuple[int, Callable[[], Any]]]:
+def _each_in_threads(
+    task: Callable[[int], Any], count: int, jobs: int, meanwhile: Callable[[], object] | None
+) -> Iterator[tuple[int, Callable[[], Any]]]:
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         futures = {pool.submit(task, number): number for number in range(count)}
         try:
+            if meanwhile is not None:
+                meanwhile()
             for future in as_completed(futures):
                 yield futures[future], future.result
         except BaseException:

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from crankorder.orders.intervals import t_quantile
 from crankorder.report.notation import number_text, unit_text
 from crankorder.report.style import (
-    BAND_FACTOR,
     FAINT,
     INK,
     LINES,
@@ -169,7 +169,8 @@ def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
         return
     deviation, error = (_closed(one[name].values) for name in ("standard_deviation", "standard_error"))
     fits = _value_axis(axes, mean, np.nan_to_num(deviation), height_in)
-    for reach, alpha, gid in ((deviation, 0.16, "deviation"), (BAND_FACTOR * error, 0.38, "interval")):
+    interval = error * t_quantile(np.array(max(int(one["n_cycles"]) - 1, 1)))
+    for reach, alpha, gid in ((deviation, 0.16, "deviation"), (interval, 0.38, "interval")):
         if np.isfinite(reach).all() and (fits or gid != "deviation"):
             axes.fill_between(angle, mean - reach, mean + reach, color=color, alpha=alpha, linewidth=0, gid=gid)
     axes.plot(angle, mean, color=color, linewidth=1.1, gid="mean")

@@ -106,10 +106,11 @@ def _stored(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]
 def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
     if values.dtype != np.float64 or name in _DOUBLE or values.ndim < 2 or name.endswith("_ci95"):
         return np.ascontiguousarray(values)
-    size = np.abs(values[np.isfinite(values) & (values != 0)])
-    tiny = np.finfo(np.float32)
-    fits = not size.size or (size.min() > tiny.tiny and size.max() < tiny.max)  # 1e-300 and 1e300 keep their 64 bits
-    return np.ascontiguousarray(values, dtype=np.float32 if fits else np.float64)
+    with np.errstate(over="ignore"):
+        narrow = np.ascontiguousarray(values, dtype=np.float32)
+    size = np.abs(narrow)
+    lost = ((size < np.finfo(np.float32).tiny) & (values != 0)) | (np.isinf(size) & np.isfinite(values))
+    return np.ascontiguousarray(values) if lost.any() else narrow  # 1e-300 and 1e300 keep their 64 bits
 
 
 def _chunks(values: NDArray[Any]) -> tuple[int, ...]:

@@ -138,8 +138,8 @@ def _crossing(record: dict[str, Any]) -> list[str]:
     response = "excited" if record.get("excited") else "not excited" if record.get("in_range") else "not measured"
     speed = estimate_text(record, "rpm") if "rpm_ci95" in record else _whole(record.get("rpm"))
     factor = record.get("amplification")
-    measured = is_number(factor) and float(factor) > 0.0 and record.get("in_range")
-    times = f"× {number_text(float(factor), digits=2)}" if measured else "–"
+    measured = record.get("in_range") and is_number(factor) and float(factor or 0.0) > 0.0
+    times = f"× {number_text(float(factor or 0.0), digits=2)}" if measured else "–"
     return [_order(record, "order"), estimate_text(record, "mode_hz"), speed, times, response]
 
 

@@ -74,7 +74,7 @@ def with_signal_faults(
     A record has the keys of a quality flag (recording, flag, severity, detail), the channel, ``first_sample`` and
     ``n_samples`` (all that the fault changed: their number, not only their range), ``start_s``, and what the kind adds:
     ``samples`` of spikes, ``level_m_s2`` of clipping, ``instead`` of missing samples. Flags are clipped, dropout,
-    non_finite_interpolated (or non_finite where they are too many to bridge), otherwise the fault's kind; severities
+    non_finite_interpolated (or gap where they are too many to bridge), otherwise the fault's kind; severities
     are those that the shipped settings of the pipeline give. Samples are counted in the final signal: what dropped
     samples move is recorded where it came to lie. Faults never depend on each other's chance.
 
@@ -230,8 +230,8 @@ def _lose(fault: NotANumber, channel: _Channel) -> _Mark:
     few &= at.size <= channel.limits.max_gap_fraction * channel.samples.size
     written = "" if fault.instead is None else f", {fault.instead:g} written in their place"
     return _Mark(
-        flag="non_finite_interpolated" if few else "non_finite",
-        severity="suspect" if few else "bad",
+        flag="non_finite_interpolated" if few else "gap",
+        severity="suspect" if at.size <= channel.limits.max_missing_fraction * channel.samples.size else "bad",
         detail=f"{at.size} samples missing from {fault.at_s:g} s{written}",
         at=at,
         more={} if fault.instead is None else {"instead": fault.instead},
