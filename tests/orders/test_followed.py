@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.errors import InputError
+from crankorder.errors import InputError, RequestError
 from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.tracks import order_tracks
-from crankorder.quantities import check_dataset
+from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import line, run_up, steady, total
 
@@ -100,3 +100,163 @@ def test_by_crank_angle_without_a_speed_a_filter_by_time_is_refused():
     angle["speed"].values[:] = np.nan
     with pytest.raises(InputError, match="needs a speed"):
         followed_tracks(band, angle, settings=asked("vold_kalman"))
+
+
+def noisy(recording, generator, deviation):
+    recording[0]["signal"].values[:] += generator.normal(0.0, deviation, recording[0]["signal"].shape)
+    return recording
+
+
+def without_mark(recordings):
+    for number, (_, angle) in enumerate(recordings):
+        angle.attrs["phase_reference"] = "none"
+        angle["crank_angle"].values[:] += 0.237 * number
+    return recordings
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.02, 0.1])
+def test_intervals_of_an_average_without_common_phase_hold_a_small_amplitude(amplitude):
+    generator = np.random.default_rng(5)
+    inside, squares = [], []
+    for _ in range(30):
+        made = [
+            steady([line(2.0, amplitude)], speed_rpm=1200.0, duration_s=5.0, rate_hz=500.0, start_rev=0.1 * k)
+            for k in range(6)
+        ]
+        recordings = without_mark([noisy(one, generator, 1.0) for one in made])
+        tracks = joined(recordings, asked("least_squares", track_orders=(2.0,))).sel(order=2.0)
+        inside.append(tracks["amplitude_low"].item() <= amplitude <= tracks["amplitude_high"].item())
+        squares.append(tracks["amplitude"].item() ** 2)
+    # 30 draws at 95 %: fewer than 25 inside happens three times in a thousand
+    assert sum(inside) >= 25
+    # noise alone adds 4 deviation² / samples to the square in each recording, 0.0016; what is cut off at 0 is half of
+    # its scatter over six recordings
+    assert np.mean(squares) - amplitude**2 < 0.0016
+
+
+@pytest.mark.parametrize("bandwidth", [0.01, 0.3])
+def test_errors_of_a_mean_hold_where_the_filter_remembers_longer_than_a_frame(bandwidth):
+    generator = np.random.default_rng(6)
+    found, stated, inside = [], [], []
+    for _ in range(40):
+        recording = noisy(steady([line(2.0, 1.0)], speed_rpm=1200.0, duration_s=20.0, rate_hz=500.0), generator, 1.0)
+        settings = asked("vold_kalman", track_orders=(2.0,), track_bandwidth=bandwidth)
+        tracks = joined([recording], settings).sel(order=2.0)
+        found.append(tracks["amplitude"].item())
+        stated.append(tracks["standard_error"].item())
+        inside.append(tracks["amplitude_low"].item() <= 1.0 <= tracks["amplitude_high"].item())
+    # the scatter of 40 draws is right to 11 %
+    assert 0.7 < np.std(found) / np.mean(stated) < 1.3
+    assert sum(inside) >= 34
+    assert 4.0 < tracks["degrees_of_freedom"].item() < 1000.0
+
+
+def test_frames_of_a_filter_that_lie_in_a_gap_are_nan_and_do_not_count():
+    band, angle = steady([line(2.0, 1.0), line(2.0, 1.0)], speed_rpm=1200.0, duration_s=20.0, rate_hz=500.0)
+    noisy((band, angle), np.random.default_rng(1), 0.01)
+    usable = np.ones(band["signal"].shape, dtype=bool)
+    usable[0, 3000:7000] = False
+    band["signal"].values[0, 3000:7000] = 50.0
+    band["usable"] = (band["signal"].dims, usable, {"units": "1"})
+    settings = asked("vold_kalman", track_orders=(2.0,), track_bandwidth=0.2)
+    found = followed_tracks(band, angle, settings=settings)
+    lost = np.isnan(found["amplitude"].values[:, 0])
+    time_s = found["time"].values + 0.5 * found["revs"].values / 20.0
+    np.testing.assert_array_equal(lost[0], (time_s > 6.0) & (time_s < 14.0))
+    assert not lost[1].any()
+    tracks = joined([(band, angle)], settings).sel(order=2.0)
+    np.testing.assert_allclose(tracks["amplitude"].values[:, 0], 1.0, atol=0.002)
+
+
+def by_crank_angle(amplitude, name):
+    band, angle = steady([line(2.0, amplitude)], speed_rpm=1200.0, duration_s=10.0, rate_hz=1000.0, start_rev=0.0)
+    band = band.rename(time="crank_angle")
+    band.attrs |= {"domain": "crank_angle", "samples_per_rev": 50, "recording": name}
+    angle.attrs |= {"domain": "crank_angle"}
+    angle["speed"].values[:] = np.nan
+    return band, angle
+
+
+def test_recordings_of_unknown_speed_keep_each_to_its_own_row():
+    recordings = [by_crank_angle(amplitude, str(amplitude)) for amplitude in (1.0, 2.0, 3.0)]
+    tracks = joined(recordings, asked("least_squares", track_orders=(2.0,), max_order=20.0))
+    np.testing.assert_allclose(tracks["amplitude"].sel(order=2.0).values[0], [1.0, 2.0, 3.0], atol=1e-8)
+
+
+def test_recordings_of_unknown_speed_that_the_map_left_out_are_said_and_left_out():
+    recordings = [by_crank_angle(amplitude, str(amplitude)) for amplitude in (1.0, 2.0, 3.0)]
+    settings = asked("least_squares", track_orders=(2.0,), max_order=20.0)
+    made = order_map([order_frames(*item, settings=settings) for item in recordings[:2]], settings=settings)
+    followed = [followed_tracks(*item, settings=settings) for item in recordings]
+    tracks = with_followed(order_tracks(made, [2.0], settings=settings), followed)
+    assert np.isnan(tracks["amplitude"].values).all()
+    assert "unknown speed" in flags_of(tracks)[-1]["detail"]
+
+
+def test_phases_from_different_marks_are_not_averaged():
+    recordings = [steady([SIGNAL], speed_rpm=900.0, duration_s=40.0, rate_hz=1000.0) for _ in range(2)]
+    recordings[1][1].attrs["phase_reference"] = "pulse"
+    recordings[1][1]["crank_angle"].values[:] += 0.25  # half a cycle of order 2: a mean with phase would be 0
+    tracks = joined(recordings, asked("least_squares", revs_per_frame=120)).sel(order=2.0)
+    np.testing.assert_allclose(tracks["amplitude"].values, 1.0, atol=1e-6)
+    assert np.isnan(tracks["phase"].values).all()
+
+
+@pytest.mark.parametrize("method", ["least_squares", "vold_kalman"])
+def test_every_speed_of_a_run_up_is_followed_at_its_own_amplitude(method):
+    def grows(time_s, angle):
+        speed = 900.0 + 1800.0 * time_s / 30.0
+        return (speed / 1000.0) * np.cos(2 * np.pi * 2.0 * angle)
+
+    recording = run_up([grows], from_rpm=900, to_rpm=2700, duration_s=30.0, rate_hz=1000.0)
+    settings = asked(method, track_orders=(2.0,), track_bandwidth=0.1, speed_bin_rpm=5.0)
+    made = order_map([order_frames(*recording, settings=settings)], settings=settings)
+    followed = followed_tracks(*recording, settings=settings)
+    tracks = with_followed(order_tracks(made, [2.0], settings=settings), [followed])
+    assert np.isfinite(tracks["amplitude"].values).all()
+    np.testing.assert_allclose(tracks["amplitude"].values[0, 0], tracks["speed"].values / 1000.0, rtol=0.015)
+    if method == "vold_kalman":
+        truth = followed["speed"].values[2:-2] / 1000.0
+        np.testing.assert_allclose(np.abs(followed["amplitude"].values[0, 0, 2:-2]), truth, rtol=1e-4)
+
+
+def test_what_is_said_of_a_recording_and_of_its_orders_reaches_the_tracks():
+    recording = steady([SIGNAL], speed_rpm=1200.0, duration_s=20.0, rate_hz=500.0)
+    for method, said in (("least_squares", "order_not_tracked"), ("vold_kalman", "vold_kalman")):
+        settings = asked(method, track_orders=(2.0, 50.0))
+        names = [flag["flag"] for flag in flags_of(joined([recording], settings))]
+        assert said in names
+        assert "order_not_tracked" in names
+        assert len(names) == len(set(names))
+
+
+def test_orders_beyond_half_the_sample_rate_alone_are_nan_for_a_filter():
+    recording = steady([SIGNAL], speed_rpm=1200.0, duration_s=20.0, rate_hz=500.0)
+    made = followed_tracks(*recording, settings=asked("vold_kalman", track_orders=(50.0, 60.0)))
+    assert np.isnan(made["amplitude"].values).all()
+    assert [flag["flag"] for flag in flags_of(made)] == ["order_not_tracked"] * 2
+
+
+@pytest.mark.parametrize("method", ["least_squares", "vold_kalman"])
+def test_an_order_that_is_asked_for_twice_is_followed_once(method):
+    recording = steady([SIGNAL], speed_rpm=1200.0, duration_s=60.0, rate_hz=1000.0)
+    settings = asked(method, track_orders=(*ORDERS, 2.0, 5.5), revs_per_frame=400)
+    made = followed_tracks(*recording, settings=settings)
+    assert made["order"].values.tolist() == list(ORDERS)
+    np.testing.assert_allclose(made["amplitude"].values[0].mean(axis=1), TRUTH, atol=1e-5)
+
+
+def test_a_filter_names_the_orders_that_it_cannot_tell_apart():
+    recording = steady([SIGNAL], speed_rpm=1200.0, duration_s=10.0, rate_hz=500.0)
+    settings = asked("vold_kalman", track_orders=(2.0, 5.5, 5.4999), track_bandwidth=0.3)
+    with pytest.raises(RequestError, match=r"order 5\.5 and order 5\.4999 cannot be told apart"):
+        followed_tracks(*recording, settings=settings)
+
+
+def test_a_channel_without_usable_samples_is_nan_and_the_others_are_followed():
+    band, angle = steady([line(2.0, 1.0), line(2.0, 3.0)], speed_rpm=1200.0, duration_s=10.0, rate_hz=500.0)
+    band["signal"].values[0] = np.nan
+    made = followed_tracks(band, angle, settings=asked("vold_kalman", track_orders=(2.0,), track_bandwidth=0.1))
+    assert np.isnan(made["amplitude"].values[0]).all()
+    np.testing.assert_allclose(np.abs(made["amplitude"].values[1]), 3.0, atol=1e-6)
+    assert "usable samples" in flags_of(made)[-1]["detail"]

@@ -71,3 +71,29 @@ def test_requests_that_make_no_sense_are_refused():
             tracked_orders(*recording, orders, settings=SETTINGS)
     with pytest.raises(InputError, match="less than one engine cycle"):
         tracked_orders(*made_from(line(2.0, 1.0), duration_s=0.08), [2.0], settings=SETTINGS)
+
+
+def test_an_order_that_is_not_carried_leaves_the_rows_of_the_others_alone():
+    recording = steady([total(line(2.0, 1.5, 0.4), line(3.0, 0.5))], speed_rpm=6000.0, duration_s=3.0, rate_hz=2000.0)
+    made = tracked_orders(*recording, [12.0, 2.0, 3.0, 3.0 + 1e-13], settings=SETTINGS)
+    assert np.isnan(made["amplitude"].sel(order=12.0).values).all()
+    np.testing.assert_allclose(made["amplitude"].sel(order=2.0).values, 1.5 * np.exp(0.4j), atol=1e-8)
+    np.testing.assert_allclose(made["combined_amplitude"].values[0, 2], 0.5, atol=1e-6)
+    told = [flag["detail"] for flag in flags_of(made)]
+    assert any("orders 3 and 3 cannot be told apart" in one for one in told)
+    assert "order 12 is beyond half the sample rate" in told
+
+
+def test_an_order_beyond_half_the_sample_rate_alone_is_nan_and_said():
+    made = tracked_orders(*made_from(line(2.0, 1.0)), [60.0], settings=SETTINGS)
+    assert np.isnan(made["amplitude"].values).all()
+    assert "60 is beyond" in flags_of(made)[-1]["detail"]
+
+
+def test_frames_overlap_where_the_speed_changes_and_take_in_all_cycles_still():
+    recording = run_up([line(3.0, 2.0)], from_rpm=600, to_rpm=3000, duration_s=20.0, rate_hz=2000.0)
+    made = tracked_orders(*recording, [3.0], settings=SETTINGS)
+    begin, revs = made["crank_angle"].values, made["revs"].values
+    assert (np.diff(begin) < 0.6 * revs[:-1]).all()
+    assert (revs >= SETTINGS.revs_per_frame).all()
+    assert begin[-1] + revs[-1] - begin[0] == 20.0 * 1800.0 / 60.0 // 2 * 2 - 2  # the last sample is short of the last

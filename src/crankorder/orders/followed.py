@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
-from crankorder.orders.intervals import amplitude_interval, phase_interval_deg
-from crankorder.orders.least_squares_tracks import frame_edges, tracked_orders, tracks_in_frames
-from crankorder.orders.vold_kalman.filter import vold_kalman
-from crankorder.quantities import flags_of, with_flags
+from crankorder.orders.least_squares_tracks import (
+    Spans,
+    beyond_remark,
+    frame_spans,
+    not_tracked_flags,
+    tracked_orders,
+    tracks_in_frames,
+)
+from crankorder.orders.phase_marks import phases_compare
+from crankorder.orders.track_means import POLES, Readings, by_energy, by_phase, coherent_mean
+from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
+from crankorder.orders.vold_kalman.noise import level_dof, student_factor
+from crankorder.quantities import QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of
 
-ENDLESS_DOF = 1000.0
-"""Degrees of freedom from which on Student's t is a normal distribution."""
+LEAST_USABLE = 0.5
+"""Share of a frame's samples that must be usable for the filter to be read in its middle."""
+
+SAME_ORDER = 1e-9
+"""Orders closer than this are one."""
+
+Array = NDArray[np.float64]
 
 
 def followed_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
@@ -26,48 +41,95 @@ def followed_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSetti
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle; ``settings.track_method`` says how: "least_squares" fits
     frames of whole cycles jointly, "vold_kalman" follows the orders jointly from sample to sample with
-    ``settings.track_bandwidth`` and is read in the middle of such frames. An empty dataset where orders are read off
-    the map ("frames") or none are asked for.
+    ``settings.track_bandwidth`` and is read in the middle of such frames. An order asked for twice is followed once.
+    An empty dataset where orders are read off the map ("frames") or none are asked for.
     """
     if settings.track_method == "frames" or not settings.track_orders:
         return xr.Dataset(attrs={"recording": band.attrs["recording"]})
     if settings.track_method == "least_squares":
-        return tracked_orders(band, shaft, settings.track_orders, settings=settings)
+        return tracked_orders(band, shaft, _once(settings.track_orders), settings=settings)
     return vold_kalman_tracks(band, shaft, settings=settings)
+
+
+def _once(orders: Sequence[float]) -> list[float]:
+    """``orders`` without those that were named before."""
+    kept: list[float] = []
+    for order in orders:
+        if all(abs(order - other) > SAME_ORDER for other in kept):
+            kept.append(order)
+    return kept
 
 
 def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) by the Vold–Kalman filter, in the middle of frames of whole cycles.
 
-    ``band``, ``shaft`` and ``settings`` are those of :func:`followed_tracks`. Orders beyond half the sample rate are
-    NaN. Raises InputError for a recording by crank angle of unknown speed, or where not one cycle was recorded, and
-    RequestError where orders cannot be told apart within the bandwidth.
+    ``band``, ``shaft`` and ``settings`` are those of :func:`followed_tracks`. ``speed`` is that in the middle of each
+    frame; ``bandwidth_rev`` (frame,) is the bandwidth in cycles per revolution, which says how much neighbouring
+    frames have in common. NaN are orders beyond half the sample rate, channels with too few usable samples, and frames
+    that are for the most part not usable. Raises InputError for a recording by crank angle of unknown speed, or where
+    not one cycle was recorded, and RequestError where orders cannot be told apart within the bandwidth.
     """
     rate, angle, speed = _of_samples(band, shaft)
     known = np.flatnonzero(np.isfinite(angle))
-    edges = frame_edges(angle, band, shaft, settings)
+    spans = frame_spans(angle, band, shaft, settings)
     part = slice(int(known[0]), int(known[-1]) + 1)
-    orders = np.asarray(settings.track_orders, dtype=np.float64)
-    carried = np.flatnonzero(orders * float(np.nanmax(speed)) / 60.0 < 0.5 * rate)
-    width = np.full(orders.shape, settings.track_bandwidth)[carried, None] * np.ones_like(speed[None, part])
-    if settings.track_bandwidth_unit == "order":
-        width = width * speed[None, part] / 60.0
-    found = vold_kalman(
-        band["signal"].values[:, part],
-        orders[carried, None] * angle[None, part],
-        rate_hz=rate,
-        bandwidth_hz=width,
-        usable=band["usable"].values[:, part] if "usable" in band else None,
+    orders = np.asarray(_once(settings.track_orders), dtype=np.float64)
+    carried = np.flatnonzero(orders * float(speed[part].max()) / 60.0 < 0.5 * rate)
+    angle, speed = angle[part], speed[part]
+    width = settings.track_bandwidth * (
+        speed / 60.0 if settings.track_bandwidth_unit == "order" else np.ones(len(speed))
     )
-    middle = np.searchsorted(angle[part], 0.5 * (edges[1:] + edges[:-1]))
-    shape = (band.sizes["channel"], len(orders), len(middle))
+    signals, usable = band["signal"].values[:, part], _usable(band, part)
+    enough = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
+    middle = np.searchsorted(angle, 0.5 * (spans[0] + spans[1]))
+    shape = (len(signals), len(orders), len(middle))
     amplitude, error = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan)
-    amplitude[:, carried] = found.amplitude[..., middle]
-    error[:, carried] = found.standard_error[..., middle]
-    dof = np.where(np.isfinite(error), ENDLESS_DOF, 0.0)
-    values = {"amplitude": amplitude, "standard_error": error, "degrees_of_freedom": dof}
-    made = tracks_in_frames(band, shaft, orders, edges, values, method="vold_kalman")
-    return with_flags(made, [*flags_of(shaft), *_note_flags(str(band.attrs["recording"]), found.notes)])
+    notes: tuple[str, ...] = ()
+    if len(carried) and len(enough):
+        found = vold_kalman(
+            signals[enough],
+            orders[carried, None] * angle,
+            rate_hz=rate,
+            bandwidth_hz=np.tile(width, (len(carried), 1)),
+            poles=POLES,
+            usable=usable[enough],
+            names=[f"order {order:g}" for order in orders[carried]],
+        )
+        at = np.ix_(enough, carried)
+        amplitude[at], error[at] = found.amplitude[..., middle], found.standard_error[..., middle]
+        notes = found.notes
+    seen = _mostly_usable(usable, angle, spans)[:, None]
+    freedom = level_dof(float(width.mean()) * len(width) / rate)
+    values = {
+        "amplitude": np.where(seen, amplitude, np.nan),
+        # the filter's errors are enlarged as Student's t asks for; the interval does that again
+        "standard_error": np.where(seen, error, np.nan) / student_factor(np.array(freedom)),
+        "degrees_of_freedom": np.where(seen & np.isfinite(error), freedom, 0.0),
+    }
+    made = tracks_in_frames(band, shaft, orders, spans, values, method="vold_kalman")
+    _put_middles(made, speed[middle], width[middle])
+    beyond, some_short = np.delete(orders, carried), len(enough) < len(signals)
+    return with_flags(made, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
+
+
+def _put_middles(made: xr.Dataset, speed_rpm: Array, bandwidth_hz: Array) -> None:
+    """Speed and bandwidth of the filter in the middle of the frames of ``made``."""
+    per_rev = bandwidth_hz * 60.0 / speed_rpm
+    made.coords["speed"] = ("frame", speed_rpm, {"units": "min-1", "long_name": "speed in the middle of the frame"})
+    made.coords["bandwidth_rev"] = ("frame", per_rev, {"units": "rev-1", "long_name": "bandwidth of the filter"})
+
+
+def _usable(band: xr.Dataset, part: slice) -> NDArray[np.bool_]:
+    """Which samples (channels, samples) of ``part`` count: finite ones that ``usable`` of ``band`` does not deny."""
+    finite: NDArray[np.bool_] = np.isfinite(band["signal"].values[:, part])
+    return np.asarray(finite & band["usable"].values[:, part]) if "usable" in band else finite
+
+
+def _mostly_usable(usable: NDArray[np.bool_], angle_rev: Array, spans: Spans) -> NDArray[np.bool_]:
+    """Whether most samples of each frame (channels, frames) of ``spans`` are ``usable`` (channels, samples)."""
+    total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
+    first, last = (np.searchsorted(angle_rev, edge) for edge in spans)
+    return np.asarray(total[:, last] - total[:, first] >= LEAST_USABLE * (last - first))
 
 
 def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
@@ -91,80 +153,126 @@ def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, NDArray[np.
     return rate, angle, np.maximum(speed, 1e-6)
 
 
-def _note_flags(recording: str, notes: tuple[str, ...]) -> list[Any]:
-    return [{"recording": recording, "flag": "vold_kalman", "severity": "info", "detail": note} for note in notes]
+def _flags(recording: str, notes: tuple[str, ...], beyond: Array, some_short: bool) -> list[QualityFlag]:
+    remarks = [f"{beyond_remark(order)} at the highest speed" for order in beyond]
+    if some_short:
+        remarks.append(f"a channel has fewer than {FEWEST_SAMPLES} usable samples: its orders are not tracked")
+    said: list[QualityFlag] = [
+        {"recording": recording, "flag": "vold_kalman", "severity": "info", "detail": note} for note in notes
+    ]
+    return said + not_tracked_flags(recording, remarks)
 
 
 def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
     """OrderTracks ``tracks`` (changed in place) whose orders that ``followed`` hold are theirs.
 
-    Frames of the recordings in ``followed`` are averaged, by their length, at the nearest speed of ``tracks``: with
-    their phases where these refer to top dead centre in all, else by energy and without phase. The coordinate
-    ``track_method`` says of each order how it was followed.
+    Frames of the recordings in ``followed`` are averaged at the nearest speed of ``tracks``, those that are much
+    noisier than most count less: with their phases within a recording, and across recordings where all refer to one
+    and the same mark; else the recordings are averaged by energy, without phase. A recording of unknown speed goes to
+    its own row. The coordinate ``track_method`` says of each order how it was followed; flags of ``followed`` join.
     """
     items = [item for item in followed if "amplitude" in item]
     method = np.full(tracks.sizes["order"], "frames", dtype="<U16")
-    if items:
-        frame_speed = np.concatenate([item["speed"].values for item in items])
-        nearest = np.abs(frame_speed[:, None] - tracks["speed"].values[None, :]).argmin(axis=1)
-        for row, order in enumerate(tracks["order"].values):
-            place = np.flatnonzero(np.abs(items[0]["order"].values - order) < 1e-9)
-            if len(place):
-                method[row] = items[0].attrs["track_method"]
-                _replace(tracks, row, items, int(place[0]), nearest)
     tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
-    return tracks
+    if not items:
+        return tracks
+    groups, remarks = _frames_of_speeds(tracks, items)
+    for row, order in enumerate(tracks["order"].values):
+        place = np.flatnonzero(np.abs(items[0]["order"].values - order) < SAME_ORDER)
+        if not len(place):
+            continue
+        method[row] = items[0].attrs["track_method"]
+        readings = _readings(items, int(place[0]))
+        one_mark = bool(phases_compare(items, np.array([order]))[0])
+        for speed, group in enumerate(groups):
+            _put_speed(tracks, row, speed, readings.of(group), one_mark=one_mark)
+    tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
+    known = flags_of(tracks)
+    for flag in [flag for item in items for flag in flags_of(item)] + remarks:
+        if flag not in known:
+            known.append(flag)
+    tracks.attrs.pop("quality", None)
+    return with_flags(tracks, known)
 
 
-def _replace(tracks: xr.Dataset, row: int, items: list[xr.Dataset], place: int, nearest: NDArray[np.int64]) -> None:
-    """Put the order ``place`` of ``items`` into the ``row`` of ``tracks``, its frames at the ``nearest`` speeds."""
-    complex_amplitude = np.concatenate([item["amplitude"].values[:, place] for item in items], axis=1)
-    error = np.concatenate([item["standard_error"].values[:, place] for item in items], axis=1)
-    dof = np.concatenate([item["degrees_of_freedom"].values[:, place] for item in items], axis=1)
-    weight = np.concatenate([item["revs"].values for item in items])
-    whole = abs(float(tracks["order"].values[row]) % 1.0) < 1e-9
-    referenced = all(
-        item.attrs["phase_reference"] != "none" and (whole or int(item.attrs["cycle_known"])) for item in items
-    )
-    comparable = referenced or len(items) == 1
-    for speed in range(tracks.sizes["speed"]):
-        group = nearest == speed
-        known = np.isfinite(error[:, group])
-        total = (known * weight[group]).sum(axis=1, keepdims=True)
-        share = np.divide(known * weight[group], total, out=np.zeros(known.shape), where=total > 0.0)
-        values, errors = (np.where(known, part[:, group], 0.0) for part in (complex_amplitude, error))
-        if comparable:
-            mean = (share * values).sum(axis=1)
+def _readings(items: list[xr.Dataset], place: int) -> Readings:
+    """Frames of the order number ``place`` of all ``items``."""
+    names = ("amplitude", "standard_error", "degrees_of_freedom")
+    values, errors, dof = (np.concatenate([item[name].values[:, place] for item in items], axis=1) for name in names)
+    revs, begin = (np.concatenate([item[name].values for item in items]) for name in ("revs", "crank_angle"))
+    nothing = [np.full(item.sizes["frame"], np.nan) for item in items]
+    per_rev = [
+        item["bandwidth_rev"].values if "bandwidth_rev" in item.coords else none
+        for item, none in zip(items, nothing, strict=True)
+    ]
+    owner = np.repeat(np.arange(len(items)), [item.sizes["frame"] for item in items])
+    return Readings(values, errors, dof, revs, owner, begin, np.concatenate(per_rev))
+
+
+def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> tuple[list[NDArray[np.int64]], list[QualityFlag]]:
+    """Numbers of the frames of ``items`` that belong to each speed of ``tracks``, and remarks on those that do not.
+
+    A frame belongs to the nearest speed, where it is no further off than the width of a group or the next frame; a
+    speed that is nearest to none takes the nearest frame within the same reach. Rows of unknown speed are the
+    recordings of unknown speed in turn.
+    """
+    rows = tracks["speed"].values
+    speed = np.concatenate([item["speed"].values for item in items])
+    reach = np.concatenate([_reach(item["speed"].values) for item in items])
+    reach = np.maximum(reach, float(tracks.attrs.get("speed_bin_rpm", 0.0)))
+    owner = np.repeat(np.arange(len(items)), [item.sizes["frame"] for item in items])
+    apart = np.abs(speed[:, None] - rows)
+    apart = np.where(np.isnan(apart), np.inf, apart)
+    nearest = np.where(apart.min(axis=1) <= reach, apart.argmin(axis=1), -1)
+    groups: list[NDArray[np.int64]] = []
+    for row in range(len(rows)):
+        group = np.flatnonzero(nearest == row)
+        if not len(group) and np.isfinite(rows[row]):
+            within = np.where(apart[:, row] <= reach, apart[:, row], np.inf)
+            group = np.flatnonzero(np.isfinite(within) & (within == within.min()))
+        groups.append(group)
+    unnamed = np.flatnonzero(np.isnan(rows))
+    unknown = [k for k, item in enumerate(items) if np.isnan(item["speed"].values).all()]
+    remarks: list[str] = []
+    if len(unnamed) == len(unknown):
+        for place, item in zip(unnamed, unknown, strict=True):
+            groups[int(place)] = np.flatnonzero(owner == item)
+    elif unknown:
+        remarks = ["recordings of unknown speed cannot be told from one another: their orders are left out"]
+    return groups, not_tracked_flags(str(items[unknown[0]].attrs["recording"]) if unknown else "", remarks)
+
+
+def _reach(speed_rpm: Array) -> Array:
+    """How far the speed of each frame is from that of the frame before or after it, whichever is further."""
+    step = np.abs(np.diff(speed_rpm, prepend=speed_rpm[:1], append=speed_rpm[-1:]))
+    return np.nan_to_num(np.maximum(step[:-1], step[1:]))
+
+
+def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, one_mark: bool) -> None:
+    """Put the average of ``readings`` into the ``row`` and ``speed`` of ``tracks``; NaN for channels without."""
+    for name in _PUT:
+        tracks[name].values[:, row, speed] = 0.0 if name == "degrees_of_freedom" else np.nan
+    seen = np.isfinite(readings.values.real) & np.isfinite(readings.errors)
+    if not seen.any():
+        return
+    patterns, which = np.unique(seen, axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        if not pattern.any():
+            continue
+        channels = np.flatnonzero(which.ravel() == number)
+        part = readings.of(np.flatnonzero(pattern)).channels(channels)
+        largest = np.maximum(np.abs(part.values.real), np.abs(part.values.imag)).max(axis=1)
+        unit = np.ldexp(1.0, np.frexp(np.where(largest > 0.0, largest, 1.0))[1] - 1)
+        part = replace(part, values=part.values / unit[:, None], errors=part.errors / unit[:, None])
+        names = np.unique(part.owner)
+        if one_mark or len(names) == 1:
+            made = by_phase(coherent_mean(part), with_phase=one_mark)
         else:
-            largest = np.maximum(np.abs(values).max(axis=1, initial=0.0), np.finfo(float).tiny)
-            mean = largest * np.sqrt((share * np.abs(values / largest[:, None]) ** 2).sum(axis=1))
-        freedom = np.where(known, dof[:, group], 0.0).sum(axis=1)
-        missing = ~(total[:, 0] > 0.0)
-        scatter = np.where(missing, np.nan, np.sqrt(((share * errors) ** 2).sum(axis=1)))
-        _put_speed(tracks, row, speed, mean, scatter, freedom, missing, with_phase=referenced)
+            made = by_energy([coherent_mean(part.of(np.flatnonzero(part.owner == name))) for name in names])
+        for name, values in made.items():
+            scale = unit if name in _SCALED else 1.0
+            tracks[name].values[channels, row, speed] = scale * values
 
 
-def _put_speed(
-    tracks: xr.Dataset,
-    row: int,
-    speed: int,
-    mean: NDArray[np.complex128],
-    error: NDArray[np.float64],
-    dof: NDArray[np.float64],
-    missing: NDArray[np.bool_],
-    *,
-    with_phase: bool,
-) -> None:
-    low, high = amplitude_interval(np.abs(mean), 2.0 * error**2, dof)
-    half = phase_interval_deg(np.abs(mean), 2.0 * error**2, dof)
-    values = {
-        "amplitude": np.abs(mean),
-        "phase": np.degrees(np.angle(mean)) if with_phase else np.full(len(mean), np.nan),
-        "standard_error": error,
-        "degrees_of_freedom": dof,
-        "amplitude_low": low,
-        "amplitude_high": high,
-        "phase_ci95": half,
-    }
-    for name, value in values.items():
-        tracks[name].values[:, row, speed] = np.where(missing, 0.0 if name == "degrees_of_freedom" else np.nan, value)
+_SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
+_PUT = (*_SCALED, "phase", "degrees_of_freedom", "phase_ci95")

@@ -9,11 +9,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.orders.intervals import beside_bins, energy_interval, noise_beside
+from crankorder.quantities import flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 MAIN_LOBE_BINS = 4.0
 """Width of the main lobe of a Hann window: what lies within it is the line's."""
 
+
+BAND_HELD = 0.5
+"""Share of a band, or of a main lobe, that must hold numbers for its sum to say something."""
 
 LOBE_NOISE, LOBE_SCATTER, LOBE_BEAT = 4.0 / 1.5, 3.0, 1.3
 """What noise adds to the energy of a Hann window's main lobe, the variance that it has there without a line, and the
@@ -25,7 +29,8 @@ def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderS
 
     On a bin of the map, amplitude, phase and 95 % intervals are those of the coherent average; between bins the
     amplitude is that of the energy in the main lobe and the phase is NaN. ``band_rms`` is the RMS of everything
-    within ``settings.band_width_orders`` around the order. Orders above the map give NaN.
+    within ``settings.band_width_orders`` around the order, NaN where the map holds less than half of that. Orders
+    above the map give NaN. The flags are those of the map.
     """
     axis, asked = order_map["order"].values, np.asarray(orders, dtype=float)
     resolution = float(axis[1] - axis[0])
@@ -43,7 +48,8 @@ def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderS
         for name, source, scaled in _SOURCES
     }
     half = 0.5 * settings.band_width_orders / resolution
-    values["band_rms"] = unit * np.sqrt(_band_sum(power, asked / resolution, 2.0 * half) / (2.0 * enbw))
+    band = _band_sum(power, asked / resolution, 2.0 * half, least_share=BAND_HELD)
+    values["band_rms"] = unit * np.sqrt(band / (2.0 * enbw))
     tracks = xr.Dataset(coords={**{k: v for k, v in order_map.coords.items() if k != "order"}})
     tracks["order"] = ("order", asked, {"units": "1", "long_name": "order"})
     for name, units, long_name in _VARIABLES:
@@ -54,8 +60,8 @@ def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderS
             {"units": units, "long_name": long_name},
         )
     tracks.attrs = {key: order_map.attrs[key] for key in ("amplitude_scaling", "phase_reference", "cycle_known")}
-    tracks.attrs["band_width_orders"] = settings.band_width_orders
-    return tracks
+    tracks.attrs |= {"band_width_orders": settings.band_width_orders, "speed_bin_rpm": settings.speed_bin_rpm}
+    return with_flags(tracks, flags_of(order_map))
 
 
 _SOURCES = (
@@ -92,14 +98,16 @@ def _between_bins(
     bins, worth = beside_bins(order_map["order"].values, line_step=1.0 / int(order_map.attrs["revs_per_cycle"]))
     noise = noise_beside(power, bins[nearest])
     independent = order_map["n_independent"].values[None, :, None]
-    lobe = _band_sum(power, place, MAIN_LOBE_BINS) / float(order_map.attrs["enbw_bins"])
+    lobe = _band_sum(power, place, MAIN_LOBE_BINS, least_share=BAND_HELD) / float(order_map.attrs["enbw_bins"])
     bias, beat = LOBE_NOISE * noise, LOBE_BEAT * noise / independent
-    dof = np.broadcast_to(np.round(2.0 * worth[nearest] * independent), lobe.shape)
+    dof = np.where(np.isnan(lobe), 0.0, np.round(2.0 * worth[nearest] * independent))
     scatter = LOBE_SCATTER * noise**2 / independent
     low, high = energy_interval(lobe, noise=beat, bias=bias, noise_variance=scatter, dof=dof)
     line = np.sqrt(np.maximum(lobe - bias, 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        error = np.where(noise > 0.0, np.sqrt(2.0 * line**2 * beat + scatter) / (2.0 * np.sqrt(lobe)), 0.0)
+        error = np.sqrt(2.0 * line**2 * beat + scatter) / (2.0 * np.sqrt(lobe))
+    # without noise the error is 0; without energy nothing is known of it but the upper end
+    error = np.where(np.isnan(lobe) | (noise > 0.0), np.where(lobe > 0.0, error, np.nan), 0.0)
     nothing = np.full(lobe.shape, np.nan)
     ends = {"amplitude_low": low, "amplitude_high": high, "phase_ci95": nothing, "degrees_of_freedom": dof}
     return {"amplitude": line, "phase": nothing, "standard_error": error, **ends}
@@ -112,7 +120,7 @@ def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: O
     where its phase is known; one that slips is followed where it was found.
     """
     resolution = 1.0 / float(order_map.attrs["revs_per_frame"])
-    orders = {float(order) for order in settings.track_orders}
+    orders = {round(float(order), 9) for order in settings.track_orders}
     for record in findings["orders"]:
         on_bin = round(record["order"] / resolution) * resolution
         close = record["locked"] or abs(record["order"] - on_bin) < 0.25 * resolution
@@ -120,8 +128,19 @@ def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: O
     return sorted(orders)
 
 
-def _band_sum(power: NDArray[np.float64], centre: NDArray[np.float64], width: float) -> NDArray[np.float64]:
-    """Sum of ``power`` (…, bins) over ``width`` bins around each ``centre`` (in bins); part bins count in part."""
+def _band_sum(
+    power: NDArray[np.float64], centre: NDArray[np.float64], width: float, *, least_share: float
+) -> NDArray[np.float64]:
+    """Sum of ``power`` (…, bins) over ``width`` bins around each ``centre`` (in bins); part bins count in part.
+
+    NaN where less than ``least_share`` of the width holds numbers.
+    """
+    missing = np.isnan(power)
+    held = _sum_around((~missing).astype(np.float64), centre, width) if missing.any() else np.full(1, width)
+    return np.where(held < least_share * width, np.nan, _sum_around(power, centre, width))
+
+
+def _sum_around(power: NDArray[np.float64], centre: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     filled = np.nan_to_num(power)
     cumulative = np.concatenate([np.zeros_like(filled[..., :1]), np.cumsum(filled, axis=-1)], axis=-1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 HALF_POWER = math.sqrt(2.0) - 1.0
 """What the structural equation weighs against the data where the gain is 1/sqrt(2)."""
+
+FARTHEST_LAG = 16.0
+"""Reciprocal bandwidths from which on noise counts as uncorrelated."""
 
 
 def structural_weight(bandwidth_hz: NDArray[np.float64], *, rate_hz: float, poles: int) -> NDArray[np.float64]:
@@ -34,3 +38,23 @@ def noise_bandwidth_share(poles: int) -> float:
     power = 2.0 * poles
     shape = (1.0 - 1.0 / power) * (math.pi / power) / math.sin(math.pi / power)
     return float(HALF_POWER ** (-1.0 / power) * shape)
+
+
+def noise_correlation(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArray[np.float64]:
+    """Correlation of the filter's noise at two times, ``lag_bandwidths`` (any shape) reciprocal bandwidths apart.
+
+    The cosine transform of |gain|², ``poles`` as of the filter: lines that far apart share their error.
+    """
+    grid, table = _correlation_table(poles)
+    return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table))
+
+
+@functools.cache
+def _correlation_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lags in reciprocal bandwidths, and the correlation there."""
+    x = np.linspace(0.0, 8.0, 801)
+    power = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles)) ** 2
+    grid = np.linspace(0.0, FARTHEST_LAG, 513)
+    table = np.cos(np.pi * np.outer(grid, x)) @ power / power.sum()
+    table[-1] = 0.0
+    return grid, table

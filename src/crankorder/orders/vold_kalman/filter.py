@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -76,6 +77,7 @@ def vold_kalman(
     poles: int = 2,
     usable: ArrayLike | None = None,
     method: Method = "auto",
+    names: Sequence[str] | None = None,
 ) -> VoldKalmanTracks:
     """VoldKalmanTracks: complex envelopes of all orders at every sample, the residual, and standard errors.
 
@@ -86,7 +88,7 @@ def vold_kalman(
     octave each. ``usable`` (samples,) or (channels, samples), False where the signal counts nothing; the envelopes go
     on there as smoothly as they can. ``method``: "samples" solves at every sample; "knots" for quintic envelopes
     between knots, 16 (one pole: 64) in a reciprocal bandwidth, right at any bandwidth; "auto" takes knots wherever
-    they are six samples apart.
+    they are six samples apart. ``names`` (orders,): what an error calls them, "order 2" for one.
 
     Data are met in their real form, a cos + b sin, so that the image at minus the frequency does not leak, and a
     constant is fitted with the orders. Raises RequestError where arguments do not fit or orders cannot be told apart
@@ -105,7 +107,10 @@ def vold_kalman(
     parts = []
     for chosen in groups.values():
         group = values if len(chosen) == len(values) else values[chosen]
-        parts.append(tracked(group, phase, bandwidth, mask[chosen[0]], rate_hz, poles))
+        try:
+            parts.append(tracked(group, phase, bandwidth, mask[chosen[0]], rate_hz, poles))
+        except _TooCloseError as error:
+            raise _indistinguishable(phase, bandwidth, rate_hz, error.magnification, names) from error
     if len(parts) == 1:
         return parts[0]
     return _together(parts, list(groups.values()))
@@ -204,12 +209,12 @@ def _by_knots(
     try:
         solution = system.solve()
     except RequestError as not_definite:
-        raise _indistinguishable(phase, bandwidth, rate_hz, np.inf) from not_definite
+        raise _TooCloseError(np.inf) from not_definite
     middle = system.knots.middles
     usable_share = np.add.reduceat(mask, system.knots.starts[:-1], dtype=np.int64) / np.diff(system.knots.starts)
     magnification = _magnification(solution.variance, usable_share, middle, bandwidth, len(mask), rate_hz, poles)
     if magnification.max() > MOST_MAGNIFICATION:
-        raise _indistinguishable(phase, bandwidth, rate_hz, float(magnification.max()))
+        raise _TooCloseError(float(magnification.max()))
     amplitude, residual = system.read(solution, values, phase, mask, begin=0)
     error = standard_errors(system, solution)
     notes = [f"quintic envelopes on {system.knots.intervals} intervals; constant part fitted with the orders"]
@@ -263,12 +268,12 @@ def _by_samples(
     try:
         found = envelopes_at_samples(signals, phase, mask, weight=weight, poles=poles, margin=margin)
     except RequestError as not_definite:
-        raise _indistinguishable(phase, bandwidth, rate_hz, np.inf) from not_definite
+        raise _TooCloseError(np.inf) from not_definite
     variance = found.variance * (1.0 - 0.5 / poles)
     magnification = _magnification(variance, mask.astype(np.float64), at, bandwidth, n_samples, rate_hz, poles)
     condition = float(magnification.max())
     if condition > MOST_MAGNIFICATION:
-        raise _indistinguishable(phase, bandwidth, rate_hz, condition)
+        raise _TooCloseError(condition)
     amplitude, remaining, offset = with_offset(found.values, signals, phase, mask)
     errors = sample_errors(
         remaining - offset[:, None], phase, mask, variance, rate_hz / np.median(bandwidth, axis=1), poles
@@ -302,8 +307,17 @@ def _magnification(
     return np.array(found)
 
 
-def _indistinguishable(phase: _Array, bandwidth: _Array, rate_hz: float, magnification: float) -> RequestError:
-    pair, distance_hz = closest(phase, bandwidth, rate_hz=rate_hz)
+class _TooCloseError(Exception):
+    """Orders cannot be told apart: their noise power is ``magnification`` times that of each alone."""
+
+    def __init__(self, magnification: float) -> None:
+        self.magnification = magnification
+
+
+def _indistinguishable(
+    phase: _Array, bandwidth: _Array, rate_hz: float, magnification: float, names: Sequence[str] | None
+) -> RequestError:
+    pair, distance_hz = closest(phase, bandwidth, rate_hz=rate_hz, names=names)
     seconds = phase.shape[1] / rate_hz
     return RequestError(
         f"{pair} cannot be told apart",

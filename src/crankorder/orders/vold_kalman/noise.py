@@ -105,8 +105,18 @@ def _level(power: _Array, free: NDArray[np.bool_]) -> _Array:
         lower = np.where(np.arange(len(side)) < np.where(count > 0, kept, 0)[:, None], ordered, 0.0)
         total += lower.sum(axis=2) / kept * _expected(kept, count) * count
     count = free.sum(axis=1)
-    student = 1.0 + 1.21 / (2.0 * INDEPENDENT * count)
-    return np.asarray(total / count * student**2)
+    return np.asarray(total / count * student_factor(2.0 * INDEPENDENT * count) ** 2)
+
+
+def student_factor(dof: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What Student's t asks for at 95 % over a normal distribution, by degrees of freedom ``dof`` (any shape)."""
+    return np.asarray(1.0 + 1.21 / dof)
+
+
+def level_dof(bandwidths: float) -> float:
+    """Degrees of freedom of the level of one frame, in a record ``bandwidths`` reciprocal bandwidths long."""
+    flank = min(FRAME_BANDWIDTHS, bandwidths)
+    return 4.0 * INDEPENDENT * max(1.0 + LEAST_BINS[1], (FLANK[1] - FLANK[0]) * flank)
 
 
 def _expected(kept: NDArray[np.int64], count: NDArray[np.int64]) -> _Array:
