@@ -64,6 +64,25 @@ def test_recordings_without_a_phase_reference_are_averaged_by_power_not_against_
     assert np.isnan(made["phase"].item())
 
 
+def test_recordings_that_tell_phases_from_different_marks_do_not_cancel():
+    one, other = (frames_of(line(2.0, 1.0, phase)) for phase in (0.0, np.pi))
+    other.attrs["phase_reference"] = "index"
+    made = order_map([one, other], settings=SETTINGS)
+    assert made["coherent_amplitude"].sel(order=2.0).item() == pytest.approx(1.0, rel=1e-6)
+    assert np.isnan(made["phase"].values).all()
+    assert made.attrs["phase_reference"] == "mixed"
+
+
+def test_recordings_that_end_at_different_orders_are_averaged_on_those_they_share():
+    long = frames_of(line(2.0, 1.0), name="long.h5")
+    short = frames_of(line(2.0, 1.0), name="short.h5").isel(order=slice(100))
+    made = order_map([long, short], settings=SETTINGS)
+    assert made.sizes["order"] == 100
+    assert made["coherent_amplitude"].sel(order=2.0).item() == pytest.approx(1.0, rel=1e-6)
+    cut = [flag for flag in flags_of(made) if flag["flag"] == "orders_cut"]
+    assert [(flag["recording"], flag["severity"]) for flag in cut] == [("long.h5", "info")]
+
+
 def test_half_orders_of_two_recordings_with_unknown_cycle_do_not_cancel():
     one, other = (frames_of(total(line(5.5, 1.0, phase), line(2.0, 1.0))) for phase in (0.0, np.pi))
     for item in (one, other):

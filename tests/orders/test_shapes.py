@@ -13,7 +13,7 @@ from crankorder.errors import RequestError
 from crankorder.ingest.manifest import load_manifest
 from crankorder.orders.frames import order_frames
 from crankorder.orders.shapes import operating_shapes
-from crankorder.quantities import check_dataset
+from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.knowledge import ShaftKnowledge
 from crankorder.stages import band, ingest, shaft
@@ -155,11 +155,54 @@ def test_frames_with_a_gap_take_no_part_in_their_channel():
     np.testing.assert_allclose(found["amplitude"].values[0], shapes_of(spectrum)["amplitude"].values[0])
 
 
-def test_one_frame_has_a_shape_without_interval_and_noise_has_no_phase():
-    one = shapes_of(steady_frames(n_frames=1))
-    np.testing.assert_allclose(one["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-14)
-    assert np.isnan(one["amplitude_ci95"].values).all()
-    assert np.isnan(one["coherence"].values).all()
+def test_one_frame_has_the_interval_of_the_noise_beside_its_line():
+    draws, sigma = 4000, 0.3
+    orders = np.arange(17)
+    spectrum = sigma * circular(np.random.default_rng(5), draws, 1, len(orders))
+    spectrum[:, 0, 8] += 2.0 * np.exp(0.4j)
+    made = shapes_of(spectrum, orders=(4.0,), overlap=0.0)
+    low, high = made["amplitude_ci95"].values[:, 0, 0].T
+    # bins of noise that is white here do not resemble each other, as those of a Hann window do
+    assert 0.94 < np.mean((low <= 2.0) & (high >= 2.0)) < 0.99
+    half = 0.5 * np.diff(made["phase_ci95"].values[:, 0, 0])[:, 0]
+    assert 0.94 < np.mean(np.abs(degrees_apart(made["phase"].values[:, 0, 0], np.degrees(0.4))) <= half) < 0.99
+    assert np.isnan(made["coherence"].values).all()
+
+
+@pytest.mark.parametrize("n_frames", [3, 8, 30])
+def test_where_there_is_no_line_the_interval_reaches_from_nothing_and_holds_it(n_frames):
+    draws = 8000
+    made = shapes_of(circular(np.random.default_rng(n_frames), 1, n_frames, draws), np.arange(draws) / 2, overlap=0.0)
+    low = made["amplitude_ci95"].values[0, 0, :, 0]
+    # 8,000 draws know 97.5 % to 0.18 %
+    assert np.mean(low <= 0.0) > 0.97
+
+
+@pytest.mark.parametrize("recordings", [2, 3, 5])
+def test_the_shape_of_recordings_that_differ_by_a_tenth_has_the_interval_of_their_scatter(recordings):
+    rng, draws, frames = np.random.default_rng(recordings), 4000, 6
+    items = []
+    for _ in range(recordings):
+        repeat = 1.0 + 0.1 * (rng.standard_normal(draws) + 1j * rng.standard_normal(draws))
+        spectrum = 2.0 * np.exp(0.4j) * repeat[:, None] + 0.1 * circular(rng, draws, frames)
+        items.append(frames_of(np.ascontiguousarray(spectrum.T)[None], overlap=0.0))
+    made = operating_shapes(items, np.arange(draws) / 2, settings=SETTINGS)
+    low, high = made["amplitude_ci95"].values[0, 0].T
+    half = 0.5 * np.diff(made["phase_ci95"].values[0, 0])[:, 0]
+    near = np.abs(degrees_apart(made["phase"].values[0, 0], np.degrees(0.4))) <= half
+    assert 0.935 < np.mean((low <= 2.0) & (high >= 2.0)) < 0.975
+    assert 0.935 < np.mean(near) < 0.975
+
+
+def test_frames_that_end_at_different_orders_have_shapes_on_those_they_share():
+    made = operating_shapes(
+        [frames_of(steady_frames()), frames_of(steady_frames(n_orders=5))], [1.0], settings=SETTINGS
+    )
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-12)
+    assert [flag["flag"] for flag in flags_of(made)] == ["orders_cut"]
+
+
+def test_noise_has_no_phase_and_no_coherence():
     noise = shapes_of(circular(np.random.default_rng(4), 1, 400, 9), orders=np.arange(1, 9) / 2)
     assert noise["coherence"].values.mean() < 0.02
     assert np.median(np.diff(noise["phase_ci95"].values)) > 60.0
@@ -193,7 +236,7 @@ def test_shapes_of_the_reference_campaign_are_those_of_its_truth(tmp_path):
     orders = sorted({record["order"] for record in truth["orders"] if record["order"] == round(record["order"])})
     made = operating_shapes(frames, orders, settings=settings.orders)
     scores = np.array(list(_scores(made, truth["orders"])))
-    assert len(scores) > 150
+    assert len(scores) > 140
     assert np.mean(scores[:, 0] <= 1.0) > 0.90  # lines between two channels of noise and tones: measured below 0.95
     assert np.mean(scores[:, 1] <= 1.0) > 0.90
 

@@ -202,6 +202,15 @@ def test_pooled_mean_and_deviation_are_those_of_the_cycles_themselves():
     assert between.mean() > 2 * np.mean(everything.var(axis=0, ddof=1)) / 11
 
 
+def test_recordings_with_different_marks_are_not_averaged_together():
+    items = [of(LOCKED, duration_s=8.0), of(LOCKED, duration_s=6.0, start_rev=0.4)]
+    items[1].attrs["phase_reference"] = "index"
+    made = cycle_averages(items, speed_bin_rpm=25.0)
+    np.testing.assert_array_equal(made["n_cycles"].values, items[0]["n_cycles"].values)
+    assert made.attrs["phase_reference"] == "mixed"
+    assert [flag["flag"] for flag in flags_of(made)] == ["cycles_not_joined"]
+
+
 def test_recordings_whose_cycles_may_begin_half_a_cycle_apart_are_not_averaged_together():
     turned = total(*(line(order, amplitude, phase + 2 * np.pi * order) for order, amplitude, phase in LINES))
     items = [of(LOCKED, duration_s=8.0), of(turned, duration_s=6.0)]

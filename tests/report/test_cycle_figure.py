@@ -145,3 +145,17 @@ def test_one_cycle_and_unknown_speed_are_drawn_without_a_spread(settings):
     figure = cycle_figure(alone, {"test": "t"}, settings=settings)
     assert "unknown speed · 1 cycle" in words(figure)
     assert not figure.axes[0].collections
+
+
+@pytest.mark.parametrize("cycles_averaged", [2, 3, 10])
+def test_the_band_of_few_cycles_is_as_wide_as_student_says(cycles_averaged, settings):
+    from scipy.stats import t
+
+    cycles = cycles_of([800.0], channels=1)
+    cycles["n_cycles"].values[:] = cycles_averaged
+    figure = cycle_figure(cycles, {"test": "t"}, settings=settings)
+    (band,) = [one for one in figure.axes[0].collections if one.get_gid() == "interval"]
+    edges = band.get_paths()[0].vertices
+    first = edges[np.isclose(edges[:, 0], 0.0), 1]
+    error = cycles["standard_error"].values[0, 0, 0]
+    assert np.ptp(first) == pytest.approx(2.0 * t.ppf(0.975, cycles_averaged - 1) * error, rel=1e-6)

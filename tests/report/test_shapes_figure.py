@@ -133,3 +133,11 @@ def test_a_direction_that_says_nothing_is_not_written(settings):
     found = words(shapes_figure(shapes, {"test": "t"}, settings=settings))
     assert sum(text.startswith("< ") for text in found) == 1
     assert found.count("–") == 1
+
+
+def test_an_amplitude_whose_interval_has_no_end_is_a_dash_and_not_a_number(settings):
+    shapes = shapes_of(3)
+    shapes["amplitude_ci95"].values[0, ..., 0], shapes["amplitude_ci95"].values[0, ..., 1] = 0.0, np.inf
+    figure = shapes_figure(shapes, {"test": "t"}, settings=settings)
+    assert "–" in words(figure)
+    assert not any(text.startswith("<") and not text[-1].isdigit() for text in words(figure))

@@ -10,8 +10,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
+from crankorder.fft.scaling import power_of_two
 from crankorder.fft.windows import hann
-from crankorder.quantities import channel_coords
+from crankorder.orders.common_frames import common_frames
+from crankorder.quantities import QualityFlag, channel_coords
 from crankorder.shaft.speed_groups import speed_groups
 
 SHAPE_SAMPLES = 1024
@@ -30,7 +32,8 @@ class LikeSpeedFrames:
 
     ``spectrum`` (channels, frames, orders) complex, ``owner`` (frames,) the number of the recording, ``groups`` indices
     of frames, slowest first, ``speed_rpm`` their mean speeds, ``n_power`` and ``n_complex`` (groups,) the independent
-    power and complex spectra that the overlapping frames of each are worth, ``used`` the OrderFrames taken.
+    power and complex spectra that the overlapping frames of each are worth, ``used`` the OrderFrames taken,
+    ``remarks`` on what was left out.
     """
 
     spectrum: NDArray[np.complex128]
@@ -40,6 +43,7 @@ class LikeSpeedFrames:
     n_power: NDArray[np.float64]
     n_complex: NDArray[np.float64]
     used: list[xr.Dataset]
+    remarks: list[QualityFlag]
 
 
 def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
@@ -47,9 +51,7 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
 
     Frames of unknown speed stay with their recording, for nothing says that two ran alike.
     """
-    lengths = [int(item.attrs["revs_per_frame"]) for item in frames]
-    common = max(set(lengths), key=lambda length: (lengths.count(length), length))
-    used = [item for item, length in zip(frames, lengths, strict=True) if length == common]
+    used, remarks = common_frames(frames)
     speed = np.concatenate([item["speed"].values for item in used])
     owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
@@ -67,6 +69,7 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
         n_power=np.array(worth[0]),
         n_complex=np.array(worth[1]),
         used=used,
+        remarks=remarks,
     )
 
 
@@ -142,12 +145,6 @@ def _pairs(
         mean = cross / np.maximum(count, 1.0) * scale * scale[at][:, 0][None]
     mean[count == 0] = np.nan
     return mean, estimate, count / spectrum.shape[1]
-
-
-def power_of_two(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Power of two (channels, 1, 1) near the largest magnitude of each channel of ``spectrum`` (channels, …, …)."""
-    largest = np.abs(np.nan_to_num(spectrum)).max(axis=(1, 2), keepdims=True, initial=0.0)
-    return np.asarray(np.ldexp(1.0, np.clip(np.frexp(np.where(largest > 0.0, largest, 1.0))[1], -1021, 1023)))
 
 
 def coherence_level(n_frames: NDArray[np.float64], *, probability: float = 0.95) -> NDArray[np.float64]:

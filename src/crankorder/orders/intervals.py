@@ -23,8 +23,14 @@ FEW_CONTRASTS = 1.5
 """With fewer contrasts of the frames' own, as of one or two frames, the bins beside help out as if level."""
 
 BESIDE_BINS = 10
-"""Bins beside a line that help out: all that hold neither its main lobe nor that of the next half order, in frames of
-sixteen revolutions."""
+"""Bins beside a line that hold neither its main lobe nor that of the next half order, in frames of sixteen
+revolutions."""
+
+NEAREST_BINS = 4
+"""Of them those that help out where frames are few: two on each side, so that a resonance beside is seen as it is."""
+
+SLOPE_RATIO = 3.0
+"""Where one side holds so many times the noise of the other the noise slopes, and that of the larger side is taken."""
 
 NOISE_RATIO = 8.0
 """A bin that holds so many times the median of those beside is a line's, not noise: one in 250 of noise does."""
@@ -112,8 +118,10 @@ def noise_of_mean(spectrum: NDArray[np.complex128], shape: Contrasts) -> NDArray
     return np.asarray(power / len(shape.rows))
 
 
-def beside_bins(order: NDArray[np.float64], *, line_step: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Indices (orders, BESIDE_BINS) of the nearest bins that hold noise, and how many independent ones they are worth.
+def beside_bins(
+    order: NDArray[np.float64], *, line_step: float, count: int = BESIDE_BINS
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Indices (orders, ``count``) of the nearest bins that hold noise, and how many independent ones they are worth.
 
     ``order`` (orders,) is the axis; bins within one of a multiple of ``line_step`` may hold lines and are left out
     where enough others are left, those within one of the bin itself and of zero always.
@@ -123,7 +131,7 @@ def beside_bins(order: NDArray[np.float64], *, line_step: float) -> tuple[NDArra
     off = np.abs(order / line_step - np.round(order / line_step)) * line_step / (order[1] - order[0])
     cost = distance + np.where(off > 1.5, 0, 3 * n) + np.where(distance < 2, 9 * n, 0)
     cost[:, :2] += 9 * n
-    bins = np.sort(np.argpartition(cost, min(BESIDE_BINS, n) - 1, axis=1)[:, :BESIDE_BINS], axis=1)
+    bins = np.sort(np.argpartition(cost, min(count, n) - 1, axis=1)[:, :count], axis=1)
     apart = np.abs(bins[:, :, None] - bins[:, None])
     alike = np.where(apart == 0, 1.0, np.where(apart == 1, 4.0 / 9.0, np.where(apart == 2, 1.0 / 36.0, 0.0)))
     return bins, bins.shape[1] ** 2 / alike.sum(axis=(1, 2))
@@ -131,10 +139,31 @@ def beside_bins(order: NDArray[np.float64], *, line_step: float) -> tuple[NDArra
 
 def noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> NDArray[np.float64]:
     """Noise power (…, orders) of a frame from ``energy`` (…, orders) in ``bins`` (orders, several), lines left out."""
+    beside, noise = _noise_bins(energy, bins)
+    return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
+
+
+def steepest_noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Noise power (…, orders) as of :func:`noise_beside`, of the larger side alone where the noise slopes.
+
+    ``energy`` (…, orders) of a frame in ``bins`` (orders, several) that grow. A line on the flank of a resonance lies
+    in more noise than the mean of both sides.
+    """
+    beside, noise = _noise_bins(energy, bins)
+    half = bins.shape[1] // 2
+    held = beside * noise
+    sides = [held[..., part].sum(axis=-1) / np.maximum(noise[..., part].sum(axis=-1), 1)
+             for part in (slice(half), slice(half, None))]  # fmt: skip
+    larger = np.maximum(*sides)
+    level = held.sum(axis=-1) / noise.sum(axis=-1)
+    return np.asarray(np.where(larger > SLOPE_RATIO * np.minimum(*sides), larger, level))
+
+
+def _noise_bins(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Energies (…, orders, several) of ``bins``, and which of them are noise and no line."""
     beside = energy[..., bins]
     middle = np.partition(beside, beside.shape[-1] // 2, axis=-1)[..., beside.shape[-1] // 2, None]
-    noise = (beside <= NOISE_RATIO * middle) | ~np.isfinite(beside)
-    return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
+    return beside, (beside <= NOISE_RATIO * middle) | ~np.isfinite(beside)
 
 
 def t_quantile(dof: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,7 +176,11 @@ def t_quantile(dof: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def amplitude_interval(
-    amplitude: NDArray[np.float64], noise_power: NDArray[np.float64], dof: NDArray[np.float64]
+    amplitude: NDArray[np.float64],
+    noise_power: NDArray[np.float64],
+    dof: NDArray[np.float64],
+    *,
+    seen: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper end of the 95 % interval of the amplitude of a line in complex Gaussian noise.
 
@@ -159,15 +192,16 @@ def amplitude_interval(
     amplitude : magnitude of the complex estimate
     noise_power : mean square of its complex error; the standard error of the amplitude is the root of half of it
     dof : degrees of freedom of ``noise_power``; all three broadcast, and 0 or NaN gives 0 and infinity
+    seen : as of :func:`is_seen`, where more is known of the noise than ``noise_power`` and ``dof`` say
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
     t = t_quantile(dof)
-    widened = np.sqrt(noise_power) * t / NORMAL
+    clear = is_seen(amplitude, noise_power, dof) if seen is None else seen
     with np.errstate(invalid="ignore", divide="ignore"):
+        widened = np.sqrt(noise_power) * t / NORMAL
         ratio = amplitude / widened
         low, high = _rician_ends(ratio)
-        seen = np.square(amplitude) > noise_power * _noise_alone(dof)
-        low = np.where(seen, low * widened, 0.0)
+        low = np.where(clear, low * widened, 0.0)
         high = high * widened
     exact = noise_power == 0.0
     low, high = np.where(exact, amplitude, low), np.where(exact, amplitude, high)
@@ -201,7 +235,11 @@ def energy_interval(
 
 
 def phase_interval_deg(
-    amplitude: NDArray[np.float64], noise_power: NDArray[np.float64], dof: NDArray[np.float64]
+    amplitude: NDArray[np.float64],
+    noise_power: NDArray[np.float64],
+    dof: NDArray[np.float64],
+    *,
+    seen: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """Half width [degree] of the 95 % interval of the phase; 180, unknown, where noise alone could be as large.
 
@@ -213,13 +251,22 @@ def phase_interval_deg(
     amplitude : magnitude of the complex estimate
     noise_power : mean square of its complex error
     dof : degrees of freedom of ``noise_power``
+    seen : as of :func:`is_seen`, where more is known of the noise than ``noise_power`` and ``dof`` say
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
+    clear = is_seen(amplitude, noise_power, dof) if seen is None else seen
     with np.errstate(invalid="ignore", divide="ignore"):
         share = t_quantile(dof) * np.sqrt(0.5 * noise_power) / amplitude
-        seen = (np.square(amplitude) > noise_power * _noise_alone(dof)) & (share < 1.0)
-        half = np.where(seen, np.degrees(np.arcsin(np.minimum(share, 1.0))), 180.0)
+        half = np.where(clear & (share < 1.0), np.degrees(np.arcsin(np.minimum(share, 1.0))), 180.0)
     return np.where(np.isnan(amplitude), np.nan, half)
+
+
+def is_seen(
+    amplitude: NDArray[np.float64], noise_power: NDArray[np.float64], dof: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether ``amplitude`` is more than noise of ``noise_power``, known with ``dof``, alone makes once in forty."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.square(amplitude) > noise_power * _noise_alone(dof))
 
 
 def _noise_alone(dof: NDArray[np.float64]) -> NDArray[np.float64]:

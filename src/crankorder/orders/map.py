@@ -9,20 +9,25 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, wider_of
+from crankorder.orders.common_frames import common_frames
 from crankorder.orders.grouped_frames import Frames, all_frames
 from crankorder.orders.intervals import (
     FEW_CONTRASTS,
+    NEAREST_BINS,
     Contrasts,
     amplitude_interval,
     beside_bins,
     contrasts,
     energy_interval,
     frame_correlation,
-    noise_beside,
+    is_seen,
     noise_of_mean,
     phase_interval_deg,
+    steepest_noise_beside,
 )
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.orders.phase_marks import mark_of, one_mark, phases_compare
+from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
@@ -43,7 +48,8 @@ class Average:
     ``energy`` is the mean power, ``coherent`` the complex mean (the root of the mean of the recordings' coherent
     powers where ``apart``, their number, is over one), ``noise`` the noise power of one frame by the frames' own
     scatter with ``own`` complex degrees of freedom, ``share`` what of it is left in ``coherent``, ``bias`` what
-    it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones.
+    it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones;
+    ``along``, ``across``, ``recordings`` and ``between`` (its share) are those of BetweenRecordings.
     """
 
     energy: Columns
@@ -57,37 +63,42 @@ class Average:
     powers: Columns
     phases: Columns
     count: Columns
+    along: Columns
+    across: Columns
+    recordings: Columns
+    between: Columns
 
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
     """OrderMap of a test from the OrderFrames of its recordings.
 
     ``frames`` need not be equally many; recordings whose frames are not as long as those of most others are left out
-    and flagged "bad". Frames within ``settings.speed_bin_rpm`` are averaged twice: by energy (``amplitude``, which
-    also sees lines that slip against the shaft) and coherently (``coherent_amplitude`` and ``phase``). Across
-    recordings the coherent average is taken only where both have a phase reference (and, for half orders, a known
-    cycle); else the recordings' coherent powers are averaged and the phase is NaN.
+    and flagged "bad", and orders that not all hold are cut off, flagged "info". Frames within
+    ``settings.speed_bin_rpm`` are averaged twice: by energy (``amplitude``, which also sees lines that slip against
+    the shaft) and coherently (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken
+    only where all have one and the same phase reference (and, for half orders, a known cycle); else the recordings'
+    coherent powers are averaged and the phase is NaN. Intervals of several recordings at like speed are for the mean
+    over all such recordings that could be made, not for that of those at hand.
     """
-    common = _common_length(frames)
-    used = [item for item in frames if int(item.attrs["revs_per_frame"]) == common]
+    used, remarks = common_frames(frames)
     order = used[0]["order"].values
     every = all_frames(used)
     groups = _groups(every.speed_rpm, every.owner, settings)
-    comparable = _comparable(used, order)
+    comparable = phases_compare(used, order)
     parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
-    result = _dataset(used[0], order, speed, settings)
+    result = _dataset(used, order, speed, settings)
     result.attrs |= _accuracy(used)
     whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
-    bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]))
+    bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]), count=NEAREST_BINS)
     made: Variables = {}
     _put_averages(made, whole, unit)
     _put_intervals(made, whole, unit, bins, worth)
-    if any(item.attrs["phase_reference"] == "none" for item in used):
+    if not one_mark(used):
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = result.assign(made)
-    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + _dropped_flags(frames, common))
+    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + remarks)
 
 
 def _put_averages(result: Variables, whole: Average, unit: NDArray[np.float64]) -> None:
@@ -120,7 +131,7 @@ def _put_intervals(
     noise, own = np.nan_to_num(whole.noise), whole.own
     few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
     if len(few):
-        beside = noise_beside(whole.energy[:, few], bins)
+        beside = steepest_noise_beside(whole.energy[:, few], bins)
         helping = np.where((own[:, few] < FEW_CONTRASTS) & np.isfinite(beside), worth * whole.powers[:, few], 0.0)
         both = own[:, few] + helping
         pooled = own[:, few] * noise[:, few] + helping * np.nan_to_num(beside)
@@ -130,11 +141,15 @@ def _put_intervals(
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)
     power = np.where(own > 0.0, noise * whole.share, np.nan)
-    low, high = amplitude_interval(coherent, power, dof)
+    apart = BetweenRecordings(whole.along, whole.across, whole.recordings, whole.between)
+    seen = is_seen(coherent, power, dof) & is_seen(coherent, *wider_of(power, dof, apart.both, apart, parts=2))
+    across, across_dof = wider_of(power, dof, apart.across, apart)
+    half = phase_interval_deg(coherent, across, across_dof, seen=seen)
+    noise_only = noise * whole.bias * power
+    power, dof = wider_of(power, dof, apart.along, apart)
+    low, high = amplitude_interval(coherent, power, dof, seen=seen)
     if (whole.apart > 1).any():
-        alone = energy_interval(
-            coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise * whole.bias * power, dof=dof
-        )
+        alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
     missing = np.isnan(coherent)
     error = np.where(missing, np.nan, np.sqrt(power / 2.0))
@@ -144,14 +159,8 @@ def _put_intervals(
     for values, end in ends:
         name = f"coherent_amplitude_{'low' if end == 'lower' else 'high'}"
         _put(result, name, dims, unit * values, f"{end} end of the 95 % interval of coherent_amplitude")
-    half = np.where(whole.apart > 1, np.nan, phase_interval_deg(coherent, power, dof))
+    half = np.where(whole.apart > 1, np.nan, half)
     _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
-
-
-def _common_length(frames: list[xr.Dataset]) -> int:
-    """Revolutions per frame that most recordings have; the longer where two are equally many."""
-    lengths = [int(item.attrs["revs_per_frame"]) for item in frames]
-    return max(set(lengths), key=lambda length: (lengths.count(length), length))
 
 
 def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: OrderSettings) -> list[NDArray[np.int64]]:
@@ -159,14 +168,6 @@ def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: Orde
     known = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
     unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
     return [*known, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
-
-
-def _comparable(used: list[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """For each order, whether phases of different recordings may be averaged."""
-    referenced = all(item.attrs["phase_reference"] != "none" for item in used)
-    cycle_known = all(int(item.attrs["cycle_known"]) for item in used)
-    whole = np.abs(order - np.round(order)) < 1e-9
-    return np.full(len(order), referenced) & (whole | cycle_known)
 
 
 def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings) -> Average:
@@ -191,14 +192,14 @@ def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any
             target[at] = getattr(mean, item.name)[0]
     shaped = [values.reshape(n_channels, n_orders) for values in made]
     filled = Average(*(values if k == 1 else values.real for k, values in enumerate(shaped)))
-    none = {name: np.nan_to_num(getattr(filled, name)) for name in ("own", "powers", "phases", "count")}
+    none = {name: np.nan_to_num(getattr(filled, name)) for name in ("own", "powers", "phases", "count", "recordings")}
     return replace(filled, apart=np.nan_to_num(filled.apart, nan=1.0), **none)
 
 
 def _average_whole(
     frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings
 ) -> Average:
-    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`_comparable`."""
+    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`."""
     spectrum, shape = frames.spectrum, _shape(frames, attrs, settings)
     n_frames, columns = spectrum.shape[1], (len(spectrum), spectrum.shape[2])
     power = np.square(spectrum.real) + np.square(spectrum.imag)
@@ -211,6 +212,7 @@ def _average_whole(
     )
     share = np.full(columns, shape.mean_variance)
     noise = noise_of_mean(spectrum, shape) / shape.mean_variance
+    apart = between_recordings(spectrum, frames.owner, mean)
     made = Average(
         energy=energy,
         coherent=mean,
@@ -223,6 +225,10 @@ def _average_whole(
         powers=np.full(columns, shape.independent_powers),
         phases=phases,
         count=np.full(columns, float(n_frames)),
+        along=apart.along,
+        across=apart.across,
+        recordings=apart.recordings,
+        between=apart.share,
     )
     if comparable.all() or (frames.owner == frames.owner[0]).all():
         return made
@@ -245,16 +251,20 @@ def _without_common_phase(
     names, counts = np.unique(frames.owner, return_counts=True)
     weights = counts / counts.sum()
     power, noise, own, share, bias = (np.zeros(made.energy.shape) for _ in range(5))
+    powers = []
     for name, weight in zip(names, weights, strict=True):
         part = frames.of(frames.owner == name)
         shape = _shape(part, attrs, settings)
         mean = part.spectrum.mean(axis=1)
-        power += weight * (np.square(mean.real) + np.square(mean.imag))
+        powers.append(np.square(mean.real) + np.square(mean.imag))
+        power += weight * powers[-1]
         noise += 0.5 * shape.dof * np.nan_to_num(noise_of_mean(part.spectrum, shape) / shape.mean_variance)
         own += 0.5 * shape.dof
         share += weight**2 * shape.mean_variance
         bias += weight * shape.mean_variance
     noise /= np.maximum(own, 1e-9)
+    scatter = np.tensordot(weights, np.square(np.array(powers) - power), axes=1)
+    scatter = 0.5 * scatter / np.maximum(power, np.finfo(np.float64).tiny)  # as of noise that beats with the line
     return replace(
         made,
         coherent=np.where(comparable, made.coherent, np.sqrt(power)),
@@ -263,6 +273,7 @@ def _without_common_phase(
         own=np.where(comparable, made.own, own),
         share=np.where(comparable, made.share, share),
         bias=np.where(comparable, made.bias, bias),
+        along=np.where(comparable, made.along, scatter),
     )
 
 
@@ -311,8 +322,9 @@ def _put(
 
 
 def _dataset(
-    first: xr.Dataset, order: NDArray[np.float64], speed: NDArray[np.float64], settings: OrderSettings
+    used: list[xr.Dataset], order: NDArray[np.float64], speed: NDArray[np.float64], settings: OrderSettings
 ) -> xr.Dataset:
+    first = used[0]
     result = xr.Dataset(
         coords={
             **channel_coords(first),
@@ -322,7 +334,7 @@ def _dataset(
     )
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
-    result.attrs |= {"phase_reference": first.attrs["phase_reference"], "speed_bin_rpm": settings.speed_bin_rpm}
+    result.attrs |= {"phase_reference": mark_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
     return result
 
 
@@ -333,16 +345,3 @@ def _accuracy(used: list[xr.Dataset]) -> dict[str, Any]:
         return {}
     largest = {name: max(float(a[name]) for a in stated) for name in ("tolerance", "predicted_error", "achieved_error")}
     return {"method": ", ".join(sorted({str(a["method"]) for a in stated}))} | largest
-
-
-def _dropped_flags(frames: list[xr.Dataset], common: int) -> list[QualityFlag]:
-    return [
-        {
-            "recording": item.attrs["recording"],
-            "flag": "frame_length_differs",
-            "severity": "bad",
-            "detail": f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out",
-        }
-        for item in frames
-        if int(item.attrs["revs_per_frame"]) != common
-    ]

@@ -10,23 +10,31 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.fft.scaling import power_of_two
+from crankorder.orders.between_recordings import between_recordings, wider_of
 from crankorder.orders.coherence import (
     LEAST_FRAMES,
     LikeSpeedFrames,
     coherence_level,
     like_speed_frames,
     place_of,
-    power_of_two,
     unbiased_coherence,
 )
+from crankorder.orders.intervals import (
+    NEAREST_BINS,
+    amplitude_interval,
+    beside_bins,
+    is_seen,
+    phase_interval_deg,
+    steepest_noise_beside,
+)
+from crankorder.orders.phase_marks import LOCATED as LOCATED  # where orders are followed it is read from here
+from crankorder.orders.phase_marks import mark_of, phases_compare
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
-LOCATED = ("tdc", "index", "pulse")
-"""Phase references that stand for a place on the crank, the same in every recording; a pulse is one per revolution."""
-
-PROBABILITY = 0.975
-"""Of one side of a 95 % interval."""
+FEW_FRAMES = 2.5
+"""With fewer independent frames their scatter says too little, and the bins beside help out."""
 
 CHANCE_MEMORY = 3.0
 """Frames resemble each other by more than chance where the squared correlation passes this over their number."""
@@ -44,7 +52,8 @@ class _Estimate:
     """Amplitudes and phases of all orders at one speed: every field is (channels, orders)."""
 
     amplitude: NDArray[np.float64]
-    half_amplitude: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
     phase_deg: NDArray[np.float64]
     half_phase_deg: NDArray[np.float64]
     coherence: NDArray[np.float64]
@@ -68,9 +77,11 @@ def operating_shapes(
     Returns
     -------
     OperatingShapes. A phase from a channel is that channel's lead over it. The 95 % intervals come from the scatter of
-    the frames, along the mean phasor for the amplitude and across it for the phase, by Student's t; frames that
-    resemble each other (overlap, a resonance that noise excites) count for fewer; NaN for one frame. ``coherence`` is
-    the share of the power that is locked to ``phase_from``, 0…1, relieved of what chance adds.
+    the frames, along the mean phasor for the amplitude and across it for the phase; frames that resemble each other
+    (overlap, a resonance that noise excites) count for fewer, and where they are too few the bins beside help out. Of
+    several recordings they are for the mean over as many more of such recordings as one likes: their scatter counts
+    where it says more. ``coherence`` is the share of the power that is locked to ``phase_from``, 0…1, relieved of what
+    chance adds.
 
     Raises RequestError for a reference that is no channel.
     """
@@ -81,21 +92,19 @@ def operating_shapes(
     lines, off = _lines(grouped, wanted, scale)
     if reference is None:
         units = [str(unit) for unit in grouped.used[0]["unit"].values]
-        located = [
-            _is_located(grouped.used, order) and shift <= ON_BIN for order, shift in zip(wanted, off, strict=True)
-        ]
+        located = phases_compare(grouped.used, wanted) & (off <= ON_BIN)
         origin = np.where(located, CRANK, _strongest(lines, scale, units))
     else:
         origin = np.full(len(wanted), place_of(reference, names))
     shape = (len(names), len(grouped.groups), len(wanted))
     made = {name: np.full(shape, np.nan) for name in _Estimate.__dataclass_fields__}
-    for row, group in enumerate(grouped.groups):
-        estimate = _estimate(lines[:, group], grouped.owner[group], origin, grouped, row)
+    for row in range(len(grouped.groups)):
+        estimate = _estimate(lines, origin, grouped, row, _Beside(grouped, wanted, scale))
         for name, values in made.items():
             values[:, row] = getattr(estimate, name)
-    for name in ("amplitude", "half_amplitude"):
+    for name in ("amplitude", "low", "high"):
         made[name] *= scale
-    crank = str(grouped.used[0].attrs["phase_reference"])
+    crank = mark_of(grouped.used)
     phase_from = [crank if place == CRANK else names[place] for place in origin]
     return _dataset(grouped, wanted, made, phase_from, reference=reference, speed_bin_rpm=settings.speed_bin_rpm)
 
@@ -118,13 +127,6 @@ def _lines(
     return lines, np.abs(off)
 
 
-def _is_located(used: list[xr.Dataset], order: float) -> bool:
-    """Whether every recording tells the phase of ``order`` from one and the same mark."""
-    marks = {str(item.attrs["phase_reference"]) for item in used}
-    whole = abs(order - round(order)) < ON_BIN
-    return len(marks) == 1 and marks <= set(LOCATED) and (whole or all(int(item.attrs["cycle_known"]) for item in used))
-
-
 def _strongest(lines: NDArray[np.complex128], scale: NDArray[np.float64], units: list[str]) -> NDArray[np.int64]:
     """Channel (orders,) of the commonest unit whose ``lines`` (channels, frames, orders) · ``scale`` are strongest."""
     common = max(units, key=units.count)
@@ -135,12 +137,14 @@ def _strongest(lines: NDArray[np.complex128], scale: NDArray[np.float64], units:
 
 def _estimate(
     lines: NDArray[np.complex128],
-    owner: NDArray[np.int64],
     origin: NDArray[np.int64],
     grouped: LikeSpeedFrames,
     row: int,
+    beside: _Beside,
 ) -> _Estimate:
     """Mean phasors of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
+    group = grouped.groups[row]
+    lines, owner = lines[:, group], grouped.owner[group]
     turned = lines * _direction(np.where(origin == CRANK, 1.0, _from_channel(lines, origin))).conj()
     kept = ~np.isnan(turned)
     count = np.count_nonzero(kept, axis=1)
@@ -151,11 +155,19 @@ def _estimate(
     share = count / max(lines.shape[1], 1)
     n_power = grouped.n_power[row] * share
     along, across = _errors(scatter, count, owner, grouped.n_complex[row] * share)
-    reach = _student(n_power - 1.0)
-    ratio = np.divide(reach * across, amplitude, out=np.ones_like(across), where=amplitude > 0.0)
-    half_phase = np.where(ratio >= 1.0, 180.0, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))
+    both, freedom = 0.5 * (along + across), np.where(np.isfinite(along), np.maximum(n_power - 1.0, 0.0), 0.0)
+    parts = [(along, freedom), (across, freedom), (both, 2.0 * freedom)]
+    if (n_power < FEW_FRAMES).any():
+        noise, worth = beside.noise_of_mean(row, share)
+        of_channel = np.where(origin == CRANK, 0.0, _relative(noise, amplitude, origin))
+        helped = (noise, noise + of_channel * amplitude**2, noise)
+        parts = [_pooled(*own, power, worth, n_power < FEW_FRAMES) for own, power in zip(parts, helped, strict=True)]
+    between = between_recordings(turned, owner, mean)
+    seen = is_seen(amplitude, *parts[2]) & is_seen(amplitude, *wider_of(*parts[2], between.both, between, parts=2))
+    low, high = amplitude_interval(amplitude, *wider_of(*parts[0], between.along, between), seen=seen)
+    half_phase = phase_interval_deg(amplitude, *wider_of(*parts[1], between.across, between), seen=seen)
     coherence = _coherence(lines, mean, kept, origin, n_power)
-    return _Estimate(amplitude, reach * along, np.degrees(np.angle(mean)), half_phase, coherence)
+    return _Estimate(amplitude, low, high, np.degrees(np.angle(mean)), half_phase, coherence)
 
 
 def _from_channel(lines: NDArray[np.complex128], origin: NDArray[np.int64]) -> NDArray[np.complex128]:
@@ -172,9 +184,10 @@ def _direction(values: NDArray[Any]) -> NDArray[np.complex128]:
 def _errors(
     scatter: NDArray[np.complex128], count: NDArray[np.int64], owner: NDArray[np.int64], n_complex: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Standard errors (channels, orders) of the mean along and across it, from ``scatter`` (channels, frames, orders).
+    """Noise powers (channels, orders) of the mean, twice its variance along and across it.
 
-    ``n_complex`` is what the frames are worth for their overlap; a memory beyond chance (1 - r) / (1 + r) takes more.
+    ``scatter`` (channels, frames, orders) is about it, ``n_complex`` is what the frames are worth for their overlap; a
+    memory beyond chance (1 - r) / (1 + r) takes more.
     """
     follows = owner[1:] == owner[:-1]
     product = np.abs((scatter[:, 1:] * scatter[:, :-1].conj())[:, follows].sum(axis=1))
@@ -184,17 +197,56 @@ def _errors(
     worth = np.maximum(1.0, np.minimum(n_complex, count * (1.0 - memory) / (1.0 + memory)))
     spare = np.where(n_complex > 1.0, count * (1.0 - 1.0 / np.maximum(n_complex, 1.0)), np.nan)
     return (
-        np.sqrt((scatter.real**2).sum(axis=1) / spare / worth),
-        np.sqrt((scatter.imag**2).sum(axis=1) / spare / worth),
+        2.0 * (scatter.real**2).sum(axis=1) / spare / worth,
+        2.0 * (scatter.imag**2).sum(axis=1) / spare / worth,
     )
 
 
-def _student(freedom: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Half width of a 95 % interval in standard errors by degrees of ``freedom``; NaN where there is less than 0.5."""
-    from scipy.special import stdtrit
+@dataclass(frozen=True)
+class _Beside:
+    """What the bins beside ``orders`` say of the noise, in units of ``scale``."""
 
-    enough = freedom >= 0.5
-    return np.where(enough, stdtrit(np.where(enough, freedom, 1.0), PROBABILITY), np.nan)
+    grouped: LikeSpeedFrames
+    orders: NDArray[np.float64]
+    scale: NDArray[np.float64]
+
+    def noise_of_mean(self, row: int, share: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Noise power (channels, orders) of the mean of group ``row`` by the bins beside, and its degrees of freedom.
+
+        ``share`` (channels, orders) of the frames take part.
+        """
+        grouped, first = self.grouped, self.grouped.used[0]
+        axis = first["order"].values
+        bins, worth = beside_bins(axis, line_step=1.0 / int(first.attrs["revs_per_cycle"]), count=NEAREST_BINS)
+        nearest = np.clip(np.rint(self.orders / float(axis[1] - axis[0])).astype(np.int64), 0, len(axis) - 1)
+        spectrum = grouped.spectrum[:, grouped.groups[row]] / self.scale
+        kept = np.isfinite(spectrum.real)
+        total = np.square(np.abs(np.where(kept, spectrum, 0.0))).sum(axis=1)
+        noise = steepest_noise_beside(total / np.maximum(np.count_nonzero(kept, axis=1), 1), bins[nearest])
+        freedom = 2.0 * worth[nearest] * grouped.n_power[row] * share
+        return noise / np.maximum(grouped.n_complex[row] * share, 1.0), freedom
+
+
+def _relative(
+    noise: NDArray[np.float64], amplitude: NDArray[np.float64], origin: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Noise power over squared amplitude (1, orders) of the channel that phases are from: its phase errs as well."""
+    at = np.maximum(origin, 0)[None, :]
+    power, size = (np.take_along_axis(values, at, axis=0) for values in (noise, np.nan_to_num(amplitude)))
+    return np.asarray(np.divide(power, size**2, out=np.zeros_like(power), where=size > 0.0))
+
+
+def _pooled(
+    power: NDArray[np.float64],
+    dof: NDArray[np.float64],
+    other: NDArray[np.float64],
+    other_dof: NDArray[np.float64],
+    where: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise power and degrees of freedom of two estimates together ``where`` one alone says too little."""
+    total = dof + other_dof
+    mean = (dof * np.nan_to_num(power) + other_dof * other) / np.maximum(total, 1e-9)
+    return np.where(where, mean, power), np.where(where, total, dof)
 
 
 def _coherence(
@@ -234,8 +286,7 @@ def _dataset(
 ) -> xr.Dataset:
     """OperatingShapes from estimates ``made`` (channels, speeds, orders)."""
     first = grouped.used[0]
-    amplitude, phase = made["amplitude"], made["phase_deg"]
-    low, high = np.maximum(amplitude - made["half_amplitude"], 0.0), amplitude + made["half_amplitude"]
+    amplitude, phase, low, high = (made[name] for name in ("amplitude", "phase_deg", "low", "high"))
     turn = np.stack([phase - made["half_phase_deg"], phase + made["half_phase_deg"]], axis=-1)
     dims = ("channel", "speed", "order")
     count = np.array([len(group) for group in grouped.groups], dtype=np.int64)
@@ -267,5 +318,9 @@ def _dataset(
     )
     kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
     shapes.attrs = {key: first.attrs[key] for key in kept}
-    shapes.attrs |= {"reference": reference or "", "speed_bin_rpm": speed_bin_rpm}
-    return with_flags(shapes, [flag for item in grouped.used for flag in flags_of(item)])
+    shapes.attrs |= {
+        "phase_reference": mark_of(grouped.used),
+        "reference": reference or "",
+        "speed_bin_rpm": speed_bin_rpm,
+    }
+    return with_flags(shapes, [flag for item in grouped.used for flag in flags_of(item)] + grouped.remarks)

@@ -10,7 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.fft.scaling import power_of_two
 from crankorder.orders.by_angle import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
+from crankorder.orders.phase_marks import mark_of, one_mark
 from crankorder.orders.synchronous import cycles_of
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -30,9 +32,6 @@ REACH_TURNS = 4.0
 
 LOW_FREQUENCIES = 4
 """Lowest frequencies, in turns per record of cycles, from which the error of a mean is taken."""
-
-LOCATED = ("tdc", "index", "pulse")
-"""Phase references that are the same in every recording of a test; a pulse is one per revolution."""
 
 SPREAD = {
     "mean": "mean over the cycles, without the mean of the recording",
@@ -171,7 +170,7 @@ def _on_grid(
     from scipy.fft import irfft, rfft
 
     revs = signals.shape[1] // samples_per_rev
-    scale = _scale_of(signals)
+    scale = power_of_two(signals)
     spectrum = rfft(signals / scale, axis=1)
     last = min(FADED_AT * max_order, 0.5 * points_per_rev) * revs
     n_bins = min(math.ceil(last), math.ceil(0.5 * samples_per_rev * revs))
@@ -183,14 +182,6 @@ def _on_grid(
     values = irfft(spectrum, n=revs * points_per_rev, axis=1)
     values *= scale * (points_per_rev / samples_per_rev)
     return np.asarray(values)
-
-
-def _scale_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Power of two (channels, 1, …) near the largest magnitude of each channel: its squares exist as numbers."""
-    axes = tuple(range(1, values.ndim))
-    high, low = (bound.reduce(values, axis=axes, keepdims=True, initial=0.0) for bound in (np.fmax, np.fmin))
-    largest = np.maximum(high, -low)
-    return np.asarray(np.ldexp(1.0, np.clip(np.frexp(np.where(largest > 0.0, largest, 1.0))[1], -1021, 1023)))
 
 
 def _statistics(values: NDArray[np.float64], whole: NDArray[np.bool_]) -> CycleStatistics:
@@ -207,7 +198,7 @@ def _statistics(values: NDArray[np.float64], whole: NDArray[np.bool_]) -> CycleS
         made["minimum"][channel], made["maximum"][channel] = cycles.min(axis=0), cycles.max(axis=0)
         if count < 2:
             continue
-        scale = float(_scale_of(cycles[None])[0, 0, 0])
+        scale = float(power_of_two(cycles[None])[0, 0, 0])
         scatter = (cycles - mean) / scale
         deviation = np.sqrt((scatter**2).sum(axis=0) / (count - 1)) * scale
         made["standard_deviation"][channel] = deviation
@@ -295,7 +286,7 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     """
     speed = np.concatenate([item["speed"].values for item in items])
     place = [(item, row) for item in items for row in range(item.sizes["speed"])]
-    comparable = len(items) == 1 or all(_is_located(item) for item in items)
+    comparable = len(items) == 1 or (one_mark(items) and all(_is_one_turn(item) for item in items))
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     if groups and np.isnan(speed[groups[-1][0]]):
         groups = [
@@ -322,19 +313,13 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     kept = ("phase_reference", "cycle_known", "revs_per_cycle", "max_order")
     made.attrs = {key: items[0].attrs[key] for key in kept} | {"speed_bin_rpm": speed_bin_rpm}
     if not comparable:
-        made.attrs |= {"phase_reference": _common(items, "phase_reference", "mixed"), "cycle_known": 0}
+        made.attrs |= {"phase_reference": mark_of(items), "cycle_known": 0}
     return with_flags(made, [*(flag for item in items for flag in flags_of(item)), *_left_out_flags(left_out)])
 
 
-def _is_located(item: xr.Dataset) -> bool:
-    """Whether angle 0 of ``item`` is the same as in any other such recording of the test."""
-    known = int(item.attrs["cycle_known"]) or int(item.attrs["revs_per_cycle"]) == 1
-    return bool(known) and item.attrs["phase_reference"] in LOCATED
-
-
-def _common(items: list[xr.Dataset], key: str, otherwise: str) -> str:
-    values = {str(item.attrs[key]) for item in items}
-    return values.pop() if len(values) == 1 else otherwise
+def _is_one_turn(item: xr.Dataset) -> bool:
+    """Whether the mark of ``item`` is passed in one turn of the cycle, or which one is known."""
+    return bool(int(item.attrs["cycle_known"]) or int(item.attrs["revs_per_cycle"]) == 1)
 
 
 def _row(item: xr.Dataset, row: int) -> CycleStatistics:
@@ -348,7 +333,7 @@ def _joined(parts: list[CycleStatistics]) -> CycleStatistics:
     count = np.stack([part["n_cycles"] for part in parts]).astype(np.float64)[..., None]
     total = np.maximum(count.sum(axis=0), 1.0)
     means = np.stack([part["mean"] for part in parts])
-    scale = _scale_of(means.swapaxes(0, 1))[:, 0]
+    scale = power_of_two(means.swapaxes(0, 1))[:, 0]
     apart = np.nan_to_num(means / scale)
     mean = (count * apart).sum(axis=0) / total
     between = (count * (apart - mean) ** 2).sum(axis=0)

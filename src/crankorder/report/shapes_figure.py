@@ -256,10 +256,10 @@ def _numbers(cell: _Cell, *, with_intervals: bool) -> tuple[str, str]:
         return "–", ""
     amplitude = number_text(cell.amplitude)
     if not cell.clear:
-        return f"< {number_text(cell.high, digits=2)}", "–"
+        return (f"< {number_text(cell.high, digits=2)}" if math.isfinite(cell.high) else "–"), "–"
     phase = f"{(cell.phase_deg + 180.0) % 360.0 - 180.0:.0f}°".replace("-", "−").replace("−0°", "0°")
     if with_intervals and math.isfinite(cell.high):
-        amplitude = _with_interval(cell.amplitude, cell.high - cell.amplitude)
+        amplitude = _with_interval(cell.amplitude, max(cell.high - cell.amplitude, cell.amplitude - cell.low))
         half = cell.half_phase_deg
         phase += f" ± {half:.0f}°" if half >= 9.95 else f" ± {half:.1f}°" if half >= 0.05 else ""
     return amplitude, phase

@@ -1,0 +1,98 @@
+"""How much recordings at one speed differ: the error of a mean over several is no less than their scatter says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.orders.intervals import t_quantile
+
+
+@dataclass(frozen=True)
+class BetweenRecordings:
+    """Scatter of the recordings' means about the mean of all frames; the first three are (channels, orders).
+
+    ``along`` and ``across`` the mean, as powers of a circular noise with that part on each axis; ``recordings`` their
+    number, below two where there is nothing between; ``share`` what of the scatter is the error of the mean, were the
+    recordings all of it: the sum of squared weights over one less that sum, one over the recordings less one where
+    all have as many frames.
+    """
+
+    along: NDArray[np.float64]
+    across: NDArray[np.float64]
+    recordings: NDArray[np.float64]
+    share: NDArray[np.float64]
+
+    @property
+    def both(self) -> NDArray[np.float64]:
+        """Power of the scatter along and across."""
+        return 0.5 * (self.along + self.across)
+
+
+def between_recordings(
+    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], mean: NDArray[np.complex128]
+) -> BetweenRecordings:
+    """Scatter of recordings about the ``mean`` (channels, orders) of all frames.
+
+    Parameters
+    ----------
+    spectrum : (channels, frames, orders); NaN takes no part
+    owner : (frames,), the number of the recording of each
+    mean : mean over the frames of ``spectrum``
+    """
+    names = np.unique(owner)
+    zero = np.zeros(mean.shape)
+    if len(names) < 2:
+        return BetweenRecordings(zero, zero, zero + len(names), zero)
+    length = np.abs(mean)
+    back = np.where(length > 0.0, mean / np.where(length > 0.0, length, 1.0), 1.0).conj()
+    counts, along, across = [], [], []
+    for name in names:
+        part = spectrum[:, owner == name]
+        kept = np.isfinite(part.real)
+        count = np.count_nonzero(kept, axis=1)
+        apart = (np.where(kept, part, 0.0).sum(axis=1) / np.maximum(count, 1) - mean) * back
+        counts.append(count)
+        along.append(count * np.square(apart.real))
+        across.append(count * np.square(apart.imag))
+    weights, total = np.array(counts, dtype=np.float64), np.maximum(np.sum(counts, axis=0), 1)
+    squares = np.square(weights / total).sum(axis=0)
+    share = np.divide(squares, 1.0 - squares, out=np.zeros_like(squares), where=squares < 1.0)
+    recordings = np.count_nonzero(weights, axis=0).astype(np.float64)
+    return BetweenRecordings(
+        2.0 * np.sum(along, axis=0) / total, 2.0 * np.sum(across, axis=0) / total, recordings, share
+    )
+
+
+def wider_of(
+    power: NDArray[np.float64],
+    dof: NDArray[np.float64],
+    scatter: NDArray[np.float64],
+    between: BetweenRecordings,
+    *,
+    parts: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Noise power and its degrees of freedom: those of the frames or of the recordings, whichever errs more.
+
+    Student's t of the recordings' means covers the truth whatever there is between them, even nothing; a pooled
+    variance (Birge 1932, with the degrees of freedom of Satterthwaite 1946) covers 0.83 where two recordings differ.
+
+    Parameters
+    ----------
+    power, dof : of the mean over the frames, by the frames' own scatter; NaN and 0 where they say nothing
+    scatter : ``along``, ``across`` or ``both`` of ``between``
+    between : of the recordings; nothing changes where they are fewer than two
+    parts : real parts that ``scatter`` is of: 2 for ``both``
+    """
+    freedom = np.maximum(between.recordings - 1.0, 0.0)
+    within = np.nan_to_num(power)
+    # were the frames all of the scatter it would be (recordings - 1) power; with unlike weights only more than that
+    # is of the recordings
+    apart = np.maximum(within + between.share * (scatter - freedom * within), 0.0)
+    own = dof > 0.0
+    reach = np.where(own, np.sqrt(within) * t_quantile(np.where(own, dof, 1.0)), 0.0)
+    several = np.sqrt(apart) * t_quantile(np.maximum(parts * freedom, 1.0))
+    wider = (freedom > 0.0) & (several > reach)
+    return np.where(wider, apart, power), np.where(wider, parts * freedom, dof)
