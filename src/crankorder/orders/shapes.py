@@ -28,7 +28,6 @@ from crankorder.orders.intervals import (
     phase_interval_deg,
     steepest_noise_beside,
 )
-from crankorder.orders.phase_marks import LOCATED as LOCATED  # where orders are followed it is read from here
 from crankorder.orders.phase_marks import mark_of, phases_compare
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
