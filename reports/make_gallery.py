@@ -31,7 +31,7 @@ def main() -> None:
         for kind, (scene, caption) in SCENES.items():
             recordings, out = Path(scratch) / scene, Path(scratch) / f"{scene}-results"
             crankorder("synth", scene, "--out", str(recordings), "-q")
-            crankorder("run", str(recordings), "--out", str(out), "-q")
+            crankorder("run", str(recordings), "--out", str(out), "--recipe", "waveforms", "-q")
             target = GALLERY / kind
             shutil.rmtree(target, ignore_errors=True)
             target.mkdir(parents=True)
