@@ -57,6 +57,18 @@ def test_a_run_up_keeps_the_waveform_and_falls_into_speed_groups():
     )
 
 
+def test_the_loud_end_of_a_run_up_does_not_show_at_its_quiet_begin():
+    """A waveform that grows a thousandfold with speed: the ends of the record are not alike."""
+    growing = lambda time_s, angle: (1.0 + 50.0 * time_s) * np.cos(2 * np.pi * 2.0 * angle)  # noqa: E731
+    made = cycle_average(
+        *run_up([growing], from_rpm=600, to_rpm=1500, duration_s=20.0, rate_hz=5000.0), settings=SETTINGS
+    )
+    slowest = made["mean"].values[0, 0]
+    # the slowest group ends before 0.6 s, where the waveform is 31 large
+    assert np.abs(slowest).max() < 32.0
+    assert (made["n_cycles"].sum().item()) == np.floor(20.0 * 1050.0 / 60.0 / 2.0) - 2
+
+
 def test_samples_by_crank_angle_give_the_cycle_to_the_last_digits():
     for start_deg in (0.0, 17.25, -180.0, 90.5):
         angle = np.arange(360 * 41) / 360 + start_deg / 360

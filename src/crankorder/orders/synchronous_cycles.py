@@ -30,6 +30,9 @@ LEAST_POINTS_PER_REV = 180
 REACH_TURNS = 4.0
 """Turns of the highest order by which a gap spreads when orders above it fade: 4e-4 of it are left there."""
 
+SWEPT_SHARE = 0.01
+"""Change of speed from the first to the last cycle, as a share, from which a record counts as a run-up."""
+
 LOW_FREQUENCIES = 4
 """Lowest frequencies, in turns per record of cycles, from which the error of a mean is taken."""
 
@@ -69,9 +72,10 @@ def cycle_average(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSetting
 
     Returns
     -------
-    CycleAverage. Whole cycles only; one that a gap reaches is left out of its channel and counted. Angle 0 is the
-    (firing, where ``cycle_known``) top dead centre, or whatever ``phase_reference`` says. The standard error follows
-    from the slow part of the cycles' scatter: cycles that resemble the next beyond the mean count for fewer.
+    CycleAverage. Whole cycles only, in a run-up without the first and the last; one that a gap reaches is left out of
+    its channel and counted. Angle 0 is the (firing, where ``cycle_known``) top dead centre, or whatever
+    ``phase_reference`` says. The standard error follows from the slow part of the cycles' scatter: cycles that resemble
+    the next beyond the mean count for fewer.
 
     Raises InputError where not even one cycle was recorded.
     """
@@ -124,7 +128,11 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
         speed = np.full(count, float(shaft["speed"].values.mean()))
     else:
         speed = 60.0 * rev_frequencies(shaft, begin + revs * np.arange(count + 1.0))
-    return _Cycles(cycles_of(values, revs * points), whole, speed, first % (revs * points), points)
+    # the filter works round the record: where its ends are not alike, the outer cycles hold something of both
+    swept = count > 2 and abs(speed[-1] - speed[0]) > SWEPT_SHARE * speed[0]
+    kept = slice(1, -1) if swept else slice(None)
+    cycles = cycles_of(values, revs * points)
+    return _Cycles(cycles[:, kept], whole[:, kept], speed[kept], first % (revs * points), points)
 
 
 def _points_per_rev(max_order: float) -> int:
