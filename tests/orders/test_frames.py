@@ -35,6 +35,19 @@ def test_a_run_up_keeps_amplitude_and_phase():
     assert np.all(np.diff(frames["speed"].values) > 0)
 
 
+@pytest.mark.parametrize(("to_rpm", "told"), [(1050.0, False), (9000.0, True)])
+def test_frames_within_which_the_speed_changes_much_are_told(to_rpm, told):
+    recording = run_up([line(4.0, 1.0)], from_rpm=1000, to_rpm=to_rpm, duration_s=10.0, rate_hz=5000.0)
+    frames = order_frames(*recording, settings=SETTINGS)
+    assert ("frames_swept" in {flag["flag"] for flag in flags_of(frames)}) == told
+    # v² grows by 2 a per revolution: from the first to the last revolution of 16 at constant acceleration a
+    rate = (to_rpm / 1000.0 - 1.0) * 1000.0 / 60.0 / 10.0
+    slowest = 1000.0 / 60.0
+    grown = np.sqrt(slowest**2 + 2.0 * rate * 15.5) - np.sqrt(slowest**2 + 2.0 * rate * 0.5)
+    mean = 16.0 / ((np.sqrt(slowest**2 + 2.0 * rate * 16.0) - slowest) / rate)
+    assert frames.attrs["largest_sweep"] == pytest.approx(grown / mean, rel=0.02)
+
+
 def test_the_speed_of_a_frame_is_revolutions_over_elapsed_time():
     band, angle = run_up([line(1.0, 1.0)], from_rpm=600, to_rpm=1200, duration_s=20.0, rate_hz=2000.0)
     frames = order_frames(band, angle, settings=SETTINGS)

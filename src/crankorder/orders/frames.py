@@ -17,6 +17,9 @@ from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_fl
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of, time_at
 
+SWEPT_SHARE = 0.1
+"""Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""
+
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
     """OrderFrames of one recording: complex spectra (channel, frame, order), phases from top dead centre.
@@ -47,6 +50,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
     frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
     frames.attrs = _attrs(band, shaft, layout, density) | {
+        "largest_sweep": _largest_sweep(shaft, layout, speed),
         "tolerance": settings.tolerance,
         "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
@@ -80,6 +84,17 @@ def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> NDArray[np.float64]:
     knots = knots_of(shaft)
     elapsed = time_at(np.minimum(begin + layout.revs, knots["knot_angle_rev"][-1]), **knots) - time_at(begin, **knots)
     return np.asarray(60.0 * layout.revs / elapsed)
+
+
+def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np.float64]) -> float:
+    """Largest change of speed from the first to the last revolution of a frame, as a share of its mean speed."""
+    if shaft.attrs.get("domain", "time") == "crank_angle" or layout.revs < 2:
+        return 0.0
+    knots = knots_of(shaft)
+    ends = np.minimum(layout.begin_rev + layout.revs, knots["knot_angle_rev"][-1])
+    first = time_at(layout.begin_rev + 1.0, **knots) - time_at(layout.begin_rev, **knots)
+    last = time_at(ends, **knots) - time_at(ends - 1.0, **knots)
+    return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
 
 
 def _dataset(
@@ -136,6 +151,13 @@ def _flags(frames: xr.Dataset, layout: FrameLayout, settings: OrderSettings) -> 
             f"{frames.attrs['method']}: {frames.attrs['achieved_error']:.1e} of amplitude, asked {settings.tolerance:g}"
         )
         remarks.append(("tolerance_missed", detail))
+    if frames.attrs["largest_sweep"] > SWEPT_SHARE:
+        sweep = f"{frames.attrs['largest_sweep']:.0%}"
+        detail = (
+            f"within frames of {layout.revs} revolutions the speed changes by up to {sweep}: amplitudes are means over "
+            "that; through sharp resonances follow orders by track_method"
+        )
+        remarks.append(("frames_swept", detail))
     return [
         {"recording": frames.attrs["recording"], "flag": name, "severity": "info", "detail": detail}
         for name, detail in remarks
