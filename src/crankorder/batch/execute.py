@@ -266,10 +266,11 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
     if order_map is None or "method" not in order_map.attrs:
         return ""
     asked, predicted, achieved = (order_map.attrs[name] for name in ("tolerance", "predicted_error", "achieved_error"))
-    missed = " (missed: the crank angle scatters from tooth to tooth)" if achieved > asked else ""
+    measured = "not measured" if np.isnan(achieved) else f"{achieved:.1e} achieved"
+    missed = " (missed)" if achieved > asked else ""
     return (
-        f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {achieved:.1e} "
-        f"achieved, {asked:g} asked{missed}"
+        f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {measured}, "
+        f"{asked:g} asked{missed}"
     )
 
 

@@ -150,7 +150,8 @@ def achieved_error(
     The truth is the same frame of the same ``samples`` and ``shaft``, resampled four times as densely as with
     ``density`` and by a kernel without an error of its own where the recording has the neighbours that it takes.
     ``layout`` says where the frames lie, ``speed_rpm`` (frames,) how fast they are, ``max_order`` the highest order
-    wanted; those beyond the content of the samples are not looked at. NaN where no frame is whole.
+    wanted; those beyond the content of the samples are not looked at. NaN where no frame is whole, or where the
+    recording has no neighbours to compare with.
     """
     whole = np.isfinite(spectrum[:, :, 0])
     if not whole.any():
@@ -163,7 +164,7 @@ def achieved_error(
     if kernel.margin > room:
         kernel = kernel_for(samples, LARGEST_TOLERANCE) if layout.method.kernel is None else layout.method.kernel
         if kernel.margin > room:
-            return layout.method.predicted_error  # there is nothing to compare with
+            return math.nan
     low = max(0, math.floor(place[0]) - kernel.margin)
     piece = samples.signals[:, low : math.ceil(place[1]) + kernel.margin + 1].astype(np.float64)
     start_s = samples.start_s + low / samples.rate_hz
