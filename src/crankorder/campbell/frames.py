@@ -40,7 +40,8 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     """FrequencyFrames of one recording: power (channel, frame, frequency) and the speed of each frame.
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle. A recording by crank angle is taken as one at constant
-    speed; without a speed it has no frequencies and gives no frame. A recording shorter than
+    speed; without a speed it has no frequencies and gives no frame. One of what does not turn has frames of unknown
+    speed (NaN). A recording shorter than
     1 / ``settings.resolution_hz`` is padded with zeros; where the speed sweeps, frames are a whole number of times
     shorter and padded to the length that the resolution asks for. Frames that touch an unusable sample are NaN in
     that channel. Float32 signals give float32 power.
@@ -62,6 +63,8 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     if "usable" in band:
         power[~whole_frames(band["usable"].values, starts, length)] = np.nan
     speeds = frame_speeds(band, shaft, starts, length, rate)
+    if not shaft.attrs.get("has_shaft", 1):
+        speeds = FrameSpeeds(np.full(len(starts), np.nan), np.zeros(len(starts)))
     frames = _dataset(band, power, np.arange(power.shape[2], dtype=np.float64) * resolution, speeds)
     if np.any(scales != 1.0):
         frames["scale"] = ("channel", scales, {"units": "1", "long_name": "power is that of the signal times this"})

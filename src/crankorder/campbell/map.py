@@ -68,6 +68,7 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
         "resolution_hz": grid_hz,
         "amplitude_scaling": "rms" if rms else "peak",
         "speed_bin_rpm": speed_bin_rpm,
+        "overlap": min(float(item.attrs["overlap"]) for item in frames),
         "sweep_hz_per_order": max(float(item.attrs["sweep_hz_per_order"]) for item in frames),
     }
     flags = [flag for item in frames for flag in flags_of(item)]

@@ -32,15 +32,15 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
     except CrankorderError as error:
         return [error]
     faults = [*found.faults, *_unused_speeds(manifest, found.paths, folder)]
-    if manifest.sampling.domain == "time" and manifest.encoder.kind == "none":
+    if manifest.sampling.domain == "time" and manifest.encoder.kind == "none" and manifest.test.cycle != "none":
         faults.append(
             RequestError(
                 "nothing tells the speed",
                 file=manifest_path or folder / MANIFEST_NAME,
                 place="encoder.kind",
                 found="none",
-                allowed="an encoder, a speed channel or a constant speed_rpm",
-                remedy="Name one; speed from the vibration itself is not built yet",
+                allowed='an encoder, a speed channel, a constant speed_rpm, or kind = "vibration"',
+                remedy='Name one, or state cycle = "none" for a structure without a shaft',
             )
         )
     for path in found.paths:
@@ -76,9 +76,15 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None:
         try:
             rates = {name: contents.rates_hz[name] for name in sampled.values() if name in contents.rates_hz}
-            file_hz = common_rate(rates, path, tolerance=settings.rate_tolerance)
+            tolerance = settings.rate_tolerance + 2.0 * contents.rate_uncertainty
+            file_hz = common_rate(rates, path, tolerance=tolerance)
             agreed_rate(
-                file_hz=file_hz, times=None, manifest_hz=manifest.sampling.rate_hz, path=path, settings=settings
+                file_hz=file_hz,
+                times=None,
+                manifest_hz=manifest.sampling.rate_hz,
+                path=path,
+                settings=settings,
+                file_uncertainty=contents.rate_uncertainty,
             )
         except CrankorderError as error:
             faults.append(error)
@@ -91,12 +97,16 @@ def _roles(manifest: Manifest) -> dict[str, str | int]:
     encoder = manifest.encoder
     if encoder.kind not in SOURCELESS_KINDS:
         roles |= {"the encoder": encoder.source, "the index": encoder.index, "the cam mark": encoder.cam}
+    elif encoder.kind == "constant":
+        roles["the speed"] = encoder.source
     if manifest.sampling.domain == "time":
         roles["the time"] = manifest.sampling.time_source
     return {role: source for role, source in roles.items() if source is not None}
 
 
 def _is_sampled(role: str, manifest: Manifest) -> bool:
+    if role == "the speed":
+        return False
     if role in ("the encoder", "the index", "the cam mark"):
         return manifest.encoder.kind in (*TRACE_KINDS, "speed")
     return True

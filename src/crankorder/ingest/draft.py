@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import fnmatch
 import json
 import re
 from pathlib import Path
 
-from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError
+from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError, printable
 from crankorder.ingest.folder import is_leftover, natural_key
 from crankorder.ingest.formats import contents_of
 from crankorder.ingest.rawfile import Contents
@@ -27,15 +28,17 @@ def draft_manifest(folder: Path) -> str:
     Lines that end in ``# state: …`` hold guesses to be checked. Raises RequestError where ``folder`` is no folder, and
     NoUsableRecordingError, naming what each file is, where none can be read.
     """
-    pattern, contents, path = _recordings(folder)
+    pattern, group = _recordings(folder)
+    contents, path = group[0]
     roles = _roles(contents)
+    sources = {name: _source(name, [other for other, _ in group]) for name in roles}
     lines = [
         "# Draft by `crankorder init`: check every line that says `state`.",
         "schema_version = 1",
         "",
         "[test]",
         f"name = {_text(folder.resolve().name)}",
-        'cycle = "four-stroke"             # state: four-stroke, two-stroke or rotor',
+        'cycle = "four-stroke"             # state: four-stroke, two-stroke or rotor; none where nothing turns',
         '# engine = "…"                    # state: a shipped engine, or a TOML file in this folder',
         "",
         "[recordings]",
@@ -45,13 +48,17 @@ def draft_manifest(folder: Path) -> str:
     ]
     for name, role in roles.items():
         if role == "channel":
-            lines += _channel(name, contents.units.get(name, ""))
-    lines += _encoder(roles, contents, path)
+            lines += _channel(name, contents.units.get(name, ""), sources[name])
+    lines += _encoder(roles, contents, path, sources)
+    scalars = [name for name in contents.names if contents.samples.get(name) == 1]
+    if scalars:
+        shown = ", ".join(printable(name, 40) for name in scalars[:20]) + (", …" if len(scalars) > 20 else "")
+        lines.append(f"# Single numbers in the file, such as a speed: {shown}")
     return "\n".join(lines) + "\n"
 
 
-def _recordings(folder: Path) -> tuple[str, Contents, Path]:
-    """Pattern of the largest group of readable files with one suffix, the contents of its first file, and its path."""
+def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
+    """Pattern of the largest group of readable files with one suffix, and the contents and path of each."""
     if not folder.is_dir():
         raise RequestError("there is no such folder", file=folder)
     settings = load_settings().ingest
@@ -67,18 +74,36 @@ def _recordings(folder: Path) -> tuple[str, Contents, Path]:
             faults.append(error)
     if not groups:
         raise NoUsableRecordingError(
-            "no recording found; looked for HDF5, WAV, XLSX and text files",
+            "no recording found; looked for HDF5, WAV, XLSX, MATLAB, NumPy, LVM and text files",
             file=folder,
             found="; ".join(str(fault) for fault in faults[:3]) or "an empty folder",
         )
-    suffix = max(groups, key=lambda name: len(groups[name]))
-    return f"*{suffix}", *groups[suffix][0]
+    # notes beside the recordings may read as tables too: those hold most
+    suffix = max(groups, key=lambda name: sum(path.stat().st_size for _, path in groups[name]))
+    return f"*{suffix}", groups[suffix]
+
+
+def _source(name: str, files: list[Contents]) -> str | int:
+    """Source of a column: its name, or where another file calls it otherwise a pattern or its position."""
+    if all(name in contents.names for contents in files):
+        return name
+    word = re.split(r"[0-9]+", name)[-1]
+    if word and all(len(fnmatch.filter(contents.names, f"*{word}")) == 1 for contents in files):
+        return f"*{word}"
+    return files[0].names.index(name)
 
 
 def _roles(contents: Contents) -> dict[str, str]:
     """What each column is likely for: time, index, cam, encoder, speed or channel; each but the last once."""
     roles: dict[str, str] = {}
+    longest = max(contents.samples.values(), default=0)
     for name in contents.names:
+        n_samples = contents.samples.get(name)
+        # a MATLAB file may hold much besides: single numbers, spectra
+        if contents.format == "MATLAB" and n_samples != longest:
+            if n_samples == 1 and _SPEED.search(name) and "constant" not in roles.values():
+                roles[name] = "constant"
+            continue
         unit = known_unit(contents.units.get(name, ""))
         quantity = "" if unit is None else unit.quantity
         guess = "channel"
@@ -112,9 +137,13 @@ def _sampling(contents: Contents, roles: dict[str, str]) -> list[str]:
     return [*lines, ""]
 
 
-def _channel(name: str, file_unit: str) -> list[str]:
+def _channel(name: str, file_unit: str, source: str | int) -> list[str]:
     unit = known_unit(file_unit)
-    lines = ["[[channels]]", f"name = {_text(name)}", f"source = {_text(name)}"]
+    lines = [
+        "[[channels]]",
+        f"name = {_text(name)}",
+        f"source = {source if isinstance(source, int) else _text(source)}",
+    ]
     if unit is None:
         lines.append('unit = "V"                        # state: unit of the analysed signal')
     else:
@@ -126,7 +155,7 @@ def _channel(name: str, file_unit: str) -> list[str]:
     return [*lines, 'direction = ""                    # state: such as +Z', ""]
 
 
-def _encoder(roles: dict[str, str], contents: Contents, path: Path) -> list[str]:
+def _encoder(roles: dict[str, str], contents: Contents, path: Path, sources: dict[str, str | int]) -> list[str]:
     by_role = {role: name for name, role in roles.items()}
     if "encoder" in by_role:
         marks = [f"{role} = {_text(by_role[role])}" for role in ("index", "cam") if role in by_role]
@@ -135,6 +164,10 @@ def _encoder(roles: dict[str, str], contents: Contents, path: Path) -> list[str]
         return ["[encoder]", f"source = {_text(by_role['index'])}", 'kind = "square"', "pulses_per_rev = 1"]
     if "speed" in by_role:
         return ["[encoder]", f"source = {_text(by_role['speed'])}", 'kind = "speed"']
+    if "constant" in by_role:
+        source = sources[by_role["constant"]]
+        shown = source if isinstance(source, int) else _text(source)
+        return ["[encoder]", 'kind = "constant"', f"source = {shown}".ljust(34) + "# state: a number, taken as rpm"]
     return ["[encoder]", 'kind = "none"                     # state: no column looks like an encoder']
 
 

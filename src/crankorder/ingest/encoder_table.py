@@ -15,7 +15,7 @@ from crankorder.shaft.pattern import angles_fault, pattern_of
 
 EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "vibration", "none"]
 SOURCELESS_KINDS = ("constant", "vibration", "none")
-"""Kinds that read nothing from the file but the channels."""
+"""Kinds that read nothing from the file but the channels, and a constant speed where the file holds one."""
 TRACE_KINDS = ("square", "analogue")
 TIME_KINDS = ("pulse_times", "edge_list")
 
@@ -105,7 +105,7 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
     needs: dict[str, object] = {}
     if encoder.kind in (*TRACE_KINDS, *TIME_KINDS, "speed"):
         needs = {"source": encoder.source}
-    elif encoder.kind == "constant" and not speeds_stated:
+    elif encoder.kind == "constant" and not speeds_stated and encoder.source is None:
         needs = {"speed_rpm": encoder.speed_rpm}
     for key, value in needs.items():
         if value is None:
@@ -116,6 +116,15 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
             )
     if encoder.expected_rpm is not None and encoder.kind != "vibration":
         faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))
+    if cycle == "none" and (encoder.kind != "none" or domain == "crank_angle"):
+        faults.append(
+            RequestError(
+                "a structure without a shaft has neither an encoder nor samples by crank angle",
+                place="encoder.kind" if encoder.kind != "none" else "sampling.domain",
+                found=encoder.kind if encoder.kind != "none" else domain,
+                remedy="Remove it, or state the cycle of the machine (rotor)",
+            )
+        )
     if domain == "crank_angle" and encoder.kind not in ("none", "constant"):
         faults.append(
             RequestError(

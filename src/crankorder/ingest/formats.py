@@ -13,21 +13,23 @@ from crankorder.ingest.folder import check_regular
 from crankorder.ingest.rawfile import HDF5_SIGNATURE, Contents, RawFile, Source
 from crankorder.settings import IngestSettings
 
-Format = Literal["HDF5", "WAV", "XLSX", "text"]
+Format = Literal["HDF5", "WAV", "XLSX", "MATLAB", "NumPy", "LVM", "text"]
 
 HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
 _BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".npy", ".dat")
 _HEAD_BYTES = 8192
+# MATLAB 7.3 says so too, but is HDF5 behind that header
+_READ: tuple[tuple[bytes, Format], ...] = (
+    (b"MATLAB 5.0 MAT-file", "MATLAB"),
+    (b"\x93NUMPY", "NumPy"),
+    (b"LabVIEW Measurement", "LVM"),
+)
 # what the first bytes say, and what to do with a format that is not read
 _EXPORT = "Export the recording to HDF5, WAV or text"
 _UNREAD: tuple[tuple[bytes, str, str], ...] = (
-    (b"MATLAB 7.3 MAT-file", "a MATLAB 7.3 file", f"not supported yet. {_EXPORT}"),
-    (b"MATLAB 5.0 MAT-file", "a MATLAB 5 file", f"not supported yet. {_EXPORT}"),
     (b"TDSm", "a TDMS file", f"not supported yet. {_EXPORT}"),
     (b"MDF     ", "an MDF4 file", f"not supported yet. {_EXPORT}"),
     (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
-    (b"\x93NUMPY", "a NumPy array file", f"not supported yet. {_EXPORT}"),
-    (b"LabVIEW Measurement", "a LabVIEW measurement file (LVM)", f"not supported yet. {_EXPORT}"),
     (b"CDF\x01", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"CDF\x02", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"CDF\x05", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
@@ -68,6 +70,18 @@ def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings
             from crankorder.ingest.xlsx import read_xlsx
 
             return _guarded(read_xlsx, path, sources, settings)
+        case "MATLAB":
+            from crankorder.ingest.matlab import read_matlab
+
+            return _guarded(read_matlab, path, sources, settings)
+        case "NumPy":
+            from crankorder.ingest.numpy_file import read_npy
+
+            return _guarded(read_npy, path, sources, settings)
+        case "LVM":
+            from crankorder.ingest.lvm import read_lvm
+
+            return _guarded(read_lvm, path, sources, settings)
         case _:
             from crankorder.ingest.text import read_text
 
@@ -92,6 +106,18 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
             from crankorder.ingest.xlsx import contents_of_xlsx
 
             return contents_of_xlsx(path, settings=settings)
+        case "MATLAB":
+            from crankorder.ingest.matlab import contents_of_matlab
+
+            return contents_of_matlab(path, settings=settings)
+        case "NumPy":
+            from crankorder.ingest.numpy_file import contents_of_npy
+
+            return contents_of_npy(path, settings=settings)
+        case "LVM":
+            from crankorder.ingest.lvm import contents_of_lvm
+
+            return contents_of_lvm(path, settings=settings)
         case _:
             from crankorder.ingest.text import contents_of_text
 
@@ -121,6 +147,9 @@ def format_of(path: Path) -> Format:
         return "HDF5"
     if head.startswith(b"RIFF") and (head[8:12] == b"WAVE" or size < 12):
         return "WAV"
+    for signature, known in _READ:
+        if head.startswith(signature):
+            return known
     if head.startswith(b"PK\x03\x04"):
         return _zip_kind(path)
     _refuse_by_suspicion(path, head, size)
@@ -129,7 +158,7 @@ def format_of(path: Path) -> Format:
 
 def _guarded(reader: object, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     try:
-        raw: RawFile = reader(path, sources=sources, settings=settings)  # type: ignore[operator]  # all four share the call
+        raw: RawFile = reader(path, sources=sources, settings=settings)  # type: ignore[operator]  # all readers share the call
     except MemoryError:
         raise UnsafeInputError(
             "does not fit into memory", file=path, remedy="Split the recording, or run where there is more memory"
@@ -171,7 +200,7 @@ def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
         _refuse(path, "not HDF5 (HEAD .hdf is a format of its own)", "not supported. Export UFF58, WAV or HDF5")
     if b"\0" in head:
         raise InputError(
-            "content is not known (not HDF5, WAV, XLSX or text)",
+            "content is not known (not HDF5, WAV, XLSX, MATLAB, NumPy, LVM or text)",
             file=path,
             found=f"first bytes {head[:8].hex(' ')}",
             remedy=_EXPORT,

@@ -16,9 +16,11 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic import field_validator as field_check
 
 from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.engine.transfer_paths import AddedMass, StatedPath
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
 from crankorder.ingest.encoder_table import Count, Encoder, Name, Positive, Source, Table, encoder_faults
+from crankorder.ingest.path_tables import path_faults, with_tables
 from crankorder.ingest.toml_lines import key_lines
 from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, parse_sensitivity, unit_of
 
@@ -32,7 +34,7 @@ class Test(Table):
 
     __test__ = False  # not a pytest class, in spite of its name
 
-    cycle: Literal["four-stroke", "two-stroke", "rotor"]
+    cycle: Literal["four-stroke", "two-stroke", "rotor", "none"]
     name: str = ""
     engine: Name | None = None
     recipe: Name | None = None
@@ -101,6 +103,19 @@ class Channel(Table):
         return self.quantity or self.analysed_unit.quantity
 
 
+class Gear(Table):
+    """``[[gears]]``: a wheel whose teeth mesh, or a rotor whose blades pass, ``ratio`` turns per crank revolution."""
+
+    name: Name
+    teeth: Count
+    ratio: Positive = 1.0
+
+    @property
+    def mesh_order(self) -> float:
+        """Order at which the teeth mesh."""
+        return self.teeth * self.ratio
+
+
 class Manifest(Table):
     """A test-run folder, as ``run.toml`` describes it."""
 
@@ -111,6 +126,9 @@ class Manifest(Table):
     sampling: Sampling = Sampling()
     encoder: Encoder = Encoder()
     bearings: Annotated[tuple[Bearing, ...], Field(strict=False)] = ()
+    transfer_paths: Annotated[tuple[StatedPath, ...], Field(strict=False)] = ()
+    added_masses: Annotated[tuple[AddedMass, ...], Field(strict=False)] = ()
+    gears: Annotated[tuple[Gear, ...], Field(strict=False)] = ()
 
     @property
     def revs_per_cycle(self) -> int:
@@ -160,7 +178,10 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     faults: list[CrankorderError] = [_located(fault, path, lines) for fault in _cross_faults(found)]
     if faults:
         raise ManyErrors(faults)
-    return found
+    paths, unread = with_tables(found.transfer_paths, folder)
+    if unread:
+        raise ManyErrors([_located(fault, path, lines) for fault in unread])
+    return found.model_copy(update={"transfer_paths": paths})
 
 
 def _text_of(path: Path, folder: Path) -> str:
@@ -256,6 +277,9 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
                     place=f"bearings.{number}",
                 )
             )
+    faults += path_faults(
+        manifest.transfer_paths, {channel.name: channel.analysed_unit for channel in manifest.channels}
+    )
     speeds_stated, cycle = bool(manifest.recordings.speed_rpm), manifest.test.cycle
     return faults + encoder_faults(
         manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,8 @@ HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 class Contents:
     """Names, sizes and units of what a file holds, read without its samples.
 
-    ``samples`` and ``units`` go by name; ``samples`` lacks a name whose length only a full read would tell.
+    ``samples`` and ``units`` go by name; ``samples`` lacks a name whose length only a full read would tell; of a single
+    number it says 1. ``rate_uncertainty`` is relative: what the decimals of a stated time step leave open.
     """
 
     format: str
@@ -35,6 +37,7 @@ class Contents:
     samples: Mapping[str, int] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     rates_hz: Mapping[str, float] = field(default_factory=dict)
+    rate_uncertainty: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +61,9 @@ def flag(path: Path, name: str, severity: Severity, detail: str) -> QualityFlag:
 
 
 def named(source: Source, names: Sequence[str], path: Path) -> str:
-    """Name among ``names`` of the column that ``source`` asks for: the name itself, or its position from 0.
+    """Name among ``names`` of the column that ``source`` asks for: the name itself, its position from 0, or a pattern.
 
+    A pattern (``"*_DE_time"``) must fit one name alone: the files of a test may each call their columns otherwise.
     Raises InputError "channel a4 not in file; has a1, a2, a3" for the file at ``path``.
     """
     if isinstance(source, str):
@@ -68,6 +72,9 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
                 return candidate
     if (isinstance(source, int) or source.isdecimal()) and int(source) < len(names):
         return names[int(source)]
+    fitting = [name for name in names if isinstance(source, str) and fnmatch.fnmatchcase(name, source[:200])]
+    if len(fitting) == 1:
+        return fitting[0]
     shown = ", ".join(printable(name, 60) for name in names[:20]) + (
         f" and {len(names) - 20} more" if len(names) > 20 else ""
     )

@@ -27,6 +27,8 @@ from crankorder.shaft.pulses import NoPulsesError, find_pulses
 _MIN_SAMPLES = 3
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
+# A rate in doubt by more than this moves frequencies further than their own errors.
+_ROUGH_RATE = 1e-4
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:
@@ -55,6 +57,8 @@ def _wanted(manifest: Manifest) -> list[Source]:
     sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
     if encoder.kind not in SOURCELESS_KINDS:
         sources += [encoder.source, encoder.index, encoder.cam]
+    elif encoder.kind == "constant":
+        sources.append(encoder.source)
     if manifest.sampling.domain == "time":
         sources.append(manifest.sampling.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
@@ -67,6 +71,8 @@ def _axis(
     sampling = manifest.sampling
     attrs: dict[str, object] = {"recording": path.name, "domain": sampling.domain}
     attrs["revs_per_cycle"] = manifest.revs_per_cycle
+    if manifest.test.cycle == "none":
+        attrs["has_shaft"] = 0
     if sampling.domain == "crank_angle":
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
         return xr.Dataset(attrs=attrs), math.nan, 0.0
@@ -75,10 +81,32 @@ def _axis(
     if sampling.time_source is not None and not edge_rows:
         times = read_time_column(_in_seconds(raw, sampling.time_source), path, settings=settings)
         flags += times.flags
-    rate_hz = agreed_rate(file_hz=raw.rate_hz, times=times, manifest_hz=sampling.rate_hz, path=path, settings=settings)
+    rate_hz = agreed_rate(
+        file_hz=raw.rate_hz,
+        times=times,
+        manifest_hz=sampling.rate_hz,
+        path=path,
+        settings=settings,
+        file_uncertainty=float(raw.attrs.get("rate_uncertainty", 0.0)),
+    )
+    flags += _rate_flags(raw, path, settings, stated=sampling.rate_hz is not None, timed=times is not None)
     attrs["rate_hz"] = rate_hz
     start_s = times.start_s if times is not None else float(raw.attrs.get("start_s", 0.0))
     return xr.Dataset(attrs=attrs), rate_hz, start_s
+
+
+def _rate_flags(raw: RawFile, path: Path, settings: IngestSettings, *, stated: bool, timed: bool) -> list[QualityFlag]:
+    """Flags where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells it."""
+    flags: list[QualityFlag] = []
+    header_hz, doubt = raw.attrs.get("header_rate_hz"), float(raw.attrs.get("rate_uncertainty", 0.0))
+    if header_hz is not None and raw.rate_hz is not None:
+        detail = f"the header states {header_hz:.6g} Hz, the times in the file say {raw.rate_hz:.6g} Hz, which are used"
+        severity: Severity = "info" if stated else "suspect"  # what the manifest states agrees with the times
+        flags.append(flag(path, "header_rate_disagrees", severity, detail))
+    if doubt > settings.rate_tolerance and not stated and not timed:
+        detail = f"the file states its time step to {doubt:.1g} of itself: state rate_hz for frequencies that are right"
+        flags.append(flag(path, "rate_rounded", "suspect" if doubt > _ROUGH_RATE else "info", detail))
+    return flags
 
 
 def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
@@ -130,7 +158,7 @@ def _add_encoder(
     """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
     encoder, attrs = manifest.encoder, recording.attrs
     attrs["encoder_kind"] = encoder.kind
-    _add_stated_speed(recording, manifest, path)
+    _add_stated_speed(recording, raw, manifest, path)
     if encoder.expected_rpm is not None:
         attrs["expected_rpm"] = list(encoder.expected_rpm)
     if encoder.kind in SOURCELESS_KINDS:
@@ -167,9 +195,11 @@ def _add_encoder(
         recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role}"})
 
 
-def _add_stated_speed(recording: xr.Dataset, manifest: Manifest, path: Path) -> None:
-    """Note the speed that the manifest states; a shaft of constant speed needs one."""
+def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path) -> None:
+    """Note the speed that the manifest, or a number in the file, states; a shaft of constant speed needs one."""
     kind, stated_rpm = manifest.encoder.kind, manifest.speed_of(path)
+    if kind == "constant" and manifest.encoder.source is not None and stated_rpm is None:
+        stated_rpm = _one_speed(raw, manifest.encoder, path)
     if kind == "constant" and stated_rpm is None:
         raise InputError(
             "the manifest states no speed for this recording",
@@ -279,6 +309,20 @@ def _speed(raw: RawFile, encoder: Encoder, path: Path) -> npt.NDArray[np.float64
             remedy="Leave the recording out",
         )
     return speed
+
+
+def _one_speed(raw: RawFile, encoder: Encoder, path: Path) -> float:
+    """Speed in rpm that one number in the file states."""
+    speed = _speed(raw, encoder, path)
+    if speed.size != 1 or not speed[0] > 0.0:
+        raise InputError(
+            "a constant speed is one number above 0",
+            file=path,
+            place=f"encoder {encoder.source}",
+            found=f"{speed.size} values" if speed.size != 1 else f"{speed[0]:g}",
+            remedy='Mend encoder.source, or state kind = "speed" for a signal',
+        )
+    return float(speed[0])
 
 
 def _stacked(rows: Sequence[FloatArray]) -> FloatArray:

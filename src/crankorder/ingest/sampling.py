@@ -102,18 +102,25 @@ def _refuse_gaps(times: FloatArray, path: Path) -> None:
 
 
 def agreed_rate(
-    *, file_hz: float | None, times: TimeColumn | None, manifest_hz: float | None, path: Path, settings: IngestSettings
+    *,
+    file_hz: float | None,
+    times: TimeColumn | None,
+    manifest_hz: float | None,
+    path: Path,
+    settings: IngestSettings,
+    file_uncertainty: float = 0.0,
 ) -> float:
     """Samples per second on which the file's statement ``file_hz``, its column ``times`` and ``manifest_hz`` agree.
 
-    ``path`` names the recording in errors; ``settings`` give the tolerance.
+    ``path`` names the recording in errors; ``settings`` give the tolerance, to which ``file_uncertainty`` (relative) of
+    a rounded statement adds.
     Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
     """
     stated: list[tuple[str, float, float]] = []
     if manifest_hz is not None:
         stated.append(("manifest", manifest_hz, 0.0))
     if file_hz is not None:
-        stated.append(("file", file_hz, 0.0))
+        stated.append(("file", file_hz, file_uncertainty))
     if times is not None:
         stated.append(("time column", times.rate_hz, times.rate_uncertainty))
     if not stated:
@@ -124,10 +131,10 @@ def agreed_rate(
         )
     first = stated[0]
     for name, rate_hz, uncertainty in stated[1:]:
-        if abs(rate_hz - first[1]) > (settings.rate_tolerance + uncertainty) * first[1]:
+        if abs(rate_hz - first[1]) > (settings.rate_tolerance + uncertainty + first[2]) * first[1]:
             raise InputError(
                 f"the sampling rate is {rate_hz:.12g} Hz in the {name}, {first[1]:.12g} Hz in the {first[0]}",
                 file=path,
                 remedy="Find out which is right, and mend the other",
             )
-    return first[1]
+    return min(stated, key=lambda item: item[2])[1]  # of those that are sure alike the first

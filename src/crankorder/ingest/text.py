@@ -262,6 +262,12 @@ def _flags(path: Path, layout: _Layout) -> list[QualityFlag]:
     flags: list[QualityFlag] = []
     if layout.decimal_comma:
         flags.append(flag(path, "decimal_comma", "info", "decimals are written after a comma"))
+    return flags + last_line_flags(path)
+
+
+def last_line_flags(path: Path) -> list[QualityFlag]:
+    """Flag where the last line of the text at ``path`` has no end: a copy that was cut there still parses."""
+    flags: list[QualityFlag] = []
     with path.open("rb") as stream:
         stream.seek(max(0, path.stat().st_size - 4096))
         lines = stream.read().split(b"\n")

@@ -52,7 +52,8 @@ def shaft_angle(
 
     Raises
     ------
-    InputError naming the recording where its encoder cannot be decoded or it has none.
+    InputError naming the recording where its encoder cannot be decoded or it has none, unless nothing turns at all:
+    then the angle stays 0 and the speed is NaN.
     """
     name = str(recording.attrs["recording"])
     try:
@@ -67,6 +68,10 @@ def shaft_angle(
             return _from_constant(recording)
         if kind == "vibration":
             return _from_vibration(recording, settings)
+        if not recording.attrs.get("has_shaft", 1):
+            still = _dataset(recording, _without_shaft(recording), "none", 0, [])
+            still.attrs["has_shaft"] = 0
+            return still
     except InputError as error:
         if error.file:
             raise
@@ -79,7 +84,7 @@ def shaft_angle(
         place="encoder.kind",
         found=kind,
         allowed=", ".join((*PULSE_KINDS, "speed", "constant", "vibration")),
-        remedy="Name the encoder, a speed channel or a constant speed_rpm in run.toml",
+        remedy='Name the encoder, a speed channel or a constant speed_rpm in run.toml; a structure has cycle = "none"',
     )
 
 
@@ -312,6 +317,13 @@ def _from_constant(recording: xr.Dataset) -> ShaftAngle:
     time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
     knots = AngleKnots(time_s, time_s * speed / 60.0, np.full(2, speed), np.full(2, np.nan), np.nan, np.nan)
     return _dataset(recording, knots, "none", 0, [_NO_PHASE])
+
+
+def _without_shaft(recording: xr.Dataset) -> AngleKnots:
+    """Knots of a structure on which nothing turns: no angle at any time, and no speed."""
+    time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
+    unknown = np.full(2, np.nan)
+    return AngleKnots(time_s, np.zeros(2), unknown, unknown, np.nan, np.nan)
 
 
 _NO_PHASE: Remark = ("no_index", "suspect", "no encoder pulses: orders yes, but their phase has no reference")

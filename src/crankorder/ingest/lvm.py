@@ -1,0 +1,333 @@
+"""LabVIEW measurement files (.lvm): text columns below a header, in one segment or several.
+
+Format: National Instruments, "Specification for the LabVIEW Measurement File (.lvm)" (2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crankorder.errors import InputError, UnsafeInputError, printable
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named, rows_for
+from crankorder.ingest.sampling import read_time_column
+from crankorder.ingest.text import last_line_flags
+from crankorder.quantities import QualityFlag
+from crankorder.settings import IngestSettings
+
+SIGNATURE = b"LabVIEW Measurement"
+"""First bytes of the format."""
+
+_END_OF_HEADER = "***End_of_Header***"
+_TIME = "X_Value"
+_PIECE_LINES = 1 << 16
+_MOST_HEAD_LINES = 1000
+_MOST_LINE_BYTES = 1 << 20
+_MOST_SEGMENTS = 1000
+_MOST_COLUMNS = 1000
+_FEW_LINES = 4096
+"""Lines of times from which the contents of a file are told; reading it uses all."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """One block of columns: the line of its first values, and what its header says, cells in the place of a column."""
+
+    first_line: int
+    names: tuple[str, ...]
+    header: dict[str, list[str]]
+    n_lines: int
+    n_cells: int
+    has_commas: bool  # in the first line of values
+
+    def said(self, key: str, place: int) -> str:
+        cells = self.header.get(key, [])
+        return cells[place] if place < len(cells) else ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    segment: _Segment
+    place: int
+    is_time: bool
+
+    @property
+    def unit(self) -> str:
+        return "s" if self.is_time else self.segment.said("Y_Unit_Label", self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    encoding: str
+    separator: str
+    decimal_comma: bool
+    columns: dict[str, _Column]
+
+
+def read_lvm(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Columns (float64) that ``sources`` ask for, by name or number from 0, from the LabVIEW file at ``path``.
+
+    Channels are numbered before the columns of times (``X_Value``). With several segments a name is the number of the
+    segment and that of the channel: ``"0/Voltage"``. The rate is that of the column of times, else of the header
+    (``Delta_X``, to its last decimal); a header that contradicts the column is told in ``attrs["header_rate_hz"]``.
+    ``settings`` give the byte limit. Raises InputError where a cell is no number, or the times are not even.
+    """
+    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    layout = _layout(path)
+    names = [named(source, tuple(layout.columns), path) for source in sources]
+    wanted = {name: layout.columns[name] for name in dict.fromkeys(names)}
+    times = {name: column for name in names if (column := _times_of(layout, layout.columns[name])) is not None}
+    read: dict[tuple[int, int], FloatArray] = {}
+    for segment in {id(column.segment): column.segment for column in wanted.values()}.values():
+        mine = [column for column in (*wanted.values(), *times.values()) if column.segment is segment]
+        places = sorted({column.place for column in mine})
+        rows = _read(path, layout, segment, places, settings)
+        read |= {(segment.first_line, place): row for place, row in zip(places, rows, strict=True)}
+    first = layout.columns[names[0]].segment
+    time = _times_of(layout, layout.columns[names[0]])
+    rate_hz, attrs, flags = _rate(
+        layout, first, None if time is None else read[first.first_line, time.place], path, settings
+    )
+    columns = {name: read[column.segment.first_line, column.place] for name, column in wanted.items()}
+    flags += last_line_flags(path)
+    flags += [told for column in wanted.values() if (told := _missing(column, path)) is not None][:1]
+    return RawFile(
+        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
+        units={source: unit for source, name in zip(sources, names, strict=True) if (unit := wanted[name].unit)},
+        rate_hz=rate_hz,
+        attrs=attrs,
+        flags=flags,
+    )
+
+
+def contents_of_lvm(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names and units of the columns of the LabVIEW file at ``path``, and the rate that they or the header state.
+
+    ``settings`` give the byte limit. Raises what :func:`read_lvm` raises for the headers.
+    """
+    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    layout = _layout(path)
+    rates: dict[int, tuple[float | None, float]] = {}
+    for column in layout.columns.values():
+        segment = column.segment
+        if segment.first_line not in rates:
+            time, few = _times_of(layout, column), None
+            if time is not None:
+                few = _read(path, layout, segment, [time.place], settings, most=_FEW_LINES)[0]
+            rate_hz, attrs, _ = _rate(layout, segment, few, path, settings)
+            rates[segment.first_line] = rate_hz, float(attrs["rate_uncertainty"])
+    stated = {name: rates[column.segment.first_line][0] for name, column in layout.columns.items()}
+    return Contents(
+        format="LVM",
+        names=tuple(layout.columns),
+        units={name: column.unit for name, column in layout.columns.items() if column.unit},
+        rates_hz={name: rate_hz for name, rate_hz in stated.items() if rate_hz is not None},
+        rate_uncertainty=max(doubt for _, doubt in rates.values()),
+    )
+
+
+def _layout(path: Path) -> _Layout:
+    """Headers of the file and where its segments stand; the lines of values are only counted."""
+    encoding = _encoding(path)
+    lines = _lines(path, encoding)
+    head = _header(lines, path, "\t")
+    separator = "," if head.get("Separator", ["", "Tab"])[1:2] == ["Comma"] else "\t"
+    if separator == ",":
+        head = {
+            key.split(",")[0]: [*key.split(",")[:1], *key.split(",")[1:], *cells[1:]] for key, cells in head.items()
+        }
+    segments = list(_segments(lines, path, separator))
+    if not segments:
+        raise InputError("holds no segment of measured values", file=path, remedy="Copy it again, or record again")
+    stated = head.get("Decimal_Separator", ["", ""])[1:2]
+    # an old writer states none, and its times of day say nothing about its values
+    comma = separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
+    with_times = head.get("X_Columns", ["", "One"])[1:2] != ["No"]
+    return _Layout(encoding, separator, comma, _columns(segments, with_times=with_times))
+
+
+def _encoding(path: Path) -> str:
+    with path.open("rb") as stream:
+        head = stream.read(1 << 16)
+    try:
+        head[: head.rfind(b"\n") + 1].decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
+    """Lines of the file with their numbers from 0, without their ends; none may be longer than any table has."""
+    with path.open("rb") as stream:
+        number = 0
+        while line := stream.readline(_MOST_LINE_BYTES):
+            if len(line) == _MOST_LINE_BYTES:
+                raise UnsafeInputError("a line is longer than any table has", file=path, place=f"line {number + 1}")
+            yield number, line.decode(encoding, "replace").rstrip("\r\n")
+            number += 1
+
+
+def _header(lines: Iterator[tuple[int, str]], path: Path, separator: str) -> dict[str, list[str]]:
+    """Lines of the header that begins here, by their first cell; empty at the end of the file."""
+    header: dict[str, list[str]] = {}
+    for number, (place, line) in enumerate(lines):
+        if line.startswith(_END_OF_HEADER):
+            return header
+        if number > _MOST_HEAD_LINES:
+            raise InputError("a header has no end", file=path, place=f"line {place + 1}", remedy="Copy it again")
+        cells = [cell.strip() for cell in line.split(separator)]
+        if cells[0]:
+            header[cells[0]] = cells
+    if header:
+        raise InputError("truncated: a header has no end", file=path, remedy="Copy it again")
+    return {}
+
+
+def _segments(lines: Iterator[tuple[int, str]], path: Path, separator: str) -> Iterator[_Segment]:
+    n_segments = 0
+    while header := _header(lines, path, separator):
+        number, text = next(lines, (0, ""))
+        names = tuple(cell.strip() for cell in text.split(separator))
+        if not text.strip() or len(names) > _MOST_COLUMNS:
+            raise InputError("no names of columns below a header", file=path, place=f"line {number + 1}")
+        n_lines, n_cells, has_commas = 0, 0, False
+        for _, line in lines:
+            if not line.strip():
+                break
+            has_commas = ("," in line and "." not in line) if not n_lines else has_commas
+            n_lines, n_cells = n_lines + 1, max(n_cells, line.count(separator) + 1)
+        if n_cells > 2 * _MOST_COLUMNS:
+            raise UnsafeInputError("a line has more cells than any table", file=path)
+        if n_lines:
+            yield _Segment(number + 1, names, header, n_lines, n_cells, has_commas)
+        n_segments += 1
+        if n_segments > _MOST_SEGMENTS:
+            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments", file=path)
+
+
+def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column]:
+    """Columns by name: channels first, then times; the column of comments and channels without samples left out."""
+    channels: dict[str, _Column] = {}
+    times: dict[str, _Column] = {}
+    for number, segment in enumerate(segments):
+        prefix = f"{number}/" if len(segments) > 1 else ""
+        for place, name in enumerate(segment.names):
+            is_time = name == _TIME
+            last = place == len(segment.names) - 1
+            if (
+                (is_time and not with_times)
+                or (last and name in ("Comment", ""))
+                or segment.said("Samples", place) == "0"
+            ):
+                continue
+            known, full, again = (times if is_time else channels), f"{prefix}{name or place}", 0
+            while full in known:
+                again += 1
+                full = f"{prefix}{name} {again}"
+            known[full] = _Column(segment, place, is_time)
+    return channels | times
+
+
+def _times_of(layout: _Layout, column: _Column) -> _Column | None:
+    """Column of times of a channel: the nearest before it in its segment; None where only the header tells the time."""
+    mine = [other for other in layout.columns.values() if other.is_time and other.segment is column.segment]
+    if column.segment.said("X_Dimension", column.place) not in ("Time", ""):
+        return None
+    return max((other for other in mine if other.place <= column.place), key=lambda other: other.place, default=None)
+
+
+def _read(
+    path: Path,
+    layout: _Layout,
+    segment: _Segment,
+    places: list[int],
+    settings: IngestSettings,
+    *,
+    most: int | None = None,
+) -> list[FloatArray]:
+    """Values of the columns at ``places``, a piece at a time; empty cells at their ends are no samples."""
+    import pandas as pd
+
+    n_lines = segment.n_lines if most is None else min(most, segment.n_lines)
+    rows = rows_for([(n_lines, np.float64)] * len(places), in_memory_bytes=settings.in_memory_bytes)
+    done = 0
+    width = max(segment.n_cells, len(segment.names))
+    kinds = {place: np.float64 if place in places else object for place in range(width)}  # others may be comments
+    options: dict[str, Any] = {"header": None, "names": range(width), "dtype": kinds, "quoting": 3}
+    options |= {"decimal": "," if layout.decimal_comma else ".", "keep_default_na": False, "na_values": ["", "NaN"]}
+    try:
+        for frame in pd.read_csv(
+            path,
+            sep=layout.separator,
+            skiprows=segment.first_line,
+            nrows=n_lines,
+            encoding=layout.encoding,
+            encoding_errors="replace",
+            chunksize=_PIECE_LINES,
+            index_col=False,
+            skip_blank_lines=False,
+            **options,
+        ):
+            for place, row in zip(places, rows, strict=True):
+                row[done : done + len(frame)] = frame[place].to_numpy()
+            done += len(frame)
+    except (ValueError, OverflowError, pd.errors.ParserError) as error:
+        cell = printable(str(error).split("\n")[0], 80)
+        line = f"below line {segment.first_line + done}"
+        raise InputError("a cell is no number", file=path, place=line, found=cell, remedy="Mend the cell") from None
+    return [row[: _filled(row)] for row in rows] if any(np.isnan(row[-1:]).any() for row in rows) else rows
+
+
+def _filled(row: FloatArray) -> int:
+    there = np.flatnonzero(~np.isnan(row))
+    return int(there[-1]) + 1 if there.size else 0
+
+
+def _rate(
+    layout: _Layout, segment: _Segment, times: FloatArray | None, path: Path, settings: IngestSettings
+) -> tuple[float | None, dict[str, Any], list[QualityFlag]]:
+    """Rate in Hz, by the column of times where there is one, else by the header; its attributes; flags."""
+    place = next((place for place, name in enumerate(segment.names) if name != _TIME), 0)
+    text = segment.said("Delta_X", place)
+    step_s = _number(text)
+    doubt = 0.0 if not step_s else 0.6 * _last_decimal(text) / step_s  # half of it is rounded away, or more is cut
+    header_hz = 1.0 / step_s if step_s and step_s > 0.0 else None
+    start_s = _number(segment.said("X0", place)) or 0.0
+    if times is None or times.size < 3:
+        return header_hz, {"rate_uncertainty": doubt, "start_s": start_s}, []
+    column = read_time_column(times, path, settings=settings)
+    attrs: dict[str, Any] = {"rate_uncertainty": column.rate_uncertainty, "start_s": column.start_s}
+    tolerance = doubt + column.rate_uncertainty + settings.rate_tolerance
+    if header_hz is not None and abs(header_hz / column.rate_hz - 1.0) > tolerance:
+        attrs["header_rate_hz"] = header_hz
+    elif header_hz is not None and doubt < column.rate_uncertainty:
+        return header_hz, attrs | {"rate_uncertainty": doubt}, column.flags
+    return column.rate_hz, attrs, column.flags
+
+
+def _number(text: str) -> float | None:
+    """The number that a cell of a header writes, with a decimal point or comma, or None."""
+    try:
+        value = float(text.replace(",", ".", 1))
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
+
+
+def _last_decimal(text: str) -> float:
+    """What one unit of the last decimal of the number ``text`` is worth."""
+    mantissa, _, exponent = text.replace(",", ".", 1).upper().partition("E")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+def _missing(column: _Column, path: Path) -> QualityFlag | None:
+    """Flag where the header promises more samples than there are lines."""
+    declared = column.segment.said("Samples", column.place)
+    if not declared.isdecimal() or len(declared) > 18 or int(declared) <= column.segment.n_lines:
+        return None
+    detail = f"the header promises {int(declared)} samples, {column.segment.n_lines} are there"
+    return flag(path, "missing_data", "suspect", detail)

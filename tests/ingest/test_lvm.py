@@ -1,0 +1,186 @@
+"""LabVIEW measurement files: columns, decimals, segments, and a header that does not always tell the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError, UnsafeInputError
+from crankorder.ingest.formats import contents_of, read_file
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+from crankorder.quantities import flags_of
+from crankorder.scratch import is_on_disk
+
+HEAD = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t{comma}\nMulti_Headings\tYes\n"
+SEGMENT = (
+    "Channels\t2\t\t\nSamples\t{n}\t{n}\t\nY_Unit_Label\tVolts\tg\t\nX_Dimension\tTime\tTime\t\n"
+    "X0\t0\t0\t\nDelta_X\t{step}\t{step}\t\n***End_of_Header***\t\t\t\n"
+)
+
+
+def lvm(values, *, step="0.001", n=None, times=None, comma=".", comment="", segments=1):
+    """Text of a file with the columns ``values`` and, where given, their ``times``."""
+    text = HEAD.format(comma=comma) + f"X_Columns\t{'No' if times is None else 'One'}\n***End_of_Header***\t\n\t\n"
+    for _ in range(segments):
+        text += SEGMENT.format(n=len(values) if n is None else n, step=step)
+        text += "X_Value\tdrive\tacc\tComment\n"
+        for number, row in enumerate(values):
+            time = "" if times is None else f"{times[number]:.6f}"
+            text += "\t".join([time, *(f"{value:.6f}" for value in row), *([comment] if comment else [])]) + "\n"
+        text += "\n"
+    return text.replace(".", comma) if comma != "." else text
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, *, encoding="utf-8"):
+        (tmp_path / "a.lvm").write_text(text, encoding=encoding)
+        return tmp_path / "a.lvm"
+
+    return write
+
+
+VALUES = np.round(np.random.default_rng(1).normal(size=(200, 2)), 6)
+
+
+@pytest.mark.parametrize("comma", [".", ","])
+@pytest.mark.parametrize("times", [None, np.arange(200) * 1e-3])
+@pytest.mark.parametrize("comment", ["", "a remark; 1"])
+def test_columns_are_read_whatever_the_decimals_and_the_times(written, limits, comma, times, comment):
+    path = written(lvm(VALUES, comma=comma, times=times, comment=comment))
+    contents = contents_of(path, settings=limits)
+    assert contents.names == (("drive", "acc") if times is None else ("drive", "acc", "X_Value"))
+    assert contents.units["acc"] == "g"
+    raw = read_file(path, sources=["acc", 0], settings=limits)
+    np.testing.assert_array_equal(raw.columns["acc"], VALUES[:, 1])
+    np.testing.assert_array_equal(raw.columns[0], VALUES[:, 0])
+    assert raw.rate_hz == pytest.approx(1000.0, rel=1e-9)
+
+
+def test_segments_are_columns_of_their_own(written, limits):
+    path = written(lvm(VALUES, segments=2))
+    assert contents_of(path, settings=limits).names == ("0/drive", "0/acc", "1/drive", "1/acc")
+    np.testing.assert_array_equal(read_file(path, sources=["1/acc"], settings=limits).columns["1/acc"], VALUES[:, 1])
+
+
+def test_columns_are_the_same_on_disk(written, limits, monkeypatch):
+    monkeypatch.setattr("crankorder.ingest.lvm._PIECE_LINES", 64)
+    path = written(lvm(VALUES, times=np.arange(200) * 1e-3))
+    column = read_file(path, sources=["acc"], settings=limits.model_copy(update={"in_memory_bytes": 0})).columns["acc"]
+    assert is_on_disk(column)
+    np.testing.assert_array_equal(column, VALUES[:, 1])
+
+
+MANIFEST = """schema_version = 1
+[test]
+cycle = "none"
+[recordings]
+files = ["a.lvm"]
+[[channels]]
+name = "acc"
+unit = "m/s2"
+"""
+
+
+def recording_of(path, settings, rate_hz=None):
+    rate = "" if rate_hz is None else f"[sampling]\nrate_hz = {rate_hz}\n"
+    (path.parent / "run.toml").write_text(MANIFEST + rate)
+    manifest = load_manifest(path.parent)
+    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+    return recording, {flag["flag"]: flag["severity"] for flag in flags_of(recording)}
+
+
+@pytest.mark.parametrize(("stated", "severity"), [(None, "suspect"), (1000.0, "info")])
+def test_times_go_before_a_stale_header_and_a_flag_tells(written, settings, stated, severity):
+    recording, flags = recording_of(
+        written(lvm(VALUES, step="1.953125E-5", times=np.arange(200) * 1e-3)), settings, stated
+    )
+    assert recording.attrs["rate_hz"] == pytest.approx(1000.0, rel=1e-9)
+    assert flags["header_rate_disagrees"] == severity
+
+
+def test_a_manifest_that_contradicts_the_times_is_an_error(written, settings):
+    path = written(lvm(VALUES, step="1.953125E-5", times=np.arange(200) * 1e-3))
+    with pytest.raises(InputError, match="the sampling rate is 1000 Hz in the file, 51200 Hz in the manifest"):
+        recording_of(path, settings, 51200)
+
+
+def test_a_rounded_step_agrees_with_all_that_it_may_mean_and_with_nothing_else(written, settings):
+    path = written(lvm(VALUES, step="0.000977"))
+    recording, flags = recording_of(path, settings, 1024)
+    assert recording.attrs["rate_hz"] == 1024.0
+    assert "rate_rounded" not in flags
+    recording, flags = recording_of(path, settings)
+    assert recording.attrs["rate_hz"] == pytest.approx(1 / 0.000977)
+    assert flags["rate_rounded"] == "suspect"
+    with pytest.raises(InputError, match="the sampling rate is"):
+        recording_of(path, settings, 1026)
+
+
+def test_fewer_samples_than_promised_are_flagged(written, limits):
+    raw = read_file(written(lvm(VALUES, n=500)), sources=["acc"], settings=limits)
+    assert [flag["flag"] for flag in raw.flags] == ["missing_data"]
+    assert "promises 500 samples, 200 are there" in raw.flags[0]["detail"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace("\t-", "\tOVER", 1), "a cell is no number"),
+        (lambda text: text[: text.index("Delta_X")], "truncated: a header has no end"),
+        (lambda text: text[: text.index("Channels")], "holds no segment of measured values"),
+        (lambda text: text[: text.index("X_Value")], "no names of columns below a header"),
+        (lambda text: text.replace("Channels", "note\n" * 2000 + "Channels"), "a header has no end"),
+    ],
+)
+def test_what_is_no_measurement_is_said_to_be_so(written, limits, change, words):
+    with pytest.raises(InputError, match=words):
+        read_file(written(change(lvm(VALUES))), sources=["acc", "drive"], settings=limits)
+
+
+def test_a_line_without_end_is_refused_before_it_fills_the_memory(written, limits):
+    with pytest.raises(UnsafeInputError, match="a line is longer than any table has"):
+        contents_of(written(lvm(VALUES) + "1" * 3_000_000), settings=limits)
+
+
+def test_bytes_changed_at_random_never_do_more_than_be_refused(written, limits):
+    path = written(lvm(VALUES[:20], times=np.arange(20) * 1e-3))
+    whole, rng = path.read_bytes(), np.random.default_rng(2)
+    refused = 0
+    for _ in range(200):
+        damaged = bytearray(whole)
+        for place in rng.integers(25, len(whole), size=4):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            read_file(path, sources=[0], settings=limits)
+        except InputError:
+            refused += 1
+    assert 0 < refused < 200  # what else was raised has failed the test
+
+
+def test_the_real_beams_header_is_stale_and_its_times_are_right(real_data, limits):
+    path = real_data / "beam_dropbear4" / "data_set_1_downsampled_by_16.lvm"
+    raw = read_file(path, sources=["Acceleratio"], settings=limits)
+    expected = np.loadtxt(path, skiprows=23, usecols=3, encoding="utf-8")
+    np.testing.assert_array_equal(raw.columns["Acceleratio"], expected)
+    assert raw.rate_hz == pytest.approx(3200.0, rel=1e-7)
+    assert raw.attrs["header_rate_hz"] == 51200.0
+
+
+def test_real_files_of_old_and_new_writers_are_read(real_data, limits):
+    folder = real_data / "formats" / "lvm"
+    first = {
+        "short.lvm": ("Excitation (Trigger)", [0.914018, 0.537321, 0.616905], 25600.0),
+        "multi_time_column.lvm": ("Acceleration", [0.532608, 0.502991, 0.467541], 51200.0),
+        "no_decimal_separator.lvm": ("ay", [-0.028189, -0.031060, -0.013517], 4000.0),
+        "with_empty_fields.lvm": ("Dev0/Ai0 1", [-0.011923, -0.009206, -0.014640], 1000.0),
+        "long_single_header_multi_ch.lvm": ("m_2", [0.244440, 0.247439, 0.246564], 1 / 0.000977),
+    }
+    for name, (source, values, rate_hz) in first.items():
+        raw = read_file(folder / name, sources=[source], settings=limits)
+        np.testing.assert_array_equal(raw.columns[source][:3], values)
+        assert raw.rate_hz == pytest.approx(rate_hz, rel=1e-9), name
+    with pytest.raises(InputError, match="samples are missing"):
+        read_file(folder / "with_comments.lvm", sources=[0], settings=limits)

@@ -1,0 +1,290 @@
+"""MATLAB files read as SciPy reads them, and nothing that a file claims can end the process or fill the memory."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from crankorder.errors import InputError, UnsafeInputError
+from crankorder.ingest.check import check_folder
+from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.formats import contents_of, format_of, read_file
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+from crankorder.scratch import is_on_disk
+
+TYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A file of variables, written by SciPy."""
+
+    def write(*, name="a.mat", compressed=False, **variables):
+        scipy.io.savemat(tmp_path / name, variables, do_compression=compressed)
+        return tmp_path / name
+
+    return write
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("kind", TYPES)
+def test_numbers_of_every_type_are_those_that_were_saved(saved, limits, kind, compressed):
+    values = (np.arange(700) % 120).astype(kind)
+    path = saved(x=values, compressed=compressed)
+    column = read_file(path, sources=["x"], settings=limits).columns["x"]
+    np.testing.assert_array_equal(column, values.astype(column.dtype))
+    assert column.dtype == (np.float32 if kind in ("f4", "i1", "u1", "i2", "u2", "?") else np.float64)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("across", [False, True])
+def test_rows_and_columns_of_a_matrix_are_channels_along_its_longer_side(saved, limits, across, compressed):
+    table = np.random.default_rng(1).normal(size=(500, 3))
+    path = saved(data=table.T if across else table, compressed=compressed)
+    assert contents_of(path, settings=limits).names == ("data[0]", "data[1]", "data[2]")
+    columns = read_file(path, sources=["data[2]", 0], settings=limits).columns
+    np.testing.assert_array_equal(columns["data[2]"], table[:, 2])
+    np.testing.assert_array_equal(columns[0], table[:, 0])
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_what_lies_in_structs_and_cells_has_a_name_of_its_own(saved, limits, compressed):
+    cell = np.empty(2, dtype=object)
+    cell[:] = [np.arange(5.0), "text"]
+    bearing = {"gs": np.arange(9.0), "sr": 48828, "load": "50", "deep": {"y": np.arange(4.0)}}
+    path = saved(bearing=bearing, c=cell, note="words", z=np.arange(3) * 1j, compressed=compressed)
+    contents = contents_of(path, settings=limits)
+    assert set(contents.names) == {"bearing.gs", "bearing.deep.y", "c{0}", "bearing.sr"}
+    assert contents.samples["bearing.sr"] == 1
+    assert contents.rates_hz["bearing.gs"] == 48828.0
+    columns = read_file(path, sources=["bearing.deep.y", "c{0}", "bearing.sr"], settings=limits).columns
+    np.testing.assert_array_equal(columns["bearing.deep.y"], np.arange(4.0))
+    np.testing.assert_array_equal(columns["c{0}"], np.arange(5.0))
+    assert columns["bearing.sr"].tolist() == [48828.0]
+
+
+@pytest.mark.parametrize(
+    ("beside", "rate_hz"),
+    [
+        ({"fs": 1000.0}, 1000.0),
+        ({"dt": 0.002}, 500.0),
+        ({"Time_Sample_Rate": 1280.0}, 1280.0),
+        ({"fs": 1000.0, "dt": 0.001}, 1000.0),
+        ({"fs": 1000.0, "dt": 0.002}, None),
+        ({"head": {"SampFreq": np.float32(25600.0)}}, 25600.0),
+        ({"offset": 3.0}, None),
+        ({"fs": -1.0}, None),
+    ],
+)
+def test_a_number_beside_the_samples_states_the_rate_unless_two_contradict(saved, limits, beside, rate_hz):
+    path = saved(x=np.arange(100.0), **beside)
+    assert read_file(path, sources=["x"], settings=limits).rate_hz == rate_hz
+
+
+def test_the_rate_of_its_own_struct_goes_before_that_of_the_file(saved, limits):
+    path = saved(x=np.arange(9.0), fs=100.0, other={"x": np.arange(9.0), "fs": 200.0})
+    rates = contents_of(path, settings=limits).rates_hz
+    assert (rates["x"], rates["other.x"]) == (100.0, 200.0)
+
+
+def test_of_a_variable_written_twice_the_last_is_read_and_a_flag_tells(saved, limits):
+    first, second = saved(x=np.zeros(50)).read_bytes(), saved(x=np.arange(50.0)).read_bytes()
+    path = saved(x=np.zeros(3))
+    path.write_bytes(first + second[128:])
+    raw = read_file(path, sources=["x"], settings=limits)
+    assert raw.columns["x"][-1] == 49.0
+    assert [flag["flag"] for flag in raw.flags] == ["variable_written_twice"]
+
+
+def test_real_files_are_read_as_scipy_reads_them(real_data, limits):
+    """Little and big endian, compressed and not, structs, variables written twice."""
+    cases = {
+        "cwru_12k_de_1750/0.007-Ball.mat": ["X120_DE_time", "X120RPM"],
+        "mfpt_vload/InnerRaceFault_vload_1.mat": ["bearing.gs", "bearing.sr", "bearing.rate"],
+        "modal_vtb/frf_data1.mat": ["x", "f", "dt"],
+        "modal_vtb/case1.mat": ["Time_chan_2"],
+    }
+    for name, sources in cases.items():
+        theirs = scipy.io.loadmat(real_data / name, simplify_cells=True)
+        ours = read_file(real_data / name, sources=sources, settings=limits).columns
+        for source in sources:
+            first, _, field = source.partition(".")
+            expected = np.ravel(theirs[first][field] if field else theirs[first])
+            np.testing.assert_array_equal(ours[source], expected.astype(ours[source].dtype))
+
+
+def test_columns_are_the_same_on_disk(saved, limits):
+    path = saved(x=np.arange(300_000.0), compressed=True)
+    on_disk = read_file(path, sources=["x"], settings=limits.model_copy(update={"in_memory_bytes": 0})).columns["x"]
+    assert is_on_disk(on_disk)
+    np.testing.assert_array_equal(on_disk, np.arange(300_000.0))
+
+
+def test_version_7_3_is_told_as_the_hdf5_that_it_is(tmp_path, limits):
+    path = tmp_path / "a.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["x"] = np.arange(10.0)[None, :]
+    with path.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+    assert format_of(path) == "HDF5"
+    np.testing.assert_array_equal(read_file(path, sources=["x"], settings=limits).columns["x"], np.arange(10.0))
+
+
+def test_a_file_without_numbers_says_what_it_holds_instead(saved, limits):
+    with pytest.raises(InputError, match="holds no array of numbers; found char, complex double"):
+        contents_of(saved(note="words", z=np.arange(3) * 1j), settings=limits)
+
+
+def test_names_that_are_absent_or_fit_twice_are_refused_with_what_is_there(saved, limits):
+    path = saved(X1_DE_time=np.arange(9.0), X1_FE_time=np.arange(9.0), X1RPM=1750)
+    assert list(read_file(path, sources=["*_DE_time"], settings=limits).columns) == ["*_DE_time"]
+    with pytest.raises(InputError, match=r"channel \*_time not in file; has X1_DE_time, X1_FE_time, X1RPM"):
+        read_file(path, sources=["*_time"], settings=limits)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_file_cut_anywhere_is_refused_or_whole(saved, limits, compressed):
+    values = np.random.default_rng(2).normal(size=200)
+    path = saved(x=values, s={"y": values, "fs": 100.0}, compressed=compressed)
+    whole = path.read_bytes()
+    for size in range(0, len(whole), 37):
+        path.write_bytes(whole[:size])
+        try:
+            columns = read_file(path, sources=["x", "s.y"], settings=limits).columns
+        except InputError:
+            continue
+        for column in columns.values():  # only padding was cut
+            np.testing.assert_array_equal(column, values)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_bytes_changed_at_random_never_do_more_than_be_refused(saved, limits, compressed):
+    small = limits.model_copy(update={"max_bytes": 10_000_000})
+    path = saved(x=np.arange(40.0), s={"y": np.arange(9.0), "t": "text"}, compressed=compressed)
+    whole, rng = path.read_bytes(), np.random.default_rng(3)
+    refused = 0
+    for _ in range(600):
+        damaged = bytearray(whole)
+        for place in rng.integers(120, len(whole), size=rng.integers(1, 6)):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            read_file(path, sources=[0], settings=small)
+        except InputError:
+            refused += 1
+    assert 0 < refused < 600  # what else was raised has failed the test
+
+
+def element(code, body, *, claim=None):
+    return struct.pack("<II", code, len(body) if claim is None else claim) + body + b"\0" * (-len(body) % 8)
+
+
+def array(shape, inner, *, code=6, name=b"x"):
+    head = element(6, struct.pack("<II", code, 0)) + element(5, struct.pack(f"<{len(shape)}i", *shape))
+    return element(14, head + element(1, name) + inner)
+
+
+def compressed_array(shape, claim):
+    body = array(shape, element(9, b"\0" * 16))[8:]
+    return element(15, zlib.compress(struct.pack("<II", 14, claim) + body.ljust(claim if claim > 1000 else 0, b"\0")))
+
+
+def crafted(tmp_path, body):
+    path = tmp_path / "crafted.mat"
+    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM" + body)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (array((2**30, 2**30), element(9, b"\0" * 16)), "2 of 1152921504606846976 values are there"),
+        (array((1, 2**30), element(9, b"\0" * 16)), "2 of 1073741824 values are there"),
+        (compressed_array((1, 2**30), 2000), "2000 bytes for 1073741824 values"),
+        (array((1, 2), element(9, b"\0" * 16, claim=2**31)), "bytes are left of an element"),
+        (array((1, 2), element(8, b"\0" * 16)), "numbers of no known type"),
+        (array((1, -2), element(9, b"\0" * 16)), "a variable without a shape"),
+        (array((1, 2), b""), "0 of 2 values are there"),
+        (array((1, 1), element(5, struct.pack("<i", 0)) + element(1, b""), code=2), "names of the fields"),
+        (array((1, 1000), b"", code=1), "0 of 1000 arrays are there"),
+        (
+            element(15, zlib.compress(struct.pack("<II", 14, 2**32 - 1) + b"\0" * 64)),
+            "cannot hold the 4294967295 it claims",
+        ),
+        (compressed_array((1, 2), 200), "does not hold the 200 bytes that it claims"),
+        (element(15, b"no deflate stream at all"), "the checksum or the compression of a variable is wrong"),
+        (element(15, zlib.compress(b"\0" * 4)), "a compressed variable is cut short"),
+    ],
+)
+def test_what_a_crafted_file_claims_is_checked_before_it_is_believed(tmp_path, limits, body, words):
+    path = crafted(tmp_path, body)
+    with pytest.raises(InputError, match=words):
+        read_file(path, sources=[0], settings=limits)
+
+
+def test_a_compressed_variable_that_claims_more_than_may_be_read_is_refused_unopened(tmp_path, limits):
+    body = element(15, zlib.compress(struct.pack("<II", 14, 8 * 10**8) + b"\0" * 64))
+    with pytest.raises(UnsafeInputError, match="claims 800000000 bytes of samples"):
+        read_file(crafted(tmp_path, body), sources=[0], settings=limits.model_copy(update={"max_bytes": 10_000_000}))
+
+
+def test_nesting_without_end_is_refused(tmp_path, limits):
+    inner = array((1, 2), element(9, b"\0" * 16), name=b"")
+    for _ in range(200):
+        inner = array((1, 1), inner, code=1, name=b"")
+    body = array((1, 1), inner, code=1)
+    with pytest.raises(UnsafeInputError, match="nested deeper than 32"):
+        contents_of(crafted(tmp_path, body), settings=limits)
+
+
+def test_more_objects_than_a_recording_has_are_refused(tmp_path, limits):
+    few = limits.model_copy(update={"max_objects": 50})
+    body = b"".join(array((1, 2), element(9, b"\0" * 16), name=b"x%d" % k) for k in range(60))
+    with pytest.raises(UnsafeInputError, match="holds more than 50 objects"):
+        contents_of(crafted(tmp_path, body), settings=few)
+
+
+MANIFEST = """schema_version = 1
+[test]
+cycle = "rotor"
+[recordings]
+files = ["*.mat"]
+[sampling]
+rate_hz = 12000
+[[channels]]
+name = "DE"
+source = "*_DE_time"
+unit = "m/s2"
+[encoder]
+kind = "constant"
+source = "*RPM"
+"""
+
+
+def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, settings):
+    (tmp_path / "run.toml").write_text(MANIFEST)
+    path = saved(X107_DE_time=np.arange(100.0), X107RPM=np.uint16(1748))
+    assert check_folder(tmp_path, settings=settings.ingest) == []
+    manifest = load_manifest(tmp_path)
+    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert recording.attrs["speed_rpm"] == 1748.0
+    path = saved(X107_DE_time=np.arange(100.0), X107RPM=np.arange(100.0))
+    with pytest.raises(InputError, match=r"a constant speed is one number above 0.*found 100 values"):
+        read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+
+
+def test_a_draft_names_what_each_file_calls_otherwise_by_what_they_share(saved, tmp_path, settings):
+    saved(name="a.mat", X1_DE_time=np.arange(50.0), X1RPM=1750)
+    saved(name="b.mat", X2_DE_time=np.arange(60.0), X2RPM=1751)
+    text = draft_manifest(tmp_path)
+    assert 'source = "*_DE_time"' in text
+    assert 'kind = "constant"\nsource = "*RPM"' in text
+    assert "# Single numbers in the file, such as a speed: X1RPM" in text
+    (tmp_path / "run.toml").write_text(text.replace("rate_hz = 0.0", "rate_hz = 1000"))
+    assert check_folder(tmp_path, settings=settings.ingest) == []

@@ -1,0 +1,147 @@
+"""NumPy array files: rows or columns as channels, and never an object."""
+
+from __future__ import annotations
+
+import pickle
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError, UnsafeInputError
+from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.formats import contents_of, read_file
+from crankorder.scratch import is_on_disk
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def write(values, **how):
+        np.save(tmp_path / "a.npy", values, **how)
+        return tmp_path / "a.npy"
+
+    return write
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("across", [False, True])
+def test_the_longer_side_is_time_however_the_values_lie(saved, limits, order, across):
+    table = np.random.default_rng(1).normal(size=(400, 3))
+    path = saved(np.asarray(table.T if across else table, order=order))
+    assert contents_of(path, settings=limits).samples == {"0": 400, "1": 400, "2": 400}
+    columns = read_file(path, sources=[2, "0"], settings=limits).columns
+    np.testing.assert_array_equal(columns[2], table[:, 2])
+    np.testing.assert_array_equal(columns["0"], table[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "target"),
+    [("<f8", "f8"), (">f8", "f8"), ("<f4", "f4"), ("<i2", "f4"), (">i4", "f8"), ("<u8", "f8"), ("?", "f4")],
+)
+def test_numbers_of_every_type_are_those_that_were_saved(saved, limits, kind, target):
+    values = (np.arange(100) % 50).astype(kind)
+    column = read_file(saved(values), sources=[0], settings=limits).columns[0]
+    assert column.dtype == np.dtype(target)
+    np.testing.assert_array_equal(column, values.astype(target))
+
+
+def test_a_long_row_is_one_channel(saved, limits):
+    path = saved(np.arange(5000.0))
+    assert contents_of(path, settings=limits).samples == {"0": 5000}
+    np.testing.assert_array_equal(read_file(path, sources=[0], settings=limits).columns[0], np.arange(5000.0))
+
+
+def test_fields_are_columns_by_name(saved, limits):
+    table = np.zeros(50, dtype=[("t", "f8"), ("acc", "f4")])
+    table["acc"] = np.arange(50)
+    path = saved(table)
+    assert contents_of(path, settings=limits).names == ("t", "acc")
+    assert read_file(path, sources=["acc"], settings=limits).columns["acc"][-1] == 49.0
+
+
+def test_columns_are_the_same_on_disk(saved, limits):
+    table = np.random.default_rng(2).normal(size=(200_000, 2))
+    path = saved(table)
+    column = read_file(path, sources=[1], settings=limits.model_copy(update={"in_memory_bytes": 0})).columns[1]
+    assert is_on_disk(column)
+    np.testing.assert_array_equal(column, table[:, 1])
+
+
+def test_the_real_recording_is_read_as_numpy_reads_it(real_data, limits):
+    path = real_data / "oma_tower" / "m1_measurement_1.npy"
+    expected = np.load(path)
+    columns = read_file(path, sources=[0, 5], settings=limits).columns
+    np.testing.assert_array_equal(columns[0], expected[:, 0])
+    np.testing.assert_array_equal(columns[5], expected[:, 5])
+
+
+class Canary:
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def test_python_objects_are_refused_and_never_made(saved, tmp_path, limits):
+    path = saved(np.array([Canary(tmp_path / "canary")], dtype=object), allow_pickle=True)
+    with pytest.raises(UnsafeInputError, match="a pickle that can run code: never opened"):
+        read_file(path, sources=[0], settings=limits)
+    (tmp_path / "b.npy").write_bytes(pickle.dumps(Canary(tmp_path / "canary")))
+    with pytest.raises(UnsafeInputError, match="is a Python pickle"):
+        read_file(tmp_path / "b.npy", sources=[0], settings=limits)
+    assert not (tmp_path / "canary").exists()
+
+
+def headed(tmp_path, header):
+    text = header.ljust(118).encode() + b"\n"
+    path = tmp_path / "crafted.npy"
+    path.write_bytes(b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text + b"\0" * 64)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4611686018427387904, 2)}", "claims .* bytes of samples"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (1000,)}", "truncated: 8 of 1000 values"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4,)}", r"damaged header; found shape \(-4,\)"),
+        ("{'descr': '<c16', 'fortran_order': False, 'shape': (4,)}", "holds no real numbers; found complex128"),
+        ("{'descr': '<U2', 'fortran_order': False, 'shape': (4,)}", "holds no real numbers"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 2, 2)}", r"is no array of signals; found shape"),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (0,)}", "is no array of signals"),
+        ("{'descr': '|V0', 'fortran_order': False, 'shape': (4,)}", "holds no real numbers"),
+        ("{'descr': '<f8', 'shape': (4,)}", "has a damaged header"),
+        ("__import__('os').system('touch canary')", "has a damaged header"),
+        ("(" * 100, "has a damaged header"),
+    ],
+)
+def test_what_a_header_claims_is_checked_before_it_is_believed(tmp_path, limits, header, words):
+    with pytest.raises(InputError, match=words):
+        read_file(headed(tmp_path, header), sources=[0], settings=limits)
+
+
+def test_a_file_cut_anywhere_or_changed_at_random_is_refused_or_read(saved, limits):
+    path = saved(np.arange(60.0).reshape(20, 3))
+    whole, rng = path.read_bytes(), np.random.default_rng(3)
+    for size in range(1, len(whole)):
+        path.write_bytes(whole[:size])
+        with pytest.raises(InputError):
+            read_file(path, sources=[0], settings=limits)
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in rng.integers(6, 128, size=3):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        with suppress(InputError):
+            read_file(path, sources=[0], settings=limits.model_copy(update={"max_bytes": 10_000_000}))
+
+
+def test_a_draft_takes_the_array_and_not_the_notes_beside_it(saved, tmp_path):
+    saved(np.zeros((500, 2)))
+    for name in ("grid.txt", "nodes.txt"):
+        (tmp_path / name).write_text("node x\n1 2\n3 4\n")
+    text = draft_manifest(tmp_path)
+    assert 'files = ["*.npy"]' in text
+    assert "rate_hz = 0.0" in text
+    assert text.count("[[channels]]") == 2
