@@ -54,6 +54,12 @@ RecordingCycles = NewType("RecordingCycles", xr.Dataset)
 CycleAverage = NewType("CycleAverage", xr.Dataset)
 """The average engine cycle of each channel against crank angle, by speed, with its spread over the cycles."""
 
+RecordingEnvelope = NewType("RecordingEnvelope", xr.Dataset)
+"""The EnvelopeMap of one recording alone."""
+
+EnvelopeMap = NewType("EnvelopeMap", xr.Dataset)
+"""Order spectra of the squared envelope of every channel, in the band that shows most, against speed."""
+
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.by_angle import TimeSamples, is_by_angle, time_samples
-from crankorder.orders.method import METHOD_SHARE, FrameLayout, frame_layout
+from crankorder.orders.method import METHOD_SHARE, FrameLayout, OrderMethod, frame_layout
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -30,8 +30,11 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     The method is chosen by ``settings.tolerance``. The error that its filters and kernels predict stands beside it
     (``predicted_error``) and that of the fastest frame beside a far denser sampling of it (``achieved_error``): where
     the angle scatters from tooth to tooth and the latter misses the tolerance, all frames are sampled more densely.
+    A recording of what does not turn gives one frame of unknown speed, all NaN.
     Raises InputError where not even one cycle was recorded.
     """
+    if not shaft.attrs.get("has_shaft", 1):
+        return _no_orders(band, shaft, settings)
     layout = frame_layout(band, shaft, settings=settings)
     speed = _mean_speed(shaft, layout)
     n_orders = math.floor(settings.max_order * layout.revs) + 1
@@ -56,6 +59,17 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         "achieved_error": achieved,
     }
     return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings)])
+
+
+def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
+    """OrderFrames of a recording without a shaft: one frame in which nothing is known."""
+    layout = FrameLayout(OrderMethod("no shaft", 0.0, 0, 0.0), settings.revs_per_frame, 1, np.zeros(1))
+    order = np.arange(math.floor(settings.max_order * layout.revs) + 1) / layout.revs
+    spectrum = np.full((band.sizes["channel"], 1, len(order)), np.nan, dtype=np.complex128)
+    frames = _dataset(band, spectrum, order, np.full(1, np.nan), layout.begin_rev)
+    known = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}
+    frames.attrs = _attrs(band, shaft, layout, 1) | known
+    return with_flags(frames, flags_of(shaft))
 
 
 def _spectra_and_error(

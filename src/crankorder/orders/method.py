@@ -33,7 +33,7 @@ class OrderMethod:
     sample rate up to which orders are carried, ``kernel`` that of "resample".
     """
 
-    name: Literal["resample", "nufft", "as sampled"]
+    name: Literal["resample", "nufft", "as sampled", "no shaft"]
     predicted_error: float
     margin: int
     highest: float

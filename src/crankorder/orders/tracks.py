@@ -123,7 +123,7 @@ def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: O
     orders = {round(float(order), 9) for order in settings.track_orders}
     for record in findings["orders"]:
         on_bin = round(record["order"] / resolution) * resolution
-        close = record["locked"] or abs(record["order"] - on_bin) < 0.25 * resolution
+        close = record["lock"] == "locked" or abs(record["order"] - on_bin) < 0.25 * resolution
         orders.add(round(on_bin if close else record["order"], 6))
     return sorted(orders)
 

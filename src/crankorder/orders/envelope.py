@@ -1,0 +1,375 @@
+"""Envelope spectrum of a recording by order: strikes that ring a resonance far above the orders of the shaft."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.fft.windows import hann
+from crankorder.orders.envelope_band import (
+    GUARD_SAMPLES,
+    HIGHEST_SHARE,
+    Band,
+    Blocks,
+    band_tree,
+    between,
+    block_spectra,
+    envelopes_of,
+)
+from crankorder.orders.envelope_lines import best_band, free_orders, line_floor
+from crankorder.quantities import channel_coords, with_flags
+from crankorder.settings import OrderSettings
+from crankorder.shaft.angle import angle_at, knots_of, time_at
+
+LEAST_REVS = 8
+"""Revolutions of a frame below which no envelope spectrum is made: bearing lines could not be told from each other."""
+
+PIECES = 4
+"""Pieces, spread evenly, of a recording that is longer than what is analysed of it, at most."""
+
+FRAMES_PER_PIECE = 2
+"""Frames that a piece holds at least, where that is not more than is analysed: cut pieces lose what overlaps."""
+
+
+class Frames(NamedTuple):
+    """Frames of an envelope: ``revs`` long, beginning at ``begin_rev``, in ``steps`` to a revolution, of ``n_fft``.
+
+    ``n_orders`` of their orders are kept.
+    """
+
+    revs: int
+    begin_rev: tuple[NDArray[np.int64], ...]
+    steps: int
+    n_fft: int
+    n_orders: int
+
+    @property
+    def order(self) -> NDArray[np.float64]:
+        """Orders (orders,) of a spectrum."""
+        return np.arange(self.n_orders) * self.steps / self.n_fft
+
+    @property
+    def n_independent(self) -> float:
+        """Independent power spectra that the frames are worth."""
+        total = 0.0
+        for begin in self.begin_rev:
+            hop = int(np.diff(begin).min()) if len(begin) > 1 else self.revs
+            total += hann(self.revs * 16).independent_frames(16 * hop, len(begin), power=True)
+        return total
+
+
+class Stretch(NamedTuple):
+    """Ends of the steps of crank angle of a piece, in samples, and the steps at which its frames begin."""
+
+    edges: NDArray[np.float64]
+    begins: NDArray[np.int64]
+
+
+class Turn(NamedTuple):
+    """How a recording was sampled and how it turned: mean speed, highest frequency of its envelope's orders."""
+
+    rate_hz: float
+    mean_hz: float
+    reach_hz: float
+    revs_per_cycle: int
+
+
+class Spectra(NamedTuple):
+    """Power (bands, orders) of the lines of envelopes, their mean squares (bands,), and how many frames were used."""
+
+    power: NDArray[np.float64]
+    level: NDArray[np.float64]
+    used: int
+
+
+class Choice(NamedTuple):
+    """The band chosen for a channel: power of its envelope's lines and the floor beneath (orders,), and its mean."""
+
+    band: Band
+    power: NDArray[np.float64]
+    floor: NDArray[np.float64]
+    mean_square: float
+    share: float
+
+
+def recording_envelope(recording: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
+    """RecordingEnvelope: order spectrum (channel, speed, order) of the squared envelope in the band that shows most.
+
+    ``recording`` is the full-band Recording by time, which may lie on disk; ``shaft`` its ShaftAngle. Of a tree of
+    bands above order ``settings.max_order`` (so that order lines are not taken for strikes) that one is taken, channel
+    by channel, in whose envelope an order that is no multiple of the cycle's stands highest above the floor. The
+    squared envelope is averaged over even steps of crank angle, and its power spectra over frames of
+    ``settings.envelope_revs_per_frame`` (fewer where the recording is shorter; the orders' spacing stays).
+    ``amplitude`` is the root of the squared envelope's line: of strikes it grows as they do, whatever noise they stand
+    in. At most ``settings.envelope_longest_s`` are analysed, in pieces spread over the recording (``analysed_s``).
+
+    Without orders, and flagged "no_envelope_band", where the sampling leaves no room above ``max_order``, the speed is
+    not known, less than eight revolutions were recorded or the recording is by crank angle.
+    """
+    bands, pieces, reason = _bands_and_pieces(recording, shaft, settings)
+    if reason:
+        return _empty(recording, shaft, settings, reason)
+    frames = _frames(pieces, settings, revs_per_cycle=int(shaft.attrs["revs_per_cycle"]))
+    speed_hz = shaft["speed"].values / 60.0
+    turn = Turn(
+        rate_hz=float(recording.attrs["rate_hz"]),
+        mean_hz=float(speed_hz.mean()),
+        reach_hz=settings.envelope_max_order * float(speed_hz.max()),
+        revs_per_cycle=int(shaft.attrs["revs_per_cycle"]),
+    )
+    stretches = _stretches(recording, shaft, pieces, frames)
+    chosen = [_choose(row, bands, stretches, frames, turn) for row in recording["signal"].values]
+    return _dataset(recording, shaft, settings, chosen, frames, len(bands), pieces)
+
+
+def _bands_and_pieces(
+    recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings
+) -> tuple[tuple[Band, ...], list[tuple[float, float]], str]:
+    """Bands to try, crank angles [rev] from and to which, and why there are none of either."""
+    speed = shaft["speed"].values
+    if recording.attrs["domain"] != "time":
+        return (), [], "recorded by crank angle: a resonance stays at no order"
+    if not len(speed) or not np.isfinite(speed).all() or not float(speed.max()) > 0.0:
+        return (), [], "the speed is not known"
+    rate, fastest_hz = float(recording.attrs["rate_hz"]), float(speed.max()) / 60.0
+    bands = band_tree(
+        settings.max_order * fastest_hz,
+        HIGHEST_SHARE * rate,
+        least_width_hz=settings.envelope_max_order * fastest_hz,
+    )
+    if not bands:
+        return (
+            (),
+            [],
+            (
+                f"at {rate:g} samples/s no band above order {settings.max_order:g} is wide enough for envelope orders "
+                f"up to {settings.envelope_max_order:g} at {60.0 * fastest_hz:.0f} min-1"
+            ),
+        )
+    pieces = _pieces(recording, shaft, settings)
+    bands += between(tuple(band for band in bands if band.level == bands[-1].level))
+    return bands, pieces, "" if pieces else f"fewer than {LEAST_REVS} revolutions were recorded"
+
+
+def _pieces(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> list[tuple[float, float]]:
+    """Crank angles [rev] from and to which the envelope is made; none where too little was recorded."""
+    rate, start = float(recording.attrs["rate_hz"]), float(recording.attrs.get("start_s", 0.0))
+    knots = knots_of(shaft)
+    n_samples = recording["signal"].shape[1]
+    inside = start + np.array([GUARD_SAMPLES, n_samples - 1 - GUARD_SAMPLES]) / rate
+    begin, end = max(inside[0], knots["knot_time_s"][0]), min(inside[1], knots["knot_time_s"][-1])
+    if end <= begin:
+        return []
+    spans = [(begin, end)]
+    if end - begin > settings.envelope_longest_s:
+        turns_hz = float(knots["knot_speed_rpm"].mean()) / 60.0
+        frames = settings.envelope_longest_s * turns_hz / settings.envelope_revs_per_frame
+        count = min(max(int(frames / FRAMES_PER_PIECE), 1), PIECES)
+        long = settings.envelope_longest_s / count
+        spans = [(at, at + long) for at in np.linspace(begin, end - long, count)]
+    angles = [tuple(float(value) for value in angle_at(np.array(span), **knots)) for span in spans]
+    return [(first, last) for first, last in angles if last - first >= LEAST_REVS]
+
+
+def _frames(pieces: list[tuple[float, float]], settings: OrderSettings, *, revs_per_cycle: int) -> Frames:
+    """Frames of whole cycles, overlapping by one half or a little more so that each piece is used to its end."""
+    shortest = min(last - first for first, last in pieces)
+    revs = max(int(min(settings.envelope_revs_per_frame, shortest)) // revs_per_cycle * revs_per_cycle, 1)
+    begins = []
+    for first, last in pieces:
+        spare = int(last - first) - revs
+        count = 1 + math.ceil(spare / max(revs // 2, 1))
+        begins.append(np.linspace(0, spare, count).round().astype(np.int64))
+    steps = _smooth_from(2.0 * settings.envelope_max_order + 4.0)
+    n_fft = max(settings.envelope_revs_per_frame, revs) * steps
+    n_orders = math.floor(settings.envelope_max_order * n_fft / steps) + 1
+    return Frames(revs, tuple(begins), steps, n_fft, n_orders)
+
+
+def _smooth_from(least: float) -> int:
+    """Smallest number from ``least`` on that is fast to transform."""
+    number = math.ceil(least)
+    while number > 1:
+        rest = number
+        for prime in (2, 3, 5):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            break
+        number += 1
+    return number
+
+
+def _stretches(
+    recording: xr.Dataset, shaft: xr.Dataset, pieces: list[tuple[float, float]], frames: Frames
+) -> list[Stretch]:
+    """Where the steps of crank angle of each piece end, in samples, and where its frames begin, in steps."""
+    rate, start = float(recording.attrs["rate_hz"]), float(recording.attrs.get("start_s", 0.0))
+    made = []
+    for (first, last), begins in zip(pieces, frames.begin_rev, strict=True):
+        angle = first + np.arange(int(last - first) * frames.steps + 1) / frames.steps
+        edges = (time_at(np.minimum(angle, last), **knots_of(shaft)) - start) * rate
+        made.append(Stretch(edges, begins * frames.steps))
+    return made
+
+
+def _choose(
+    signal: NDArray[np.floating], bands: tuple[Band, ...], stretches: list[Stretch], frames: Frames, turn: Turn
+) -> Choice:
+    """The band of one channel in whose envelope most stands out, with its spectrum."""
+    blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in stretches]
+    finest = tuple(band for band in bands if band.level == bands[-1].level)
+    screened = _spectra(blocks, finest, stretches, frames, turn, level=finest[0].level)
+    if not screened.used:
+        missing = np.full(frames.n_orders, np.nan)
+        return Choice(bands[0], missing, missing, math.nan, 0.0)
+    total = sum(len(one.begins) for one in stretches)
+    n_independent = frames.n_independent * screened.used / total
+    floor = line_floor(screened.power, frames.order, n_independent)
+    height = screened.power / np.maximum(floor, np.finfo(np.float64).tiny)
+    free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
+    best = best_band(np.where(free, height, 0.0).max(axis=1))
+    if bands[best] in finest:
+        return Choice(
+            bands[best], screened.power[best], floor[best], float(screened.level[best]), screened.used / total
+        )
+    exact = _spectra(blocks, (bands[best],), stretches, frames, turn, level=1)
+    floor = line_floor(exact.power, frames.order, n_independent)
+    return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), screened.used / total)
+
+
+def _spectra(
+    blocks: list[Blocks], bands: tuple[Band, ...], stretches: list[Stretch], frames: Frames, turn: Turn, *, level: int
+) -> Spectra:
+    """Power of the envelopes' lines and mean squares of ``bands``, after those of the sums of the first ``level``.
+
+    The squared envelope of a wide band is nearly the sum of those of its parts: of a line at the frequency f the share
+    of f in the width of a part is lost, in lines and noise alike.
+    """
+    from scipy.fft import rfft
+
+    long = frames.revs * frames.steps
+    window = hann(long)
+    taper = (window.values * window.tone_scale).astype(np.float32)
+    power, mean_square, used = np.zeros(1), np.zeros(1), 0
+    for some, (edges, begins) in zip(blocks, stretches, strict=True):
+        squared, rates, unit, bad = envelopes_of(
+            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=turn.reach_hz
+        )
+        good = [k for k in begins if not ((bad[:, 1] > edges[k]) & (bad[:, 0] < edges[k + long])).any()]
+        if not good:
+            continue
+        used += len(good)
+        pieces = np.stack([squared[:, k : k + long] for k in good], axis=1)
+        mean = pieces.mean(axis=2, keepdims=True)
+        pieces -= mean
+        pieces *= taper
+        lines = rfft(pieces, frames.n_fft, axis=2)
+        # what the mean over each step and the staircase of the envelope take from a line
+        lost = np.sinc(frames.order / frames.steps) * np.sinc(frames.order * turn.mean_hz / rates[0])
+        power = power + _tree_of(lines, _power, level=level)[:, : frames.n_orders] * np.square(unit / lost)
+        mean_square = (
+            mean_square + _tree_of(mean, lambda means: means.sum(axis=(1, 2), dtype=np.float64), level=level) * unit
+        )
+    return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
+
+
+def _tree_of(
+    parts: NDArray[Any], of: Callable[[NDArray[Any]], NDArray[np.float64]], *, level: int
+) -> NDArray[np.float64]:
+    """What ``of`` makes of sums of the first ``level`` of ``parts`` (bands, …), widest first, and of all of them."""
+    made = [of(parts)]
+    parts = parts[:level]
+    while len(parts) > 1:
+        parts = parts[::2] + parts[1::2]
+        made.insert(0, of(parts))
+    return np.concatenate(made)
+
+
+def _power(lines: NDArray[np.complex64]) -> NDArray[np.float64]:
+    """Sum of the power over the frames of ``lines`` (bands, frames, orders)."""
+    both = np.square(lines.view(np.float32)).sum(axis=1).astype(np.float64)
+    made: NDArray[np.float64] = both[:, ::2] + both[:, 1::2]
+    return made
+
+
+def _dataset(
+    recording: xr.Dataset,
+    shaft: xr.Dataset,
+    settings: OrderSettings,
+    chosen: list[Choice],
+    frames: Frames,
+    n_bands: int,
+    pieces: list[tuple[float, float]],
+) -> xr.Dataset:
+    """RecordingEnvelope of the ``chosen`` bands of all channels."""
+    seconds = [float(np.diff(time_at(np.array(piece), **knots_of(shaft)))[0]) for piece in pieces]
+    speed = 60.0 * sum(last - first for first, last in pieces) / sum(seconds)
+    of_channel = ("channel", "speed")
+    variables: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]] = {
+        name: (("channel", "speed", "order"), np.array(values)[:, None], {"units": "see unit", "long_name": text})
+        for name, values, text in (
+            ("amplitude", [one.power**0.25 for one in chosen], "root of the squared envelope's line"),
+            ("floor", [one.floor**0.25 for one in chosen], "what noise alone has there"),
+        )
+    }
+    level = np.sqrt([[one.mean_square / 2.0] for one in chosen])
+    variables |= {
+        "level": (of_channel, level, {"units": "see unit", "long_name": "root mean square in the band"}),
+        "band_low": (of_channel, np.array([[one.band.low_hz] for one in chosen]), {"units": "Hz"}),
+        "band_high": (of_channel, np.array([[one.band.high_hz] for one in chosen]), {"units": "Hz"}),
+        "n_independent": (of_channel, np.array([[frames.n_independent * one.share] for one in chosen]), {"units": "1"}),
+        "revs_per_frame": (("speed",), np.array([frames.revs]), {"units": "1"}),
+    }
+    made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), frames.order))
+    made.attrs = _attrs(recording, shaft, settings) | {"bands_tried": n_bands, "analysed_s": sum(seconds)}
+    return made
+
+
+def _coords(recording: xr.Dataset, speed: NDArray[np.float64], order: NDArray[np.float64]) -> dict[str, Any]:
+    reference = {"units": "1", "long_name": "order of the envelope", "order_reference": "crankshaft"}
+    return {
+        **channel_coords(recording),
+        "speed": ("speed", speed, {"units": "min-1", "long_name": "mean speed"}),
+        "order": ("order", order, reference),
+    }
+
+
+def _attrs(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> dict[str, Any]:
+    kept = {key: recording.attrs[key] for key in ("recording", "history", "quality") if key in recording.attrs}
+    nominal = recording.attrs.get("encoder_kind") == "constant"
+    return kept | {
+        "revs_per_cycle": int(shaft.attrs["revs_per_cycle"]),
+        "lowest_order": settings.max_order,
+        "speed_basis": "nominal" if nominal else "measured",
+        "bands_tried": 0,
+        "analysed_s": 0.0,
+        "recorded_s": recording["signal"].shape[1] / float(recording.attrs.get("rate_hz", math.nan)),
+    }
+
+
+def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, reason: str) -> xr.Dataset:
+    """RecordingEnvelope without speeds and orders, flagged with the ``reason``."""
+    n = recording.sizes["channel"]
+    of_channel = (("channel", "speed"), np.zeros((n, 0)))
+    spectrum = (("channel", "speed", "order"), np.zeros((n, 0, 0)), {"units": "see unit"})
+    made = xr.Dataset(
+        {
+            "amplitude": spectrum,
+            "floor": spectrum,
+            "level": (*of_channel, {"units": "see unit"}),
+            "band_low": (*of_channel, {"units": "Hz"}),
+            "band_high": (*of_channel, {"units": "Hz"}),
+            "n_independent": (*of_channel, {"units": "1"}),
+            "revs_per_frame": (("speed",), np.zeros(0, dtype=np.int64), {"units": "1"}),
+        },
+        coords=_coords(recording, np.zeros(0), np.zeros(0)),
+        attrs=_attrs(recording, shaft, settings),
+    )
+    name = str(recording.attrs["recording"])
+    return with_flags(made, [{"recording": name, "flag": "no_envelope_band", "severity": "info", "detail": reason}])

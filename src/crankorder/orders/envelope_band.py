@@ -1,0 +1,261 @@
+"""Squared envelopes of the bands of a tree, by even crank angle: from blocks of a record of any length."""
+
+from __future__ import annotations
+
+import threading
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyfftw
+from numba import njit
+from numpy.typing import NDArray
+
+BLOCK_SAMPLES = 65_536
+"""Samples transformed at a time: they, their spectrum and the bands of one level stay in the second-level cache."""
+
+GUARD_SAMPLES = 1024
+"""Samples at each end of a block that are computed and not used: there the bands' filters see what is not there."""
+
+TREE_LEVELS = (1, 2, 4, 8, 16)
+"""Into how many equal bands the usable range is cut, level by level."""
+
+TAPER_SHARE = 0.1
+"""Share of a band at each of its ends over which it fades: a sharp edge would ring longer than the guard."""
+
+HIGHEST_SHARE = 0.49
+"""Of the sampling rate, up to which bands reach."""
+
+MOST_PLANS = 24
+"""Plans of inverse transforms that a thread keeps: enough for four record layouts."""
+
+_of_thread = threading.local()
+
+
+class Band(NamedTuple):
+    """A band of demodulation in Hz and the level of the tree to which it belongs (bands that the range is cut into)."""
+
+    low_hz: float
+    high_hz: float
+    level: int
+
+
+class Envelopes(NamedTuple):
+    """Mean squared envelopes (bands, angles) of the bands by crank angle, as multiples of ``unit``, and bad samples.
+
+    ``rate_hz`` (bands,) is how often a second the envelope was known: it holds from each sample to the next. Each row
+    of ``bad`` (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
+    """
+
+    squared: NDArray[np.float32]
+    rate_hz: NDArray[np.float64]
+    unit: float
+    bad: NDArray[np.int64]
+
+
+class Blocks(NamedTuple):
+    """Spectra (blocks, bins) of a signal's blocks, of which each gives the samples from its ``firsts`` on.
+
+    ``unit`` is what their squares are multiples of; ``bad`` as in :class:`Envelopes`.
+    """
+
+    firsts: range
+    spectra: NDArray[np.complex64]
+    unit: float
+    bad: NDArray[np.int64]
+
+
+def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[Band, ...]:
+    """Bands between ``low_hz`` and ``high_hz``, cut into 1, 2, 4, 8, 16 equal ones as long as they stay wide enough.
+
+    ``least_width_hz``: a narrower band cannot follow the highest order of its envelope. Empty where even the whole
+    range is narrower. Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
+    """
+    bands = []
+    for level in TREE_LEVELS:
+        width = (high_hz - low_hz) / level
+        if width >= least_width_hz > 0.0:
+            bands += [Band(low_hz + k * width, low_hz + (k + 1) * width, level) for k in range(level)]
+    return tuple(bands)
+
+
+def between(bands: tuple[Band, ...]) -> tuple[Band, ...]:
+    """Bands that begin half way up each of the neighbouring ``bands``: what rings at a border is in the middle here."""
+    middles = [(band.low_hz + band.high_hz) / 2.0 for band in bands]
+    return tuple(Band(low, high, bands[0].level) for low, high in pairwise(middles))
+
+
+def squared_envelopes(
+    signal: NDArray[np.floating],
+    *,
+    rate_hz: float,
+    bands: tuple[Band, ...],
+    edges: NDArray[np.float64],
+    reach_hz: float,
+) -> Envelopes:
+    """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
+
+    The envelope is that of the analytic signal of the band, as a staircase of ``rate_hz``; its mean over each step is
+    exact. A line of it at the frequency f thus loses sinc(f / rate_hz) sinc(order / steps per revolution).
+
+    Parameters
+    ----------
+    signal : (samples,), any unit, may be a memory map: it is read in blocks of 65 536; NaN: missing
+    rate_hz : samples per second
+    bands : from :func:`band_tree`, level by level
+    reach_hz : highest frequency of the envelope that must be free of what folds
+    edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
+    """
+    blocks = block_spectra(signal, begin=float(edges[0]), end=float(edges[-1]))
+    return envelopes_of(blocks, rate_hz=rate_hz, bands=bands, edges=edges, reach_hz=reach_hz)
+
+
+def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
+    """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``."""
+    plan = _forward()
+    hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
+    firsts = range(int(begin) // hop * hop, int(np.ceil(end)) + 1, hop)
+    made = np.empty((len(firsts), BLOCK_SAMPLES // 2 + 1), dtype=np.complex64)
+    scale, bad = 0.0, []
+    for row, first in zip(made, firsts, strict=True):
+        block, gap = _block(signal, first - GUARD_SAMPLES)
+        if len(gap):
+            bad.append(gap)
+        scale = scale or _scale_of(block)
+        np.multiply(block, block.dtype.type(scale), out=plan.input_array, casting="same_kind")
+        plan.execute()
+        row[:] = plan.output_array
+    gaps = np.concatenate(bad) if bad else np.zeros((0, 2), dtype=np.int64)
+    return Blocks(firsts, made, (scale or 1.0) ** -2, gaps)
+
+
+def envelopes_of(
+    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: NDArray[np.float64], reach_hz: float
+) -> Envelopes:
+    """As :func:`squared_envelopes` with its ``rate_hz``, ``bands``, ``edges``, ``reach_hz``, of a signal's ``blocks``.
+
+    ``blocks`` must reach from the first of the edges to the last.
+    """
+    squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float64)
+    hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
+    levels = _levels(bands, rate_hz, reach_hz=reach_hz)
+    for first, spectrum in zip(blocks.firsts, blocks.spectra, strict=True):
+        begin, end = np.searchsorted(edges, [first, first + hop])
+        steps = slice(max(int(begin) - 1, 0), min(int(end), len(edges) - 1))
+        if steps.stop <= steps.start:
+            continue
+        local = np.clip(edges[steps.start : steps.stop + 1], first, first + hop) - (first - GUARD_SAMPLES)
+        for rows, low, taper, n_out in levels:
+            plan = _inverse(len(low), n_out)
+            slices = plan.input_array
+            slices[:, len(taper) :] = 0.0
+            for into, at in zip(slices, low, strict=True):
+                np.multiply(spectrum[at : at + len(taper)], taper, out=into[: len(taper)])
+            plan.execute()
+            ratio = n_out / BLOCK_SAMPLES
+            # FFTW's inverse is a plain sum; the analytic signal is twice the sum over the block's length
+            weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
+            _gather(plan.output_array.view(np.float32), local * ratio + 0.5, weight, squared[rows, steps])
+    made = (squared / np.diff(edges)).astype(np.float32)
+    rates = np.concatenate([np.full(len(low), n_out * rate_hz / BLOCK_SAMPLES) for _, low, _, n_out in levels])
+    return Envelopes(made, rates, blocks.unit, blocks.bad)
+
+
+def _levels(
+    bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float
+) -> list[tuple[slice, NDArray[np.int64], NDArray[np.float32], int]]:
+    """Of each level: its rows among ``bands``, the bands' first bins in a block, their taper, samples of an envelope.
+
+    What folds in a squared envelope sampled at the rate r lies above r less the band's width: r leaves ``reach_hz``.
+    """
+    made, at = [], 0
+    per_hz = BLOCK_SAMPLES / rate_hz
+    while at < len(bands):
+        count = sum(band.level == bands[at].level for band in bands)
+        low = np.array([round(band.low_hz * per_hz) for band in bands[at : at + count]])
+        width = int((bands[at].high_hz - bands[at].low_hz) * per_hz)
+        width = min(width, BLOCK_SAMPLES // 2 + 1 - int(low[-1]))
+        n_out = _size_from(width + int(np.ceil(reach_hz * per_hz)))
+        fade = max(int(TAPER_SHARE * width), 1)
+        edge = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
+        taper = np.concatenate([edge, np.ones(width - 2 * fade), edge[::-1]]).astype(np.float32)
+        made.append((slice(at, at + count), low, taper, n_out))
+        at += count
+    return made
+
+
+def _size_from(least: int) -> int:
+    """Next power of two, or 9, 10 or 12 eighths of one, from ``least`` on: few sizes, so that plans are used again."""
+    power = 1 << max(least - 1, 1).bit_length() >> 1
+    return next(size for eighths in (8, 9, 10, 12, 16) if (size := power * eighths // 8) >= least)
+
+
+def _forward() -> Any:
+    """Plan of this thread for the transform of a block of real samples."""
+    if "forward" not in _of_thread.__dict__:
+        into = pyfftw.zeros_aligned(BLOCK_SAMPLES, dtype=np.float32)
+        out = pyfftw.zeros_aligned(BLOCK_SAMPLES // 2 + 1, dtype=np.complex64)
+        _of_thread.forward = pyfftw.FFTW(into, out, flags=("FFTW_ESTIMATE",))
+    return _of_thread.forward
+
+
+def _inverse(rows: int, n_out: int) -> Any:
+    """Plan of this thread for the inverse transforms of ``rows`` of ``n_out`` bins."""
+    plans: dict[tuple[int, int], Any] = _of_thread.__dict__.setdefault("plans", {})
+    if (rows, n_out) not in plans:
+        if len(plans) >= MOST_PLANS:
+            plans.clear()
+        into, out = (pyfftw.zeros_aligned((rows, n_out), dtype=np.complex64) for _ in range(2))
+        plans[rows, n_out] = pyfftw.FFTW(
+            into, out, axes=(1,), direction="FFTW_BACKWARD", flags=("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT")
+        )
+    return plans[rows, n_out]
+
+
+def _block(signal: NDArray[np.floating], first: int) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Samples of one block from ``first`` on, zero where there are none, and what a gap in it reaches.
+
+    Single precision stays so; double stays until it is scaled, for small numbers would vanish and large ones overflow.
+    """
+    kind = np.float32 if signal.dtype == np.float32 else np.float64
+    block: NDArray[Any] = np.zeros(BLOCK_SAMPLES, dtype=kind)
+    none = np.zeros((0, 2), dtype=np.int64)
+    begin, end = max(first, 0), min(first + BLOCK_SAMPLES, len(signal))
+    if end <= begin:
+        return block, none
+    piece: NDArray[Any] = np.asarray(signal[begin:end], dtype=kind)
+    middle = float(piece.mean(dtype=np.float64))
+    if np.isfinite(middle):
+        block[begin - first : end - first] = piece - piece.dtype.type(middle)
+        return block, none
+    good = np.isfinite(piece)
+    middle = float(piece[good].mean()) if good.any() else 0.0
+    block[begin - first : end - first] = np.where(good, piece - piece.dtype.type(middle), 0.0)
+    jumps = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]]).astype(np.int8)))
+    return block, jumps.reshape(-1, 2) + begin + np.array([-GUARD_SAMPLES, GUARD_SAMPLES])
+
+
+def _scale_of(block: NDArray[np.floating]) -> float:
+    """Power of two that brings ``block`` to about 1; 0 where it is all zero."""
+    size = float(np.abs(block).max())
+    return 0.0 if size == 0.0 else float(2.0 ** -np.round(np.log2(size)))
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _gather(waves, edges, weight, out):  # type: ignore[no-untyped-def]
+    """Add to ``out`` (bands, steps) the integrals of |wave|² between ``edges`` (steps + 1,), times ``weight``.
+
+    ``waves`` (bands, real and imaginary in turn); each sample holds from its place to the next.
+    """
+    for band in range(waves.shape[0]):
+        wave = waves[band]
+        for step in range(out.shape[1]):
+            low, high = edges[step], edges[step + 1]
+            first, last = int(low), int(high)
+            inner = np.float32(0.0)
+            for k in range(2 * first, 2 * last):
+                inner += wave[k] * wave[k]
+            left = wave[2 * first] ** 2 + wave[2 * first + 1] ** 2
+            right = wave[2 * last] ** 2 + wave[2 * last + 1] ** 2
+            total = inner - (low - first) * left + (high - last) * right
+            out[band, step] += weight * total

@@ -1,0 +1,57 @@
+"""Lines of envelope spectra beside their floor: what stands out, and in which band."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FLOOR_ORDERS = 1.0
+"""Width in orders of the pieces of a spectrum whose medians are the floor: wide against any line and its skirts."""
+
+LOCKED_BINS = 2.0
+"""Cells of resolution beside a multiple of the cycle's order that take no part in the choice of the band."""
+
+LOWEST_ORDER = 0.25
+"""Order below which nothing is chosen by: slow changes of load and speed are there."""
+
+CLEAR_RATIO, WIDER_SHARE = 100.0, 0.5
+"""Power ratio from which a line is clear, and share of it that a wider band must show to be taken instead."""
+
+
+def best_band(height: NDArray[np.float64]) -> int:
+    """Band in whose envelope most stands out, by the ``height`` (bands,) of it; bands come widest first.
+
+    Of a line that stands out clearly a wider band is taken that shows it half as well: it holds more of the resonance,
+    and the amplitude then depends less on which band the noise lets win.
+    """
+    best = int(np.argmax(height))
+    if height[best] < CLEAR_RATIO:
+        return best
+    return int(np.flatnonzero(height >= WIDER_SHARE * height[best])[0])
+
+
+def free_orders(order: NDArray[np.float64], revs: int, revs_per_cycle: int) -> NDArray[np.bool_]:
+    """Which ``order`` (orders,) is no multiple of the cycle's: what strikes there is not the engine itself.
+
+    ``revs`` of a frame, whose inverse is the resolution; ``revs_per_cycle`` of the engine, one or two.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return np.asarray((beside > LOCKED_BINS / revs) & (order > LOWEST_ORDER))
+
+
+def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_independent: float) -> NDArray[np.float64]:
+    """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
+
+    ``power`` (bands, orders) at each ``order``, of which the spacing is even, is the mean of ``n_independent`` spectra.
+    """
+    from scipy.special import gammaincinv
+
+    width = max(round(FLOOR_ORDERS / float(order[1])), 8)
+    count = max(power.shape[1] // width, 1)
+    pieces = power[:, : count * width].reshape(len(power), count, -1)
+    shape = max(n_independent, 1.0)
+    middle = np.median(pieces, axis=2) * shape / float(gammaincinv(shape, 0.5))
+    at = (np.arange(count) + 0.5) * pieces.shape[2]
+    bins = np.arange(power.shape[1])
+    made: NDArray[np.float64] = np.stack([np.interp(bins, at, row) for row in middle])
+    return made

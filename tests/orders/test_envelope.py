@@ -1,0 +1,234 @@
+"""The envelope spectrum by order: its scale, its choice of band, its memory, and where it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.orders.envelope import recording_envelope
+from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, band_tree, squared_envelopes
+from crankorder.orders.envelope_map import envelope_map
+from crankorder.quantities import check_dataset, flags_of
+from crankorder.settings import load_settings
+from made.recordings import shaft
+from made.strikes import recording, strikes
+
+ORDERS = load_settings().orders
+
+
+def ratio_of(made: xr.Dataset) -> np.ndarray:
+    return (made["amplitude"].values[:, 0] / made["floor"].values[:, 0]) ** 4
+
+
+def strongest(made: xr.Dataset, channel: int = 0) -> float:
+    order = made["order"].values
+    return float(order[np.argmax(np.where(order > 0.25, ratio_of(made)[channel], 0.0))])
+
+
+def test_a_modulated_tone_reads_the_root_of_the_line_of_its_squared_envelope():
+    # (a (1 + m cos))² = a² (1 + m²/2 + 2 m cos + m²/2 cos 2): the line at 7.25 is 2 m a²
+    rate, rpm, a, m = 20_000.0, 1800.0, 0.3, 0.2
+    angle = np.arange(200_000) / rate * rpm / 60.0
+    tone = np.cos(2.0 * np.pi * 4000.0 * np.arange(200_000) / rate)
+    signal = a * (1.0 + m * np.cos(2.0 * np.pi * 7.25 * angle)) * tone
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(200_000)
+    made = recording_envelope(*recording((signal + noise)[None], rate_hz=rate, speed_rpm=rpm), settings=ORDERS)
+    at = np.argmin(np.abs(made["order"].values - 7.25))
+    assert made["amplitude"].values[0, 0, at] == pytest.approx(np.sqrt(2.0 * m) * a, rel=1e-3)
+    assert made["level"].values[0, 0] == pytest.approx(a / np.sqrt(2.0) * np.sqrt(1.0 + m**2 / 2.0), rel=1e-3)
+    assert made["band_low"].values[0, 0] < 4000.0 < made["band_high"].values[0, 0]
+
+
+def test_the_amplitude_of_strikes_does_not_depend_on_the_noise_and_grows_as_they_do():
+    sizes = (6.0, 12.0, 24.0)
+    read = []
+    for seed, size in enumerate(sizes):
+        made = recording_envelope(*strikes(order=3.2, size=size, speed_rpm=1500.0, seed=seed), settings=ORDERS)
+        near = np.abs(made["order"].values - 3.2) < 0.05
+        read.append(made["amplitude"].values[0, 0, near].max() / size)
+    assert read == pytest.approx([read[-1]] * 3, rel=0.02)
+
+
+@pytest.mark.parametrize("centre_hz", [2000.0, 8500.0, 19000.0])
+def test_the_band_is_chosen_where_the_strikes_ring(centre_hz):
+    rate, rpm, n = 50_000.0, 1500.0, 200_000
+    chance = np.random.default_rng(int(centre_hz))
+    time = np.arange(n) / rate
+    phase = (2.18 * time * rpm / 60.0) % 1.0
+    ring = np.exp(-phase / 2.18 * 60.0 / rpm * 500.0) * np.cos(2.0 * np.pi * centre_hz * time)
+    signal = 0.5 * ring + chance.standard_normal(n)
+    made = recording_envelope(*recording(signal[None], rate_hz=rate, speed_rpm=rpm), settings=ORDERS)
+    assert made["band_low"].values[0, 0] - 200.0 < centre_hz < made["band_high"].values[0, 0] + 200.0
+    assert made["band_high"].values[0, 0] - made["band_low"].values[0, 0] < 8000.0
+    times = round(strongest(made) / 2.18)
+    assert abs(strongest(made) - times * 2.18) < 1.0 / 64.0
+
+
+def test_each_channel_chooses_its_own_band_and_one_without_strikes_shows_none():
+    made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=3)
+    noise = np.random.default_rng(9).standard_normal(made["signal"].shape)
+    both = np.concatenate([made["signal"].values, noise])
+    two, angle = recording(both, rate_hz=12_800.0, speed_rpm=1500.0)
+    ratio = ratio_of(recording_envelope(two, angle, settings=ORDERS))
+    assert ratio[0].max() > 100.0
+    assert ratio[1].max() < 20.0
+
+
+def test_order_lines_below_the_band_leave_no_trace():
+    rate, rpm, n = 12_800.0, 1500.0, 64_000
+    chance = np.random.default_rng(4)
+    quiet = chance.standard_normal(n)
+    angle = np.arange(n) / rate * rpm / 60.0
+    loud = quiet + sum(50.0 * np.cos(2.0 * np.pi * k * angle + k) for k in (1.0, 2.0, 5.456, 10.0))
+    without, with_lines = (
+        recording_envelope(*recording(x[None], rate_hz=rate, speed_rpm=rpm), settings=ORDERS) for x in (quiet, loud)
+    )
+    assert ratio_of(with_lines).max() < 20.0
+    assert with_lines["level"].values == pytest.approx(without["level"].values, rel=0.01)
+
+
+def test_noise_alone_has_the_floor_it_says():
+    # the mean of (amplitude / floor)^4 over noise is 1, whichever band was chosen
+    ratios = [
+        np.mean(
+            ratio_of(recording_envelope(*strikes(order=1.0, size=0.0, speed_rpm=1500.0, seed=seed), settings=ORDERS))[
+                0, 64:
+            ]
+        )
+        for seed in range(12)
+    ]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
+
+
+def test_strikes_of_a_run_up_stay_at_their_order():
+    rate, n = 12_800.0, 128_000
+    time = np.arange(n) / rate
+    angle = (600.0 * time + 0.5 * 1200.0 * time**2 / 10.0) / 60.0
+    phase = (3.2 * angle) % 1.0
+    signal = 4.0 * np.exp(-12.0 * phase) * np.cos(2.0 * np.pi * 3000.0 * time)
+    signal += np.random.default_rng(2).standard_normal(n)
+    made, _ = recording(signal[None], rate_hz=rate, speed_rpm=1.0)
+    knots = np.linspace(0.0, time[-1], 200)
+    turned = (600.0 * knots + 60.0 * knots**2) / 60.0
+    found = recording_envelope(made, shaft(knots, turned, 600.0 + 120.0 * knots), settings=ORDERS)
+    assert abs(strongest(found) - 3.2) <= 1.0 / 64.0
+    assert ratio_of(found).max() > 100.0
+
+
+def test_a_gap_costs_the_frames_that_it_touches_and_nothing_else():
+    made, angle = strikes(order=3.2, size=6.0, speed_rpm=3000.0, seed=5, duration_s=12.0)
+    whole = recording_envelope(made, angle, settings=ORDERS)
+    signal = made["signal"].values.copy()
+    signal[0, 20_000:20_400] = np.nan
+    made["signal"] = (("channel", "time"), signal, {"units": "see unit"})
+    holed = recording_envelope(made, angle, settings=ORDERS)
+    assert 0.0 < holed["n_independent"].values[0, 0] < whole["n_independent"].values[0, 0]
+    assert strongest(holed) == strongest(whole)
+    signal[:] = np.nan
+    lost = recording_envelope(made.assign(signal=made["signal"].copy(data=signal)), angle, settings=ORDERS)
+    assert lost["n_independent"].values[0, 0] == 0.0
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e25])
+def test_very_small_and_very_large_units_change_nothing_but_the_scale(scale):
+    made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=6)
+    plain = recording_envelope(made, angle, settings=ORDERS)
+    signal = made["signal"].values.astype(np.float64) * scale
+    scaled = recording_envelope(made.assign(signal=made["signal"].copy(data=signal)), angle, settings=ORDERS)
+    assert scaled["amplitude"].values / scale == pytest.approx(plain["amplitude"].values, rel=1e-3)
+
+
+def test_the_same_comes_out_of_a_file_on_disk_and_is_the_same_again(tmp_path):
+    made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=7, duration_s=12.0)
+    np.save(tmp_path / "signal.npy", made["signal"].values)
+    mapped = made.assign(signal=made["signal"].copy(data=np.load(tmp_path / "signal.npy", mmap_mode="r")))
+    first, again = (recording_envelope(item, angle, settings=ORDERS) for item in (made, mapped))
+    assert first["amplitude"].values.tobytes() == again["amplitude"].values.tobytes()
+
+
+def test_of_a_long_recording_a_stated_share_is_analysed():
+    made, angle = strikes(order=3.2, size=6.0, speed_rpm=3000.0, seed=8, duration_s=40.0)
+    short = ORDERS.model_copy(update={"envelope_longest_s": 16.0})
+    found = recording_envelope(made, angle, settings=short)
+    assert found.attrs["analysed_s"] == pytest.approx(16.0, abs=0.1)
+    assert found.attrs["recorded_s"] == pytest.approx(40.0)
+    assert abs(strongest(found) - 3.2) <= 1.0 / 64.0
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"rate_hz": 1000.0}, "no band above order 20"),
+        ({"speed_rpm": np.nan}, "the speed is not known"),
+        ({"duration_s": 0.2}, "fewer than 8 revolutions"),
+    ],
+)
+def test_where_there_can_be_no_envelope_it_is_empty_and_says_why(change, reason):
+    asked = {"rate_hz": 12_800.0, "speed_rpm": 1500.0, "duration_s": 5.0} | change
+    n = round(asked["duration_s"] * asked["rate_hz"])
+    made, angle = recording(np.zeros((2, n)), rate_hz=asked["rate_hz"], speed_rpm=asked["speed_rpm"])
+    found = recording_envelope(made, angle, settings=ORDERS)
+    check_dataset(found, "envelope_map")
+    assert found.sizes["order"] == 0
+    assert [flag["flag"] for flag in flags_of(found)] == ["no_envelope_band"]
+    assert reason in flags_of(found)[0]["detail"]
+
+
+def test_a_recording_by_crank_angle_has_no_envelope():
+    made, angle = recording(np.zeros((1, 3600)), rate_hz=1.0, speed_rpm=60.0)
+    by_angle = made.rename({"time": "crank_angle"}).assign_attrs(domain="crank_angle", samples_per_rev=360)
+    found = recording_envelope(by_angle, angle, settings=ORDERS)
+    assert found.sizes["order"] == 0
+    assert "by crank angle" in flags_of(found)[0]["detail"]
+
+
+def test_a_silent_channel_is_no_fault():
+    made = recording_envelope(*recording(np.zeros((1, 64_000)), rate_hz=12_800.0, speed_rpm=1500.0), settings=ORDERS)
+    assert not np.nan_to_num(made["amplitude"].values).any()
+
+
+def test_the_bands_of_a_tree_fill_the_range_at_every_level():
+    bands = band_tree(500.0, 24_500.0, least_width_hz=1000.0)
+    for level in {band.level for band in bands}:
+        row = [band for band in bands if band.level == level]
+        assert len(row) == level
+        assert (row[0].low_hz, row[-1].high_hz) == (500.0, pytest.approx(24_500.0))
+    assert min(band.high_hz - band.low_hz for band in bands) >= 1000.0
+    assert band_tree(500.0, 1000.0, least_width_hz=1000.0) == ()
+
+
+def test_the_squared_envelope_of_a_tone_is_its_square_across_blocks():
+    tone = 2.5 * np.cos(2.0 * np.pi * 0.2 * np.arange(3 * BLOCK_SAMPLES))
+    edges = np.arange(2000.0, len(tone) - 2000.0, 77.7)
+    found = squared_envelopes(tone, rate_hz=1.0, bands=(Band(0.1, 0.3, 1),), edges=edges, reach_hz=0.01)
+    assert found.unit * found.squared[0] == pytest.approx(2.5**2, rel=2e-4)
+
+
+def test_a_map_averages_recordings_of_like_speed_and_keeps_its_schema():
+    settings = ORDERS
+    items = [
+        recording_envelope(*strikes(order=3.2, size=5.0, speed_rpm=rpm, seed=k), settings=settings)
+        for k, rpm in enumerate((1500.0, 1505.0, 2000.0))
+    ]
+    made = envelope_map(items, speed_bin_rpm=25.0)
+    check_dataset(made, "envelope_map")
+    assert made["speed"].values == pytest.approx([1502.5, 2000.0], abs=0.5)
+    assert made["n_independent"].values[0, 0] == pytest.approx(
+        sum(float(item["n_independent"].values[0, 0]) for item in items[:2])
+    )
+    powers = [item["amplitude"].values[0, 0] ** 4 for item in items[:2]]
+    assert (made["amplitude"].values[0, 0] ** 4 <= np.maximum(*powers) * (1.0 + 1e-12)).all()
+    assert made["band_low"].values[0, 0] == min(item["band_low"].values[0, 0] for item in items[:2])
+
+
+def test_a_map_of_recordings_without_envelope_is_empty_and_one_with_other_channels_is_left_out():
+    empty = recording_envelope(*recording(np.zeros((1, 400)), rate_hz=1000.0, speed_rpm=1500.0), settings=ORDERS)
+    assert envelope_map([empty, empty], speed_bin_rpm=25.0).sizes["order"] == 0
+    one, two = (
+        recording_envelope(*strikes(order=3.2, size=5.0, speed_rpm=1500.0, seed=1, n_channels=n), settings=ORDERS)
+        for n in (1, 2)
+    )
+    made = envelope_map([empty, one, two], speed_bin_rpm=25.0)
+    assert made.sizes["channel"] == 1
+    assert [flag["flag"] for flag in flags_of(made)] == ["no_envelope_band", "left_out"]
