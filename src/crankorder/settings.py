@@ -18,9 +18,12 @@ from crankorder.errors import ManyErrors, RequestError
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+Slip = Annotated[float, Field(gt=-50, lt=50)]
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1
 """Relative amplitude errors that can be asked for."""
-ResultName = Literal["order_map", "campbell_map", "order_tracks", "findings", "cycle_average", "operating_shapes"]
+ResultName = Literal[
+    "order_map", "campbell_map", "order_tracks", "findings", "cycle_average", "operating_shapes", "envelope_map"
+]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """What the unit g stands for (3rd CGPM, 1901), exact and no setting: here, because units are read before NumPy is."""
@@ -88,6 +91,9 @@ class OrderSettings(StageSettings):
     track_bandwidth_unit: Literal["order", "Hz"]
     floor_bins: Count
     guard_bins: Annotated[int, Field(ge=0)]
+    envelope_max_order: Positive
+    envelope_revs_per_frame: Count
+    envelope_longest_s: Positive
 
 
 class CampbellSettings(StageSettings):
@@ -100,6 +106,12 @@ class CampbellSettings(StageSettings):
     kaiser_beta: Positive
     amplitude_scaling: Literal["peak", "rms"]
     sweep_order: Positive
+
+
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] >= ends[1]:
+        raise ValueError("the lower end comes first")
+    return ends
 
 
 class IdentifySettings(StageSettings):
@@ -117,6 +129,8 @@ class IdentifySettings(StageSettings):
     mains_tolerance_hz: Positive
     fold_search_hz: Positive
     crossing_band_rpm: Positive
+    bearing_slip_percent: Annotated[tuple[Slip, Slip], AfterValidator(_rising)] = Field(strict=False)
+    bearing_false_alarm_probability: Fraction
 
 
 def _different(names: tuple[ResultName, ...]) -> tuple[ResultName, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
@@ -19,12 +19,14 @@ import xarray as xr
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.errors import SchemaError
 from crankorder.fft.band import band_limited
-from crankorder.identify.explain import Sources
+from crankorder.flow import StagePlan
 from crankorder.identify.findings import find
+from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
+from crankorder.orders.envelope import recording_envelope
+from crankorder.orders.envelope_map import envelope_map
 from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
@@ -36,6 +38,7 @@ from crankorder.quantities import (
     BandRecording,
     CampbellMap,
     CycleAverage,
+    EnvelopeMap,
     Findings,
     FrequencyFrames,
     OperatingShapes,
@@ -45,6 +48,7 @@ from crankorder.quantities import (
     QualityFlag,
     Recording,
     RecordingCycles,
+    RecordingEnvelope,
     RecordingTracks,
     ShaftAngle,
     check_dataset,
@@ -63,6 +67,7 @@ AllOrderFrames = NewType("AllOrderFrames", list[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
 AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
 AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
+AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", list[xr.Dataset])
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
@@ -73,65 +78,14 @@ SCHEMAS: dict[Any, str] = {
     OrderMap: "order_map",
     CampbellMap: "campbell_map",
     OrderTracks: "order_tracks",
+    RecordingEnvelope: "envelope_map",
+    EnvelopeMap: "envelope_map",
     RecordingCycles: "cycle_average",
     CycleAverage: "cycle_average",
     OperatingShapes: "operating_shapes",
 }
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
-
-
-class StagePlan:
-    """The stages, in flow order, that make the wanted nouns; worked out from signatures, run for many recordings.
-
-    ``needs`` are the given nouns that the plan takes: what no wanted noun needs is neither asked for nor run.
-    """
-
-    def __init__(self, stages: Iterable[Callable[..., Any]], *, wanted: Iterable[Any], given: Iterable[Any]) -> None:
-        """Plan the ``stages`` (their return types are what they make) that lead from ``given`` nouns to ``wanted``.
-
-        Raises SchemaError, naming the way to it, where a noun is neither given nor made by a stage: a fault of the
-        program.
-        """
-        self._makers = {get_type_hints(made)["return"]: made for made in stages}
-        self._given = frozenset(given)
-        self.wanted = tuple(wanted)
-        self.steps: list[tuple[Callable[..., Any], dict[str, Any], Any]] = []
-        self.needs: set[Any] = set()
-        for noun in self.wanted:
-            self._require(noun, ())
-        self._last_use = {noun: number for number, (_, takes, _) in enumerate(self.steps) for noun in takes.values()}
-
-    def _require(self, noun: Any, way: tuple[str, ...]) -> None:
-        if noun in self._given:
-            self.needs.add(noun)
-            return
-        if any(made == noun for _, _, made in self.steps):
-            return
-        if noun not in self._makers or noun.__name__ in way:
-            raise SchemaError(f"no stage makes {noun.__name__}", place=" <- ".join(reversed(way)))
-        maker = self._makers[noun]
-        takes = {name: kind for name, kind in get_type_hints(maker).items() if name != "return"}
-        for kind in takes.values():
-            self._require(kind, (*way, noun.__name__))
-        self.steps.append((maker, takes, noun))
-
-    def run(self, given: Mapping[Any, Any]) -> dict[Any, Any]:
-        """The wanted nouns made from the values ``given`` by noun; each other is let go after its last use.
-
-        What a stage raises comes out as it is, with the stage's name as a note.
-        """
-        held = {noun: given[noun] for noun in self.needs}
-        for number, (maker, takes, noun) in enumerate(self.steps):
-            try:
-                held[noun] = maker(**{name: held[kind] for name, kind in takes.items()})
-            except Exception as error:
-                error.add_note(f"in the stage {maker.__name__}")
-                raise
-            for kind in set(takes.values()):
-                if self._last_use[kind] == number and kind not in self.wanted:
-                    del held[kind]
-        return {noun: held[noun] for noun in self.wanted}
 
 
 def stage(function: Stage) -> Stage:
@@ -167,7 +121,7 @@ def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recor
 def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShaftAngle:
     """Crank angle and speed from the pulses of ``recording`` and ``knowledge`` of its shaft (``settings`` of shaft)."""
     angle = shaft_angle(recording, settings=settings.shaft, knowledge=knowledge)
-    if recording.attrs.get("encoder_kind") == "vibration":
+    if recording.attrs.get("encoder_kind") == "vibration" or not angle.attrs.get("has_shaft", 1):
         return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
     audit = reference_audit(
@@ -229,6 +183,25 @@ def cycles_of_recording(band: BandRecording, shaft: ShaftAngle, settings: Settin
 
 
 @stage
+def envelope_of_recording(
+    recording: Recording, shaft: ShaftAngle, manifest: Manifest, knowledge: ShaftKnowledge, settings: Settings
+) -> RecordingEnvelope:
+    """Order spectrum of the envelope of ``recording`` by ``shaft`` (``settings`` of orders), if it has bearings.
+
+    ``manifest`` and the engine that ``knowledge`` holds name them; without any there is nothing to look for.
+    """
+    bearings = manifest.bearings or (knowledge.engine.bearings if knowledge.engine is not None else ())
+    looked_at = recording if bearings else recording.isel({recording["signal"].dims[1]: slice(0, 0)})
+    return RecordingEnvelope(recording_envelope(looked_at, shaft, settings=settings.orders))
+
+
+@stage
+def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> EnvelopeMap:
+    """Envelope spectra ``items`` of all recordings averaged at like speed (``settings`` of orders)."""
+    return EnvelopeMap(envelope_map(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
+
+
+@stage
 def map_by_order(frames: AllOrderFrames, settings: Settings) -> OrderMap:
     """Order ``frames`` of all recordings averaged at like speed (``settings`` of orders)."""
     return OrderMap(order_map(frames, settings=settings.orders))
@@ -242,10 +215,19 @@ def map_by_frequency(frames: AllFrequencyFrames, settings: Settings) -> Campbell
 
 @stage
 def findings(
-    order_map: OrderMap, campbell: CampbellMap, test: TestName, sources: Sources, settings: Settings
+    order_map: OrderMap,
+    campbell: CampbellMap,
+    frames: AllOrderFrames,
+    envelope: EnvelopeMap,
+    test: TestName,
+    sources: Sources,
+    settings: Settings,
 ) -> Findings:
-    """What ``order_map`` and ``campbell`` show of ``test`` and what ``sources`` explain (``settings`` of identify)."""
-    return Findings(find(order_map, campbell, test=test, sources=sources, settings=settings))
+    """What ``order_map``, ``campbell``, ``frames`` and ``envelope`` show of ``test``, explained by ``sources``.
+
+    ``settings``: of identify, and of orders for the floor.
+    """
+    return Findings(find(order_map, campbell, frames, envelope, test=test, sources=sources, settings=settings))
 
 
 @stage
@@ -269,8 +251,17 @@ def shapes(frames: AllOrderFrames, order_map: OrderMap, findings: Findings, sett
 
 
 OF_ENCODER = (ingest, pattern)
-OF_RECORDING = (ingest, shaft, band, frames_by_order, frames_by_frequency, tracks_of_recording, cycles_of_recording)
-OF_TEST = (map_by_order, map_by_frequency, findings, tracks, cycles, shapes)
+OF_RECORDING = (
+    ingest,
+    shaft,
+    band,
+    frames_by_order,
+    frames_by_frequency,
+    tracks_of_recording,
+    cycles_of_recording,
+    envelope_of_recording,
+)
+OF_TEST = (map_by_order, map_by_frequency, map_of_envelopes, findings, tracks, cycles, shapes)
 
 RESULTS: dict[str, Any] = {
     "order_map": OrderMap,
@@ -279,6 +270,7 @@ RESULTS: dict[str, Any] = {
     "findings": Findings,
     "cycle_average": CycleAverage,
     "operating_shapes": OperatingShapes,
+    "envelope_map": EnvelopeMap,
 }
 """Noun of each result that ``results`` of the report's settings may name."""
 
@@ -287,6 +279,7 @@ FRAMES_OF: dict[Any, Any] = {
     AllFrequencyFrames: FrequencyFrames,
     AllRecordingTracks: RecordingTracks,
     AllRecordingCycles: RecordingCycles,
+    AllRecordingEnvelopes: RecordingEnvelope,
 }
 """Noun of one recording that each gathered noun of a test is made of."""
 

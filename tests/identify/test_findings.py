@@ -8,8 +8,8 @@ import pytest
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.engine.bearings import Bearing
-from crankorder.identify.explain import Sources
 from crankorder.identify.findings import find
+from crankorder.identify.sources import Sources
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -44,7 +44,7 @@ def findings_of(signals_at, *, speeds=SPEEDS_RPM, duration_s=12.0, bearings=(), 
     made_map = order_map(orders, settings=SETTINGS.orders)
     campbell = campbell_map(frequencies, speed_bin_rpm=25.0)
     sources = Sources(revs_per_cycle=2, bearings=tuple(bearings), **given)
-    return find(made_map, campbell, test="made", sources=sources, settings=SETTINGS)
+    return find(made_map, campbell, orders, None, test="made", sources=sources, settings=SETTINGS)
 
 
 @pytest.fixture(scope="module")
@@ -72,25 +72,26 @@ def test_the_truth_lies_in_the_intervals_of_amplitude_order_and_exponent(referen
         amplitude, exponent = truth[record["channel"], round(record["order"], 1)]
         expected = amplitude * (record["speed_rpm_at_max"] / 1000) ** exponent
         low, high = record["amplitude_ci95"]
-        # the largest of fifteen amplitudes is chosen, so allow for twice the half width
-        assert abs(record["amplitude"] - expected) < (high - low)
+        assert low <= expected <= high
+        assert record["speed_exponent_ci95"][0] <= exponent <= record["speed_exponent_ci95"][1]
         assert abs(record["speed_exponent"] - exponent) < 0.06
-        assert record["order_ci95"][0] - 1e-3 < round(record["order"], 1) < record["order_ci95"][1] + 1e-3
+        assert record["order_ci95"][0] <= round(record["order"], 1) <= record["order_ci95"][1]
 
 
-def test_natural_frequencies_are_found_within_one_percent_with_their_damping(reference):
-    found = {record["frequency_hz"]: record["damping_ratio"] for record in reference["modes"]}
-    assert len(found) == len(MODES)
-    for (frequency, damping), (true_frequency, true_damping) in zip(found.items(), MODES.items(), strict=True):
-        assert frequency == pytest.approx(true_frequency, rel=0.01)
-        assert damping == pytest.approx(true_damping, rel=0.35)
+def test_natural_frequencies_are_found_within_0_2_percent_with_their_damping_within_15(reference):
+    assert len(reference["modes"]) == len(MODES)
+    for record, (frequency, damping) in zip(reference["modes"], MODES.items(), strict=True):
+        assert record["frequency_hz"] == pytest.approx(frequency, rel=0.002)
+        assert record["damping_ratio"] == pytest.approx(damping, rel=0.15)
+        assert record["explained_by"] == "mode"
 
 
-def test_the_bearing_line_is_named_with_the_rule_to_run_again(reference):
+def test_a_locked_bearing_line_is_said_to_be_as_likely_an_11_fold_part(reference):
     (record,) = reference["bearings"]
     assert (record["line"], record["order_expected"], record["channel"]) == ("N*fs", 5.5, "B")
-    assert "re-run" in record["verdict"]
-    assert {r["explained_by"] for r in reference["orders"]} == {"engine kinematics", "bearing jack shaft N*fs"}
+    assert record["lock"] == "locked" and "11 x" in record["verdict"]
+    causes = {r["explained_by"] for r in reference["orders"]}
+    assert causes == {"engine kinematics", "bearing jack shaft N*fs or an 11-fold part of that shaft"}
     assert reference["unexplained_energy_fraction"] == 0.0
 
 

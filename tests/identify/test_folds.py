@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.folds import fold_flags
+from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.settings import load_settings
 from crankorder.shaft.folding import folded_order
+from made.found_lines import line
 
 SPEEDS = np.arange(1150.0, 1260.0, 10.0)
 SETTINGS = load_settings()
@@ -55,3 +56,24 @@ def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() ->
 def test_a_test_of_unknown_speed_says_nothing() -> None:
     unknown = map_with(7200.0).assign_coords(speed=np.full(SPEEDS.size, np.nan))
     assert fold_flags(unknown, settings=SETTINGS) == []
+
+
+def test_a_fold_is_the_cause_of_a_line_that_lies_on_it_and_of_no_other() -> None:
+    made = map_with(7200.0).isel(speed=[5])  # 1200 rpm: order 360, where it shows at order 0: no line
+    assert shown_folds(made, settings=SETTINGS) == ()
+    whole = map_with(7200.0)
+    shown = [item for item in shown_folds(whole, settings=SETTINGS) if item.fold.kind == "frequency"]
+    assert len(shown) == 1
+    at = int(np.argmax(shown[0].order))
+    near = line(float(shown[0].order[at]), speed_rpm=[float(shown[0].speed_rpm[at])])
+    assert shown[0].is_line(near)
+    assert not shown[0].is_line(line(19.3, speed_rpm=[float(shown[0].speed_rpm[at])]))
+    assert not shown[0].is_line(line(near.order, speed_rpm=SPEEDS))  # a line of the shaft stays at all speeds
+
+
+def test_an_order_of_a_gear_above_half_the_samples_may_be_what_shows_below() -> None:
+    made = map_with(7200.0, amplitude=0.0)
+    made["amplitude"][0, :, 16 * 7] = 1.0  # order 7, where order 353 would show
+    named = shown_folds(made, settings=SETTINGS, orders=(353.0,))
+    assert [(item.fold.kind, item.fold.value, item.fold.sure) for item in named] == [("order", 353.0, False)]
+    assert named[0].is_line(line(7.0, speed_rpm=SPEEDS))

@@ -1,85 +1,341 @@
-"""What makes a line: engine kinematics, a bearing, the gas cycle, mains, or nothing known."""
+"""What makes a line: engine kinematics, a bearing, the gas cycle, mains, another line, or nothing known."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.identify.explain_families import explain_families
+from crankorder.identify.folds import ShownFold
+from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
+from crankorder.identify.lines.growth import growth
+from crankorder.identify.mains_orders import mains_orders
+from crankorder.identify.sidebands import sidebands
+from crankorder.identify.sources import Sources
 from crankorder.settings import IdentifySettings
 
 HALF_ORDER_QUANTITIES = ("pressure",)
 """In these quantities every half order is the gas cycle of a four-stroke engine itself."""
 
+NOT_KNOWN = ("unexplained", "tone", "undecided")
+"""Words for lines whose cause is not known."""
 
-SPEED_SPREAD = 0.01
-"""Share by which the speed of a steady recording wanders, and with it the frequency of an order."""
+SIGMAS = 3.0
+"""Standard errors within which an order may be another."""
+
+VAGUE = 0.125
+"""Distance from a multiple, in spacings of the multiples, beyond which an order of large error is none for certain."""
+
+GROWS = 1.0
+"""A force of unbalance grows with speed squared; one that surely grows more slowly than this is something else."""
+
+MOST_HARMONICS = 10
+"""Multiples of a stated gear mesh or of a bearing line that are named after it."""
+
+
+GRID_TONES = 6
+"""So many tones or more, and half of all, on multiples of one spacing …"""
+
+GRID_SHARE = 0.02
+"""… within this share of it are one grid: tones that lie anywhere would seldom be."""
 
 
 @dataclass(frozen=True)
-class Sources:
-    """What is known of the machine: its cycle, the orders that its kinematics make, its bearings."""
+class Cause:
+    """What makes a line, in words that stay the same (``text``), and what says so (``evidence``)."""
 
-    revs_per_cycle: int
-    engine_orders: tuple[float, ...] = ()
-    bearings: tuple[Bearing, ...] = ()
-    known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
+    text: str
+    evidence: str
 
-    def __post_init__(self) -> None:
-        orders = {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
-        object.__setattr__(self, "known_bearing_orders", orders)
-
-
-def explain_order(order: float, error: float, quantity: str, sources: Sources, *, settings: IdentifySettings) -> str:
-    """What explains a line at ``order`` (with its standard ``error``) in a channel of ``quantity``: one phrase.
-
-    ``sources`` says what the machine has; a match is closer than ``settings.order_match`` or three standard errors.
-    ``"unexplained"`` where nothing known makes it.
-    """
-    reach = max(settings.order_match, 3.0 * error)
-    bearings = [key for key, known in sources.known_bearing_orders.items() if abs(order - known) < reach]
-    whole = abs(order - round(order)) < reach
-    half = abs(2 * order - round(2 * order)) < 2 * reach
-    if any(abs(order - known) < reach for known in sources.engine_orders):
-        return "engine kinematics"
-    if quantity in HALF_ORDER_QUANTITIES and (whole or half):
-        return "gas cycle"
-    if bearings:
-        return "bearing " + ", ".join(f"{name} {line}" for name, line in bearings)
-    if whole and round(order) == 1:
-        return "unbalance"
-    if whole and not sources.engine_orders:
-        return "shaft harmonic"
-    if half and not whole and sources.revs_per_cycle == 2 and not sources.engine_orders:
-        return "half order of the four-stroke cycle"
-    return "unexplained"
+    @property
+    def known(self) -> bool:
+        """Whether the words name a cause."""
+        return self.text not in NOT_KNOWN
 
 
-def explain_fixed(
-    frequency_hz: float,
-    width_hz: float,
+@dataclass(frozen=True)
+class Causes:
+    """One cause for every line: ``orders`` by channel and AgreedOrder.order, ``modes`` and ``tones`` as in ModalFit."""
+
+    orders: dict[tuple[str, float], Cause]
+    modes: tuple[Cause, ...]
+    tones: tuple[Cause, ...]
+
+
+def explained(
+    orders: tuple[AgreedOrder, ...],
+    modal: ModalFit,
+    bearings: list[dict[str, Any]],
     *,
-    speed_rpm: NDArray[np.float64],
-    revs_per_cycle: int,
+    sources: Sources,
+    quantity: dict[str, str],
     settings: IdentifySettings,
-) -> str:
-    """What a line of fixed frequency is: "mode", "mains", "tone", or "order" where the speeds are too alike to tell.
+    folds: Sequence[ShownFold] = (),
+) -> Causes:
+    """One cause for every order line in every channel, and for every mode and tone.
 
-    ``frequency_hz`` is the line's frequency, ``width_hz`` its half-power width (0 for a tone), ``speed_rpm`` the
-    speeds of the map, ``revs_per_cycle`` what half orders are multiples of; ``settings`` name the mains frequencies,
-    how far they wander and the spread of speeds that tells an order from a mode.
+    The first that the evidence supports, in this order: the gas cycle in a pressure channel; engine kinematics; a gear
+    that was stated; unbalance; the gas cycle of a firing engine; a bearing (by the records of the bearings, within
+    their intervals); a fold of something else in data sampled by crank angle; a half order of the cycle; a mesh of
+    teeth by its sidebands; a shaft harmonic; a harmonic or sideband of another line; a second shaft. What is left is
+    "unexplained". A line that slips is no multiple of the cycle, one that is locked is no race of a bearing.
+
+    Parameters
+    ----------
+    orders : the orders of the test
+    modal : its modes and tones
+    bearings : records of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
+    sources : what is known of the machine
+    quantity : quantity of each channel by its name, such as "acceleration" or "pressure"
+    settings : ``order_match`` says how near to its stated order a gear's line must be
+    folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     """
-    if speed_rpm.max() < settings.mode_speed_ratio * speed_rpm.min():
-        step = float(np.median(speed_rpm)) / 60.0 / revs_per_cycle
-        spread = 0.5 * np.ptp(speed_rpm) / np.median(speed_rpm) * frequency_hz
-        if abs(frequency_hz - step * max(1, round(frequency_hz / step))) <= spread + SPEED_SPREAD * frequency_hz:
-            return "order"
-    if width_hz > 0.0:
-        return "mode"
-    for mains in settings.mains_hz:
-        multiple = max(1, round(frequency_hz / mains))
-        if abs(frequency_hz - multiple * mains) <= settings.mains_tolerance_hz * float(np.sqrt(multiple)):
-            return "mains"
-    return "tone"
+    causes: dict[tuple[str, float], Cause] = {}
+    for agreed in orders:
+        for line in agreed.lines:
+            cause = _first_cause(agreed, line, orders, bearings, sources, quantity[line.channel], folds, settings)
+            causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
+    for order, (text, evidence) in mains_orders(orders, settings=settings).items():
+        for key in causes:
+            if key[1] == order and not causes[key].known:
+                causes[key] = Cause(text, evidence)
+    families = explain_families(
+        orders,
+        {key: cause.text for key, cause in causes.items()},
+        {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders},
+        spacings=_spacings(sources, bearings),
+        modes_hz=[mode.frequency_hz for mode in modal.modes],
+    )
+    causes |= {key: Cause(text, evidence) for key, (text, evidence) in families.items()}
+    modes = tuple(
+        Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
+    )
+    return Causes(causes, modes, _explained_tones(modal.tones))
+
+
+def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
+    """Multiple of the order of the cycle (1 / ``revs_per_cycle``) that ``agreed`` is or may be; None where it is none.
+
+    A line that slips is none; one that is undecided is, if its interval of three standard errors holds it and it lies
+    no farther from it than one line of four that lie anywhere.
+    """
+    nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
+    if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 / revs_per_cycle:
+        return nearest
+    reach = min(SIGMAS * agreed.order_error + 1e-9, VAGUE / revs_per_cycle)
+    if agreed.lock == "slips" or abs(agreed.order - nearest) > reach:
+        return None
+    return nearest
+
+
+def _first_cause(
+    agreed: AgreedOrder,
+    line: OrderLine,
+    orders: tuple[AgreedOrder, ...],
+    bearings: list[dict[str, Any]],
+    sources: Sources,
+    quantity: str,
+    folds: Sequence[ShownFold],
+    settings: IdentifySettings,
+) -> Cause | None:
+    """The first cause that the evidence supports for one line by itself."""
+    of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
+    proof = {
+        "locked": "locked to the shaft",
+        "undecided": "may be locked to the shaft",
+        "slips": "not locked to the shaft",
+    }[agreed.lock]
+    tests: list[Callable[[], Cause | None]] = [
+        lambda: _gas_in_pressure(of_cycle, quantity, proof, sources.revs_per_cycle),
+        lambda: _kinematics(of_cycle, sources, proof),
+        lambda: _stated_gear(agreed, sources, proof, settings),
+        lambda: _first_order(of_cycle, line, sources, proof),
+        lambda: _combustion(of_cycle, sources, proof),
+        lambda: _bearing(agreed, of_cycle, bearings, sources, settings),
+        lambda: _fold(line, folds),
+        lambda: _half_order(of_cycle, orders, sources, proof),
+        lambda: _shaft_harmonic(of_cycle, sources, proof),
+    ]
+    return next((cause for test in tests if (cause := test()) is not None), None)
+
+
+def _gas_in_pressure(of_cycle: float | None, quantity: str, proof: str, revs_per_cycle: int) -> Cause | None:
+    if quantity not in HALF_ORDER_QUANTITIES or of_cycle is None:
+        return None
+    cycle = "four-stroke cycle" if revs_per_cycle == 2 else "cycle"
+    return Cause("gas cycle", f"order {of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {proof}")
+
+
+def _kinematics(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
+    if of_cycle is None or not any(abs(of_cycle - known) < 1e-6 for known in sources.engine_orders):
+        return None
+    return Cause("engine kinematics", f"the engine's moving masses make order {of_cycle:g}; {proof}")
+
+
+def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: IdentifySettings) -> Cause | None:
+    for name, order in sources.gears:
+        multiple = round(agreed.order / order)
+        if not 1 <= multiple <= MOST_HARMONICS:
+            continue
+        if abs(agreed.order - multiple * order) <= max(SIGMAS * agreed.order_error, settings.order_match):
+            text = f"gear mesh {name}" + (f", harmonic {multiple}" if multiple > 1 else "")
+            return Cause(text, f"the manifest states {name} at order {order:g}; {proof}")
+    return None
+
+
+def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, proof: str) -> Cause | None:
+    """Unbalance, where order 1 does not surely grow more slowly than a force that turns with the shaft."""
+    if of_cycle != 1.0:
+        return None
+    grown = growth(line)
+    if grown is None:
+        return Cause("unbalance", f"order 1, {proof}; too few speeds to tell how it grows")
+    if grown.law == "follows no power law":
+        return Cause("unbalance", f"order 1, {proof}; no power of the speed describes how it grows")
+    low, high = grown.ci95
+    grows = f"grows with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
+    if high < GROWS:
+        if sources.firing:
+            return None
+        text = "unexplained" if sources.engine_orders else "shaft harmonic"
+        return Cause(text, f"order 1, {proof}, but {grows}: unbalance alone would grow with speed squared")
+    return Cause("unbalance", f"order 1, {proof}, {grows}")
+
+
+def _combustion(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
+    if not sources.firing or of_cycle is None:
+        return None
+    return Cause(
+        "gas cycle", f"the engine fires, which makes every multiple of order {1 / sources.revs_per_cycle:g}; {proof}"
+    )
+
+
+def _bearing(
+    agreed: AgreedOrder,
+    of_cycle: float | None,
+    bearings: list[dict[str, Any]],
+    sources: Sources,
+    settings: IdentifySettings,
+) -> Cause | None:
+    """The bearing lines, or multiples of them, within whose interval the order lies.
+
+    Only the line itself may be a multiple of the cycle's order: some multiple of a rolling line is near one by chance.
+    """
+    names: list[str] = []
+    parts: set[int] = set()
+    for record in bearings:
+        locked_line = record["line"] == "N*fs"
+        if agreed.lock == "locked" and not locked_line:
+            continue  # what rolls slips: a locked line is no race's and no ball's
+        half = 0.5 * abs(record["order_ci95"][1] - record["order_ci95"][0])
+        alone = of_cycle is not None or record.get("seen_in") == "envelope"
+        for multiple in range(1, (1 if alone else MOST_HARMONICS) + 1):
+            reach = float(np.hypot(multiple * half, 1.96 * agreed.order_error)) + 1e-9
+            if multiple > 1:
+                reach = min(reach, settings.order_match)
+            if abs(agreed.order - multiple * record["order"]) <= reach:
+                names.append(f"{record['name']} {record['line']}" + (f", harmonic {multiple}" if multiple > 1 else ""))
+                elements = next((b.rolling_elements for b in sources.bearings if b.name == record["name"]), None)
+                if locked_line and agreed.lock == "locked" and elements is not None:
+                    parts.add(elements)
+                break
+    if not names:
+        return None
+    text = "bearing " + ", ".join(dict.fromkeys(names))
+    if parts:
+        text += f" or {' or '.join(f'{_article(n)} {n}-fold' for n in sorted(parts))} part of that shaft"
+    return Cause(text, "within the interval of the bearing's line" + ("; exactly locked" if parts else ""))
+
+
+def _article(number: int) -> str:
+    return "an" if str(number).startswith(("8", "11", "18")) else "a"
+
+
+def _fold(line: OrderLine, folds: Sequence[ShownFold]) -> Cause | None:
+    for shown in folds:
+        if shown.is_line(line):
+            unit = "Hz" if shown.fold.kind == "frequency" else ""
+            name = f"{shown.fold.value:.6g} {unit}".strip() if unit else f"order {shown.fold.value:.6g}"
+            text = f"fold of {name}" if shown.fold.sure else f"fold of {name} or a line of its own"
+            return Cause(text, shown.fold.evidence)
+    return None
+
+
+def _half_order(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources: Sources, proof: str) -> Cause | None:
+    """Half orders of a four-stroke machine; of a motored engine only where there is more than one."""
+    if of_cycle is None or sources.revs_per_cycle != 2 or of_cycle == round(of_cycle):
+        return None
+    multiples = [multiple_of_cycle(agreed, 2) for agreed in orders]
+    family = sorted({m for m in multiples if m is not None and m != round(m)})
+    if sources.engine_orders and len(family) < 2:
+        return None
+    listed = ", ".join(f"{m:g}" for m in family[:6])
+    return Cause("half order of the four-stroke cycle", f"{proof}; half orders found: {listed}")
+
+
+def _shaft_harmonic(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
+    if of_cycle is None or of_cycle != round(of_cycle) or sources.engine_orders:
+        return None
+    return Cause("shaft harmonic", f"whole order, {proof}")
+
+
+def _why_not(agreed: AgreedOrder, sources: Sources) -> str:
+    of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
+    if of_cycle is None:
+        return "not locked to the shaft, and nothing that was stated makes this order"
+    if sources.engine_orders and of_cycle == round(of_cycle):
+        return f"turns with the shaft, but the engine's kinematics make no order {of_cycle:g} worth mention"
+    return "turns with the cycle, and nothing that was stated makes this order"
+
+
+def _spacings(sources: Sources, bearings: list[dict[str, Any]]) -> dict[str, float]:
+    """What may modulate a line, as names and orders: the shafts, the cycle, the cages."""
+    spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
+    for bearing in sources.bearings:
+        if bearing.shaft_ratio not in spacings.values():
+            spacings[bearing.name] = bearing.shaft_ratio
+    cages = [(record["name"], float(record["order"])) for record in bearings if record["line"] == "FTF"]
+    expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
+    return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
+
+
+def _explained_tones(tones: tuple[Tone, ...]) -> tuple[Cause, ...]:
+    """Mains, orders that no speed tells from tones, sidebands of a stronger tone; the rest are tones."""
+    sizes = [max((amplitude for amplitude, _ in tone.amplitude.values()), default=0.0) for tone in tones]
+    places = [tone.frequency_hz for tone in tones]
+    mains = {f"mains {tone.frequency_hz:.4g} Hz": tone.frequency_hz for tone in tones if tone.kind == "mains"}
+    errors = [tone.frequency_error_hz for tone in tones]
+    bands = sidebands(
+        places,
+        errors,
+        sizes,
+        spacings=mains,
+        highest=max(places, default=1.0),
+        sides=[not on for on in _on_one_grid(places, errors)],
+    )
+    of = {band.at: band for band in bands}
+    causes = []
+    for number, tone in enumerate(tones):
+        band = of.get(number)
+        if tone.kind == "tone" and band is not None:
+            text = f"sideband of {places[band.carrier]:.4g} Hz spaced by {band.spacing:.4g} Hz"
+            causes.append(Cause(text, f"one of a pair about a stronger tone; chance {band.chance:.1g}"))
+        else:
+            causes.append(Cause(tone.kind, tone.evidence))
+    return tuple(causes)
+
+
+def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
+    """Which tones are multiples of one spacing, where most are: products of a few, which lie alike far from any."""
+    places, nothing = np.asarray(places_hz), [False] * len(places_hz)
+    if len(places) < GRID_TONES:
+        return nothing
+    best = np.zeros(len(places), dtype=bool)
+    for step in np.unique(np.diff(np.sort(places))):
+        reach = np.minimum(SIGMAS * np.asarray(errors_hz) + GRID_SHARE * step, 2.0 * GRID_SHARE * step)
+        on = np.abs(places - step * np.round(places / step)) <= reach
+        best = on if np.count_nonzero(on) > np.count_nonzero(best) else best
+    return best.tolist() if np.count_nonzero(best) >= max(GRID_TONES, 0.5 * len(places)) else nothing

@@ -2,50 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from crankorder.identify.order_lines import excess_over_noise
+from crankorder.identify.found import OrderLine
+from crankorder.identify.lines.cfar import excess_over_noise
 from crankorder.quantities import QualityFlag
 from crankorder.settings import Settings
-from crankorder.shaft.folding import find_folds, folded_lines
+from crankorder.shaft.folding import Fold, FoldedLine, find_folds, folded_lines
 
 MAINS_HARMONICS = 20
 ORDER_ERROR_BINS = 0.3
 """How well the order of a single peak is known, in bins of the map."""
 
+OF_LINE = 0.5
+"""A line of which more than this share of the speeds lies on a fold is that fold."""
 
-def fold_flags(order_map: xr.Dataset, *, settings: Settings) -> list[QualityFlag]:
-    """What may fold at the speeds of ``order_map``, and fixed frequencies above half the rate that show as lines in it.
 
-    Nothing where the map is of recordings sampled by time, or of unknown speed. ``settings``: those of identify (mains
-    frequencies, highest frequency looked for) and of orders (the floor's width).
+@dataclass(frozen=True, eq=False)
+class ShownFold:
+    """A fold and where it shows: ``speed_rpm`` and ``order`` (points,), each order known within ``order_error``."""
+
+    fold: Fold
+    speed_rpm: NDArray[np.float64]
+    order: NDArray[np.float64]
+    order_error: float
+
+    def is_line(self, line: OrderLine) -> bool:
+        """Whether ``line`` is this fold, at more than half of the speeds at which it is seen."""
+        reach = np.hypot(self.order_error / ORDER_ERROR_BINS, 2.0 * line.order_error)
+        near = np.abs(self.order - line.order) <= reach
+        same = np.isin(np.round(line.speed_rpm, 6), np.round(self.speed_rpm[near], 6))
+        return bool(np.mean(same) > OF_LINE)
+
+
+def shown_folds(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[float] = ()) -> tuple[ShownFold, ...]:
+    """What is found to fold in ``order_map``, the surest first; nothing where it was sampled by time or lacks a speed.
+
+    ``settings``: those of identify (mains frequencies, highest frequency looked for) and of orders (the floor's width).
+    ``orders``: orders of gears and blades that the machine has above half the samples per revolution.
     """
-    samples_per_rev = float(order_map.attrs.get("samples_per_rev", 0.0))
-    speed = order_map["speed"].values
-    if not samples_per_rev or not np.isfinite(speed).all():
-        return []
-    axis = order_map["order"].values
+    samples_per_rev = _samples_per_rev(order_map)
+    if samples_per_rev is None:
+        return ()
+    speed, axis = order_map["speed"].values, order_map["order"].values
     excess, _, _ = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
     at_speed, at_order = np.nonzero((excess > 1.0).any(axis=0))
-    highest_hz = settings.identify.fold_search_hz
-    multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, MAINS_HARMONICS + 1))
-    mains = folded_lines(
-        samples_per_rev,
-        speed,
-        frequencies_hz=np.unique(multiples[multiples <= highest_hz]).tolist(),
-        shown_to_order=float(axis[-1]),
-    )
+    order_error = ORDER_ERROR_BINS * float(axis[1] - axis[0])
     folds = find_folds(
         speed[at_speed],
         axis[at_order],
         samples_per_rev=samples_per_rev,
-        order_error=ORDER_ERROR_BINS * float(axis[1] - axis[0]),
+        order_error=order_error,
         shown_to_order=float(axis[-1]),
-        highest_hz=highest_hz,
-        frequencies_hz=[line.value for line in mains],
+        highest_hz=settings.identify.fold_search_hz,
+        frequencies_hz=[line.value for line in _folded_mains(order_map, samples_per_rev, settings)],
+        orders=orders,
     )
+    return tuple(
+        ShownFold(fold, speed[at_speed][fold.points], axis[at_order][fold.points], order_error) for fold in folds
+    )
+
+
+def fold_flags(
+    order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownFold, ...] | None = None
+) -> list[QualityFlag]:
+    """What may fold at the speeds of ``order_map``, and fixed frequencies above half the rate that show as lines in it.
+
+    Nothing where the map is of recordings sampled by time, or of unknown speed. ``settings``: those of identify (mains
+    frequencies, highest frequency looked for) and of orders (the floor's width). ``folds``: those of
+    :func:`shown_folds`, where they are at hand.
+    """
+    samples_per_rev = _samples_per_rev(order_map)
+    if samples_per_rev is None:
+        return []
+    speed = order_map["speed"].values
     low_hz, high_hz = samples_per_rev / 120 * speed.min(), samples_per_rev / 120 * speed.max()
+    mains = _folded_mains(order_map, samples_per_rev, settings)
     could: QualityFlag = {
         "recording": "all",
         "flag": "lines_may_fold",
@@ -56,6 +93,25 @@ def fold_flags(order_map: xr.Dataset, *, settings: Settings) -> list[QualityFlag
     }
     found: list[QualityFlag] = [
         {"recording": "all", "flag": flag, "severity": severity, "detail": detail}
-        for flag, severity, detail in (fold.remark for fold in folds)
+        for flag, severity, detail in (
+            shown.fold.remark for shown in (shown_folds(order_map, settings=settings) if folds is None else folds)
+        )
     ]
     return [could, *found]
+
+
+def _samples_per_rev(order_map: xr.Dataset) -> float | None:
+    """Samples per revolution of a test sampled by crank angle whose speeds are known; else None."""
+    samples_per_rev = float(order_map.attrs.get("samples_per_rev", 0.0))
+    return samples_per_rev if samples_per_rev and np.isfinite(order_map["speed"].values).all() else None
+
+
+def _folded_mains(order_map: xr.Dataset, samples_per_rev: float, settings: Settings) -> list[FoldedLine]:
+    """Multiples of mains that fold into the orders of the map."""
+    multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, MAINS_HARMONICS + 1))
+    return folded_lines(
+        samples_per_rev,
+        order_map["speed"].values,
+        frequencies_hz=np.unique(multiples[multiples <= settings.identify.fold_search_hz]).tolist(),
+        shown_to_order=float(order_map["order"].values[-1]),
+    )

@@ -1,0 +1,1 @@
+"""Closure with the engine model: what unbalance is left, in grams."""

@@ -1,0 +1,302 @@
+"""Closure with the engine model: what unbalance is left, in grams and g·mm, from measured orders 1 and 2."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.engine.definition import Engine
+from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.identify.balance.order_shaker import LARGEST_MISFIT, ShakerFit, modes_with_room, rows_needed, shaker_fit
+from crankorder.identify.balance.record import Split, added_words, split_record
+from crankorder.identify.balance.shaker_forces import EngineShaker, engine_shaker
+from crankorder.identify.balance.stated_paths import by_stated_paths
+from crankorder.identify.balance.transfer_path import MeasuredOrders, measured_orders
+from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.settings import IdentifySettings
+
+ORDER_MATCH = 0.02
+SINGLE_ANGLE, SEVERAL_ANGLE = 0.05, 0.1
+"""Radians to which a known phase must be met where one order alone is the exciter, or several that none can check."""
+DISAGREE = 3.7
+"""Two estimates of one complex mass differ by more standard errors than this once in a thousand."""
+ROLLS = 3.0
+"""A path explains more than chance from so many standard deviations on, channels counted as telling the same."""
+HARMLESS = 2.0
+"""Leaving an order out that shifts a mass by less than so many of its standard errors contradicts nothing."""
+IN_STEP = 3.0
+"""A mass within so many standard errors of being in step with the piston may be."""
+WEAK = 0.2
+"""Relative error of a mass from which on an order left out proves nothing."""
+LIGHTEST_KG, HEAVIEST_KG = 0.1, 1e5
+"""Apparent masses that a machine on its mounts may have."""
+FIRING_ORDERS = (0.5, 1.5, 2.5, 3.5)
+TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
+
+Closure = tuple[dict[str, Any] | None, str]
+
+
+class _Refused(Exception):
+    """Why there is no closure."""
+
+
+def closure(
+    order_map: xr.Dataset,
+    orders: tuple[AgreedOrder, ...],
+    modal: ModalFit,
+    *,
+    engine: Engine | None,
+    paths: tuple[StatedPath, ...] = (),
+    added: tuple[AddedMass, ...] = (),
+    settings: IdentifySettings,
+) -> Closure:
+    """Record ``balance`` of the findings, or None with the reason in words.
+
+    The path from force to acceleration is the one that ``paths`` state; where they state none, the one that the
+    ``engine``'s own higher orders show, whose forces are known: they act along the cylinder at the same frequencies as
+    orders 1 and 2 do at higher speeds, and one joint fit with the natural frequencies of ``modal`` gives the masses
+    that make orders 1 and 2. ``order_map``: the OrderMap, with phases from top dead centre. ``orders``: what was found
+    in it. ``added``: masses that this test has on purpose; they are part of the residual. ``settings``: of
+    identification. Intervals hold for noise, natural frequencies and dampings, and the misfit of the path.
+    Source: forces by :func:`crankorder.engine.forces.crankcase_forces`; forward and reverse parts as in direct and
+    reverse cranks (seed 002; Thomson and Dahleh 1998).
+    """
+    del settings  # its keys may come to hold the limits above
+    try:
+        _check_phases(order_map, engine)
+        if paths:
+            record = by_stated_paths(order_map, [order.order for order in orders], engine=engine, paths=paths)
+        elif engine is None:
+            raise _Refused(f"no engine is named, so no force is known, and no path is stated; {TRIAL_MASS}")
+        else:
+            record = _by_engine_orders(order_map, orders, modal, engine)
+    except _Refused as refusal:
+        return None, str(refusal)
+    if isinstance(record, str):
+        return None, record
+    if added:
+        record["evidence"] += f"; {added_words(added)}"
+    return record, ""
+
+
+def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
+    reference = str(order_map.attrs.get("phase_reference", "none"))
+    if reference in ("none", "mixed") or not np.isfinite(order_map["phase"].values).any():
+        raise _Refused(
+            "the orders have no phase: the recordings have no mark of the shaft in common; record an index pulse once "
+            "a revolution"
+        )
+    if engine is not None and engine.cycle != "rotor" and reference != "tdc":
+        raise _Refused(
+            "phases do not count from top dead centre, so force and response cannot be compared: state "
+            "index_to_tdc_deg of the encoder"
+        )
+
+
+def _by_engine_orders(
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine
+) -> dict[str, Any]:
+    if engine.cycle == "rotor" or engine.reciprocating_mass_kg == 0:
+        raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
+    if not modal.modes:
+        raise _Refused(f"no natural frequency was found, without which the path is not known; {TRIAL_MASS}")
+    _check_firing(orders, engine)
+    seen = _seen(orders)
+    bins = [float(value) for value in order_map["order"].values if value <= 12]
+    shaker = engine_shaker(
+        engine, order_map["speed"].values.astype(float), seen=seen, highest=int(max(bins, default=0))
+    )
+    if isinstance(shaker, str):
+        raise _Refused(f"{shaker}; {TRIAL_MASS}")
+    measured = measured_orders(order_map, shaker.orders, lines=[order.order for order in orders])
+    if not measured.channels:
+        raise _Refused("no channel measures acceleration in m/s2 or g")
+    if measured.orders != shaker.orders:
+        raise _Refused("the order map has no bins at whole orders")
+    _check_scale(measured, shaker)
+    fit = _fitted(measured, shaker, modal)
+    _check_fit(fit, shaker)
+    agreement = _check_orders_agree(measured, shaker, modal, fit)
+    return _record(fit, shaker, engine, agreement, measured)
+
+
+def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
+    if engine.gas is not None:
+        raise _Refused(
+            "the engine has gas: its torque rocks the crankcase at every order of the known forces, through a path "
+            f"that is not known. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}"
+        )
+    half = [f"{o.order:.1f}" for o in orders if any(abs(o.order - k) < ORDER_MATCH for k in FIRING_ORDERS)]
+    if engine.revs_per_cycle == 2 and len(half) > 1:
+        raise _Refused(
+            f"half orders ({', '.join(half)}) show gas torque, which rocks the crankcase at every order of the known "
+            f"forces too. Motor it without compression; or {TRIAL_MASS}"
+        )
+
+
+def _seen(orders: tuple[AgreedOrder, ...]) -> set[int]:
+    """Whole orders that stand above the floor and do not slip."""
+    whole = [(order, round(order.order)) for order in orders if order.lock != "slips" and order.lines]
+    return {number for order, number in whole if number > 0 and abs(order.order - number) < ORDER_MATCH}
+
+
+def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
+    """Refuse amplitudes that no machine could have under these forces."""
+    rows = shaker.known_rows & (measured.error < np.inf).any(axis=0)
+    force = np.abs(shaker.forces.known[[a != "RY" for a in shaker.forces.axes]]).max(axis=0)
+    strong = rows & (force >= 0.5 * force[rows].max(initial=0.0)) & (force > 0)
+    if not strong.any():
+        raise _Refused("the orders of known force were not measured")
+    largest = np.abs(measured.amplitude[:, strong]).max(axis=0) / force[strong]
+    mass_kg = 1.0 / max(float(np.median(largest)), 1e-300)
+    if LIGHTEST_KG <= mass_kg <= HEAVIEST_KG:
+        return
+    times = mass_kg / 1e3 if mass_kg > HEAVIEST_KG else 10.0 / mass_kg
+    word = "small" if mass_kg > HEAVIEST_KG else "large"
+    raise _Refused(
+        f"the amplitudes are about {times:.0e} times too {word} for this engine: its known forces would act on a mass "
+        f"of {mass_kg:.2g} kg. Check sensitivity and unit of the channels"
+    )
+
+
+def _fitted(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit) -> ShakerFit:
+    """Fit along the forces alone, or with the rolling moment where the data ask for it."""
+    plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
+    rows, top_hz = _known_rows(measured, shaker), float(measured.frequency_hz.max())
+    n_modes = modes_with_room(modal, axes=len(plain.axes), top_hz=top_hz, rows=rows)
+    if n_modes is None:
+        raise _Refused(
+            f"too few speeds: the orders of known force were measured {rows} times, which is not enough for a path of "
+            f"{sum(mode.frequency_hz < top_hz for mode in modal.modes)} modes; {TRIAL_MASS}"
+        )
+    fit = shaker_fit(measured, plain, modal, n_modes=n_modes)
+    fewer = modes_with_room(modal, axes=len(plain.axes) + 1, top_hz=top_hz, rows=rows)
+    if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and fit.sound):
+        return fit
+    others = measured.without(measured.order_of_row == 1)
+    if _rolls(others, shaker, modal, n_modes=fewer):
+        return shaker_fit(measured, shaker.forces, modal, n_modes=fewer)
+    if _rolls(measured, shaker, modal, n_modes=fewer):
+        raise _Refused(
+            "order 1 does not go through the path of the other orders: something acts across the cylinder or along the "
+            f"shaft too, such as a rotating unbalance, and that path is not known; {TRIAL_MASS}"
+        )
+    return fit
+
+
+def _rolls(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, *, n_modes: int) -> bool:
+    """Whether the rolling moment's path explains more of ``measured`` than chance would."""
+    plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
+    without = shaker_fit(measured, plain, modal, n_modes=n_modes)
+    rolling = shaker_fit(measured, shaker.forces, modal, n_modes=n_modes)
+    more = 2 * len(measured.channels) * (rolling.n_terms - without.n_terms)
+    fall = without.quiet_left_over - rolling.quiet_left_over
+    gain = fall / more / (max(1.0, rolling.chi_square) * without.allowed)
+    return bool(gain > 1 + ROLLS * np.sqrt(2 * len(measured.channels) / more))
+
+
+def _known_rows(measured: MeasuredOrders, shaker: EngineShaker) -> int:
+    return int(np.count_nonzero(shaker.known_rows & (measured.error < np.inf).any(axis=0)))
+
+
+def _check_fit(fit: ShakerFit, shaker: EngineShaker) -> None:
+    if fit.misfit < LARGEST_MISFIT:
+        return
+    worst = max(fit.by_order, key=lambda k: fit.by_order[k])
+    cause = (
+        "something acts that the engine model does not have, such as meshing gears"
+        if worst in shaker.known_orders
+        else "something acts across the cylinder or along the shaft, such as a rotating unbalance"
+    )
+    raise _Refused(
+        f"orders {_listed(shaker.orders)} do not go through one path: it misses more than {100 * LARGEST_MISFIT:.0f} % "
+        f"of the response, most at order {worst}: {cause}, or a natural frequency is missing; {TRIAL_MASS}"
+    )
+
+
+def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, fit: ShakerFit) -> str:
+    """Words on how the orders of known force agree; refuse where they do not, or where one alone is not checked."""
+    if len(shaker.known_orders) < 2 * len(fit.axes):  # none can be spared
+        return _check_single(shaker, fit)
+    checked = []
+    for order in shaker.known_orders:
+        rest = measured.without(measured.order_of_row == order)
+        n_modes = len(fit.natural_hz)
+        if _known_rows(rest, shaker) < rows_needed(n_modes, axes=len(fit.axes)):
+            continue
+        alone = shaker_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes, start=fit.mass_kg)
+        for number, sought in enumerate(shaker.sought_orders):
+            part = slice(2 * number, 2 * number + 2)
+            apart = abs(alone.mass_kg[number] - fit.mass_kg[number])
+            if np.trace(alone.covariance[part, part]) > 2 * (WEAK * abs(fit.mass_kg[number])) ** 2:
+                continue
+            variance = np.trace(alone.covariance[part, part]) - np.trace(fit.covariance[part, part])
+            slack = max(variance / 2, 0.02 * np.trace(alone.covariance[part, part]) / 2)
+            stated = np.sqrt(np.trace(fit.covariance[part, part]) / 2)
+            if apart > max(DISAGREE * np.sqrt(slack), HARMLESS * stated):
+                raise _Refused(
+                    f"the orders of known force contradict one another: without order {order} the mass behind order "
+                    f"{sought} is {1e3 * abs(alone.mass_kg[number]):.3g} g, with it "
+                    f"{1e3 * abs(fit.mass_kg[number]):.3g} g; another source makes one of them, such as "
+                    f"meshing gears; {TRIAL_MASS}"
+                )
+            checked.append(order)
+    if not checked:
+        return _check_single(shaker, fit)
+    return f"orders {_listed(shaker.known_orders)} agree"
+
+
+def _check_single(shaker: EngineShaker, fit: ShakerFit) -> str:
+    """None of the orders of known force can be spared: their phase alone checks them, by masses in step with them."""
+    limit = SINGLE_ANGLE if len(shaker.known_orders) == 1 else SEVERAL_ANGLE
+    for number, sought in enumerate(shaker.sought_orders):
+        mass = fit.mass_kg[number]
+        error = float(np.sqrt(fit.covariance[2 * number + 1, 2 * number + 1]))
+        if error < limit * abs(mass) and abs(mass.imag) < IN_STEP * error:
+            return f"they are in step with order {sought} to {np.degrees(error / abs(mass)):.1f}°"
+    raise _Refused(
+        f"of known force and above the floor {'is order' if limit == SINGLE_ANGLE else 'are orders'} "
+        f"{_listed(shaker.known_orders)} alone, and nothing shows that the pistons alone make "
+        f"{'it' if limit == SINGLE_ANGLE else 'them, for the rolling moment acts too, or what acts across'}; "
+        f"{TRIAL_MASS}"
+    )
+
+
+def _listed(orders: tuple[int, ...]) -> str:
+    return ", ".join(str(order) for order in orders)
+
+
+def _record(
+    fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str, measured: MeasuredOrders
+) -> dict[str, Any]:
+    split = Split(
+        mass_kg=fit.mass_kg,
+        covariance=fit.covariance,
+        freedom=fit.freedom,
+        sought=shaker.sought,
+        per_kg=shaker.per_kg,
+    )
+    record = split_record(split, engine=engine)
+    middle = np.median(measured.frequency_hz[shaker.known_rows])
+    axis = fit.axes.index("Z") if "Z" in fit.axes else 0
+    mass_kg = 1 / float(np.abs(fit.path(np.array([middle]))[:, axis]).max())
+    odd = f"; left out as not belonging: {', '.join(f'{rpm:.0f}' for rpm in fit.odd_speeds_rpm)} rpm" * bool(
+        fit.odd_speeds_rpm
+    )
+    rolling = "; the masses' rolling moment acts too and was fitted" * ("RY" in fit.axes)
+    misfit = f"; the path misses {100 * fit.misfit:.0f} % of the response, which the intervals hold" * bool(fit.misfit)
+    evidence = (
+        f"the engine's own orders {_listed(shaker.known_orders)}, of known force, tell the path (apparent mass "
+        f"{mass_kg:.3g} kg at {middle:.0f} Hz): {agreement}; mean square misfit {fit.chi_square:.2f} of what the "
+        f"errors allow{misfit}{rolling}{odd}"
+        + "; order 1 is taken to act along the cylinder alone, which the fit does not contradict"
+        * (fit.axes[0] == "Z")
+    )
+    return {
+        "source": "engine orders",
+        "orders_used": sorted(shaker.orders),
+        **record,
+        "evidence": evidence,
+    }

@@ -1,0 +1,396 @@
+"""Joint fit of orders whose forces are known and orders whose masses are sought, through one path with known modes.
+
+Kinematic orders of known force shake the machine as a calibrated exciter would; masses that make the other orders act
+through the same path at the same frequencies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.balance.noise_beside import whitening
+from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, resonance
+from crankorder.identify.found import ModalFit
+
+NEAR, FAR = 1.1, 3.0
+"""Modes up to NEAR times the highest frequency must have a term of their own, up to FAR they have one where there are
+data enough; one in f² stands for all above."""
+POLE_TRUST = 2.0
+"""Standard errors of frequency and damping count as so much larger: they come in part from the same lines."""
+LARGEST_MISFIT = 0.15
+"""Share of the response by which the modes may miss it before the path counts as not identified."""
+STEPS, SHRUNK = 25, 1e-7
+"""Steps of the fit at most, and the relative fall of its sum of squares at which it ends."""
+BINS_WORTH = 0.5
+"""Independent bins that a bin of a Hann window's spectrum is worth beside its neighbours."""
+ODD_SPEED = 8.0
+"""A speed that fits so many times worse (mean square) than its errors allow is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrderForces:
+    """Forces (N) and moments (N·m) of the rows: ``known`` (axis, row), and per kg sought ``unit`` (mass, axis, row)."""
+
+    axes: tuple[str, ...]
+    known: Complex
+    unit: Complex
+
+    def on(self, axes: tuple[str, ...]) -> OrderForces:
+        """Those along some of the ``axes``."""
+        picked = [self.axes.index(axis) for axis in axes]
+        return OrderForces(axes=axes, known=self.known[picked], unit=self.unit[:, picked])
+
+
+@dataclass(frozen=True, eq=False)
+class ShakerFit:
+    """Masses sought and the path.
+
+    ``mass_kg`` (mass,) complex, ``covariance`` (2 mass, 2 mass) of real and imaginary part in turn, with
+    ``freedom``. ``chi_square``: mean square of the errors over what the orders' own errors allow; ``by_order``: of
+    each order. ``misfit``: share of the response that the path misses, 0 where errors explain it all: then the fit is
+    ``sound``. ``odd_speeds_rpm`` were left out. ``residue`` (channel, axis, term) in 1/kg (axis RY: 1/(kg·m)), with
+    ``natural_hz`` and ``damping_ratio`` of the modes; ``top_hz`` scales the last term, (f / top)².
+    """
+
+    axes: tuple[str, ...]
+    mass_kg: Complex
+    covariance: Real
+    freedom: float
+    chi_square: float
+    by_order: dict[int, float]
+    misfit: float
+    odd_speeds_rpm: tuple[float, ...]
+    residue: Complex
+    natural_hz: Real
+    damping_ratio: Real
+    top_hz: float
+    quiet_left_over: float
+    allowed: float
+    n_terms: int
+    sound: bool
+
+    def path(self, frequency_hz: Real) -> Complex:
+        """Accelerance (channel, axis, frequency) at ``frequency_hz`` (frequency,)."""
+        terms = _terms(frequency_hz, self.natural_hz, self.damping_ratio, self.top_hz)
+        path: Complex = np.einsum("cab,fb->caf", self.residue, terms)
+        return path
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    measured: MeasuredOrders
+    forces: OrderForces
+    natural: Real
+    damping: Real
+    pole_root: Real
+    top_hz: float
+    white: Complex
+    alike: Complex
+
+
+def modes_with_room(modal: ModalFit, *, axes: int, top_hz: float, rows: int) -> int | None:
+    """How many modes of ``modal``, lowest first, a path may have; None where ``rows`` of known force do not suffice.
+
+    ``axes``: directions of the forces. ``top_hz``: highest frequency. Modes up to NEAR times that must have a term,
+    those up to FAR times have one while each term stands on two rows.
+    """
+    least = sum(mode.frequency_hz < NEAR * top_hz for mode in modal.modes)
+    most = sum(mode.frequency_hz < FAR * top_hz for mode in modal.modes)
+    if rows < rows_needed(least, axes=axes):
+        return None
+    return max(least, min(most, rows // (2 * axes) - 2))
+
+
+def rows_needed(n_modes: int, *, axes: int) -> int:
+    """Rows of known force that a path with ``n_modes`` and so many ``axes`` needs at least."""
+    return axes * (2 + n_modes) + 2
+
+
+def shaker_fit(
+    measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int, start: Complex | None = None
+) -> ShakerFit:
+    """Masses and path that fit ``measured`` under ``forces`` best, with the lowest ``n_modes`` of ``modal``;
+    the search begins at the masses ``start`` (mass,) in kg where they are given.
+
+    Poles float within their covariance; residues and rigid part are complex and free, per channel and axis. Errors
+    count channels as going together as the noise beside the orders does. Speeds that do not belong are left out (one
+    in ten at most); what misfit is left widens the errors.
+    Source: separable least squares (Golub and Pereyra 1973, in Kaufman's form 1975); covariance of an estimator whose
+    weights are not those of its errors (White 1980).
+    """
+    problem = _problem(measured, forces, modal, n_modes)
+    first = _start(problem) if start is None else np.stack([start.real, start.imag], axis=1).ravel()
+    theta = np.concatenate([first, np.zeros(problem.pole_root.shape[1])])
+    theta, fit = _solved(problem, theta)
+    odd: list[float] = []
+    while len(odd) < max(1, measured.speed_rpm.size // 10) and measured.speed_rpm.size >= 8:
+        worst = _odd_speed(problem, fit)
+        if worst is None:
+            break
+        odd.append(worst)
+        problem = _problem(problem.measured.without(problem.measured.rpm_of_row == worst), forces, modal, n_modes)
+        theta, fit = _solved(problem, theta)
+    misfit = 0.0
+    quiet, left_over = _chi_square(problem, fit), float((np.abs(fit.error) ** 2).sum())
+    if quiet > 1 + 2 * _scatter_of_chi_square(problem):  # not sound
+        misfit, problem, theta, fit = _with_misfit(problem, theta, fit)
+    return _result(problem, theta, fit, misfit=misfit, quiet=(quiet, left_over), odd=odd)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Left-over errors (channel, row) and their slopes (channel, row, parameter) over the errors; model; residues."""
+
+    error: Complex
+    slope: Complex
+    model: Complex
+    residue: Complex
+    prior: Real
+
+
+def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_modes: int) -> _Problem:
+    top_hz = float(measured.frequency_hz.max())
+    near = np.arange(len(modal.modes)) < n_modes  # they stand lowest first
+    natural = np.array([mode.frequency_hz for mode in modal.modes])[near]
+    damping = np.array([mode.damping_ratio for mode in modal.modes])[near]
+    both = np.repeat(near, 2)
+    covariance = POLE_TRUST**2 * modal.covariance[np.ix_(both, both)]
+    size, vectors = np.linalg.eigh(covariance) if near.any() else (np.zeros(0), np.zeros((0, 0)))
+    root = vectors * np.sqrt(np.maximum(size, 0.0))
+    whitened = (measured.noise_bins > 0)[:, None, None]
+    alike = np.where(whitened, np.eye(len(measured.channels)), measured.correlation)
+    white = whitening(measured.noise, error=measured.error)
+    return _Problem(measured, forces, natural, damping, root, top_hz, white, alike)
+
+
+def _terms(frequency_hz: Real, natural: Real, damping: Real, top_hz: float) -> Complex:
+    """Shape functions of a path (frequency, term): rigid body, the modes, and what lies above."""
+    f = np.asarray(frequency_hz, dtype=np.float64)
+    bent = (f / top_hz)[:, None] ** 2
+    return np.concatenate([np.ones((f.size, 1)), resonance(f, natural, damping), bent], axis=1, dtype=np.complex128)
+
+
+def _poles(problem: _Problem, theta: Real) -> tuple[Real, Real]:
+    shift = problem.pole_root @ theta[2 * len(problem.forces.unit) :]
+    natural = np.clip(problem.natural + shift[0::2], 0.5 * problem.natural, 2.0 * problem.natural)
+    return natural, np.clip(problem.damping + shift[1::2], 0.1 * problem.damping, 0.99)
+
+
+def _evaluated(problem: _Problem, theta: Real) -> _Fit:
+    forces, f = problem.forces, problem.measured.frequency_hz
+    n_masses = len(forces.unit)
+    mass = theta[0 : 2 * n_masses : 2] + 1j * theta[1 : 2 * n_masses : 2]
+    natural, damping = _poles(problem, theta)
+    terms = _terms(f, natural, damping, problem.top_hz)
+    acting = forces.known + np.einsum("m,mar->ar", mass, forces.unit)
+    design = np.einsum("ar,rb->rab", acting, terms)
+    bends = _pole_slopes(f, natural, damping)
+    n_channels = len(problem.measured.channels)
+    columns = design.reshape(f.size, -1)
+    basis, solve = _factored(_spread(columns, problem.white))
+    target = np.einsum("rcd,dr->rc", problem.white, problem.measured.amplitude).ravel()
+    shares = basis.conj().T @ target
+    residue = (solve @ shares).reshape(n_channels, *design.shape[1:])
+    error = target - basis @ shares
+    by_mass = np.einsum("mar,rb,cab->rcm", forces.unit, terms, residue)
+    by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(f.size, n_channels, -1)
+    turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(f.size, n_channels, -1)
+    free = np.concatenate([turned, by_pole @ problem.pole_root], axis=2)
+    free = np.einsum("rcd,rdp->rcp", problem.white, free).reshape(error.size, -1)
+    slope = free - basis @ (basis.conj().T @ free)
+    return _Fit(
+        error=error.reshape(f.size, n_channels).T,
+        slope=slope.reshape(f.size, n_channels, -1).transpose(1, 0, 2),
+        model=residue.reshape(n_channels, -1) @ columns.T,
+        residue=residue,
+        prior=theta[2 * n_masses :],
+    )
+
+
+def _spread(columns: Complex, white: Complex) -> Complex:
+    """``columns`` (row, term), one set per channel, in the combinations ``white``: (row combination, channel term)."""
+    return np.asarray(np.einsum("rcd,rb->rcdb", white, columns).reshape(white.shape[0] * white.shape[1], -1))
+
+
+def _factored(columns: Complex) -> tuple[Complex, Complex]:
+    """Orthonormal basis of ``columns`` and what turns shares of it into coefficients."""
+    size = np.sqrt((np.abs(columns) ** 2).sum(axis=0))
+    size[size == 0] = 1.0
+    left, values, right = np.linalg.svd(columns / size, full_matrices=False)
+    kept = values > 1e-9 * values.max(initial=0.0)
+    return left[:, kept], (right[kept].conj().T / values[kept]) / size[:, None]
+
+
+def _pole_slopes(frequency_hz: Real, natural: Real, damping: Real) -> Complex:
+    """Slopes of the resonances by natural frequency and by damping ratio (frequency, mode, 2)."""
+    f = frequency_hz[:, None]
+    below = natural**2 - f**2 + 2j * damping * f * natural
+    by_frequency = f**2 * (2 * natural + 2j * damping * f) / below**2
+    by_damping = f**2 * 2j * f * natural / below**2
+    return np.stack([by_frequency, by_damping], axis=2)
+
+
+def _start(problem: _Problem) -> Real:
+    """First guess of the masses: path from the rows of known force alone, then the masses through it."""
+    forces, f = problem.forces, problem.measured.frequency_hz
+    sought = np.abs(forces.unit).sum(axis=(0, 1)) > 0
+    terms = _terms(f, problem.natural, problem.damping, problem.top_hz)
+    columns = np.einsum("ar,rb->rab", forces.known, terms).reshape(f.size, -1)
+    n_channels = len(problem.measured.channels)
+    basis, solve = _factored(_spread(columns, problem.white * ~sought[:, None, None]))
+    target = np.einsum("rcd,dr->rc", problem.white * ~sought[:, None, None], problem.measured.amplitude).ravel()
+    residue = (solve @ (basis.conj().T @ target)).reshape(n_channels, len(forces.axes), -1)
+    by_mass = np.einsum("mar,rb,cab->rcm", forces.unit, terms, residue)
+    by_mass = np.einsum("rcd,rdm->rcm", problem.white, by_mass)[sought].reshape(-1, len(forces.unit))
+    model = residue.reshape(n_channels, -1) @ columns.T
+    left = np.einsum("rcd,dr->rc", problem.white, problem.measured.amplitude - model)[sought].ravel()
+    mass = np.linalg.lstsq(by_mass, left, rcond=None)[0]
+    return np.stack([mass.real, mass.imag], axis=1).ravel()
+
+
+def _cost(fit: _Fit) -> float:
+    return float((np.abs(fit.error) ** 2).sum() + (fit.prior**2).sum())
+
+
+def _bread(problem: _Problem, slope: Complex) -> Real:
+    """Normal matrix of the parameters, with the poles' own covariance as a unit prior."""
+    matrix: Real = np.einsum("crp,crq->pq", slope.conj(), slope, optimize=True).real
+    n_masses = 2 * len(problem.forces.unit)
+    matrix[np.arange(n_masses, len(matrix)), np.arange(n_masses, len(matrix))] += 1.0
+    return matrix
+
+
+def _solved(problem: _Problem, theta: Real) -> tuple[Real, _Fit]:
+    """Levenberg–Marquardt from ``theta``."""
+    fit, damped = _evaluated(problem, theta), 1e-3
+    for _ in range(STEPS):
+        matrix = _bread(problem, fit.slope)
+        pull = np.einsum("crp,cr->p", fit.slope.conj(), fit.error).real
+        pull[2 * len(problem.forces.unit) :] -= fit.prior
+        step = np.linalg.lstsq(matrix + damped * np.diag(np.diag(matrix)), pull, rcond=None)[0]
+        tried = _evaluated(problem, theta + step)
+        fall = _cost(fit) - _cost(tried)
+        if fall > 0:
+            done = fall < SHRUNK * _cost(fit)
+            theta, fit, damped = theta + step, tried, max(damped / 10, 1e-12)
+            if done:
+                break
+        elif damped > 1e8:
+            break
+        else:
+            damped *= 10
+    return theta, fit
+
+
+def _allowed(problem: _Problem, *, power: int) -> Real:
+    """Expected square of the real part of an error in each combination, (channel, row); 0 where nothing was measured.
+
+    A weight that is made of the error itself is large where that was underestimated: what the error allows is larger
+    on average, the more so where the weight enters in a higher ``power``, 1 for squares and 2 for covariance; likewise
+    where the combination was chosen by few bins (mean of an inverse Wishart matrix).
+    """
+    measured = problem.measured
+    known, freedom = np.isfinite(measured.error), measured.freedom
+    own = np.where(known, np.where(known, measured.error, 1.0) / np.where(known, measured.steady_error, 1.0), 0.0) ** 2
+    lucky = freedom / (freedom - 2 * power * measured.own_share)
+    n_channels = len(known)
+    bins = measured.noise_bins * BINS_WORTH
+    chosen = np.where(bins > 0, (bins + 1.0 - n_channels) / np.maximum(bins - power * n_channels, 1.0), 1.0)
+    both = (own * lucky).mean(axis=0)
+    return np.asarray(np.where(measured.noise_bins > 0, both * chosen * known, own * lucky))
+
+
+def _n_free(problem: _Problem) -> float:
+    """Share of the squares that the fit leaves: measured numbers less those fitted, over those measured."""
+    known = np.isfinite(problem.measured.error)
+    measured = 2 * np.count_nonzero(known)
+    n_terms = len(problem.forces.axes) * (problem.natural.size + 2)
+    fitted = 2 * n_terms * np.count_nonzero(known.any(axis=1)) + 2 * len(problem.forces.unit)
+    return max(1e-3, 1.0 - float(fitted) / max(1.0, float(measured)))
+
+
+def _chi_square(problem: _Problem, fit: _Fit) -> float:
+    allowed = 2 * _allowed(problem, power=1).sum() * _n_free(problem)
+    return float((np.abs(fit.error) ** 2).sum() / max(allowed, 1e-30))
+
+
+def _scatter_of_chi_square(problem: _Problem) -> float:
+    """Standard deviation of the mean square error, channels counted as telling the same."""
+    free = max(1.0, np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem))
+    return float(1.5 / np.sqrt(free))
+
+
+def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
+    """The speed whose rows fit worst, where they fit worse than chance and than the others allow."""
+    allowed, speeds = _allowed(problem, power=1), problem.measured.speed_rpm
+    squares = np.abs(fit.error) ** 2
+    rows = problem.measured.rpm_of_row[None, :] == speeds[:, None]
+    each = np.array([squares[:, at].sum() / max(2 * allowed[:, at].sum(), 1e-30) for at in rows])
+    worst = int(np.argmax(each))
+    typical = max(1.0, float(np.median(each)))
+    return float(speeds[worst]) if each[worst] > ODD_SPEED * typical else None
+
+
+def _with_misfit(problem: _Problem, theta: Real, fit: _Fit) -> tuple[float, _Problem, Real, _Fit]:
+    """Share of the response that must count as error for the fit to be as good as it should, and the fit with it."""
+    measured = problem.measured
+    low, high, share, widened, found = 0.0, LARGEST_MISFIT, LARGEST_MISFIT, problem, (theta, fit)
+    for step in range(6):
+        widened = replace(
+            problem, white=whitening(measured.noise, error=measured.error, missed=share * np.abs(fit.model))
+        )
+        found = _solved(widened, theta)
+        too_little = _chi_square(widened, found[1]) > 1
+        if step == 0 and too_little:
+            break
+        low, high = (share, high) if too_little else (low, share)
+        share = 0.5 * (low + high)
+    return high, widened, *found
+
+
+def _freedom(problem: _Problem, swayed: Complex, inverse: NDArray[np.floating]) -> float:
+    """Degrees of freedom of the first mass' variance, which rows of few have a share in (Satterthwaite 1946)."""
+    pulls = swayed @ inverse[0]
+    shares = np.einsum("cr,rcd,dr->r", pulls.conj(), problem.alike, pulls).real
+    freedom = np.min(np.where(np.isfinite(problem.measured.error), problem.measured.freedom, np.inf), axis=0)
+    return float(shares.sum() ** 2 / max((shares**2 / np.maximum(freedom, 1.0)).sum(), 1e-300))
+
+
+def _result(
+    problem: _Problem, theta: Real, fit: _Fit, *, misfit: float, quiet: tuple[float, float], odd: list[float]
+) -> ShakerFit:
+    measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
+    inverse = np.linalg.pinv(_bread(problem, fit.slope))
+    swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
+    together = np.einsum("crp,rcd,drq->pq", swayed.conj(), problem.alike, swayed, optimize=True).real
+    scale = max(1.0, _chi_square(problem, fit))
+    poles = np.diag((np.arange(theta.size) >= n_masses).astype(np.float64))
+    covariance = inverse @ (scale * together + poles) @ inverse
+    mass = theta[0:n_masses:2] + 1j * theta[1:n_masses:2]
+    pairs = np.repeat(np.abs(mass) ** 2, 2)
+    squares = np.abs(fit.error) ** 2
+    allowed = 2 * _allowed(problem, power=1)
+    of = measured.order_of_row
+    natural, damping = _poles(problem, theta)
+    free = np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
+    return ShakerFit(
+        axes=problem.forces.axes,
+        mass_kg=mass,
+        covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * pairs),
+        freedom=max(1.0, min(2.0 * free, _freedom(problem, swayed, inverse))),
+        chi_square=quiet[0],
+        sound=misfit == 0.0,
+        by_order={k: float(squares[:, of == k].sum() / max(allowed[:, of == k].sum(), 1e-30)) for k in measured.orders},
+        misfit=misfit,
+        odd_speeds_rpm=tuple(sorted(odd)),
+        residue=fit.residue,
+        natural_hz=natural,
+        damping_ratio=damping,
+        top_hz=problem.top_hz,
+        quiet_left_over=quiet[1],
+        allowed=float(allowed.sum() / 2 / max(1, np.count_nonzero(np.isfinite(measured.error)))),
+        n_terms=len(problem.forces.axes) * (natural.size + 2),
+    )

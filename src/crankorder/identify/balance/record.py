@@ -1,0 +1,253 @@
+"""Residual masses as the findings tell them: split by direction and sense of rotation, each with its 95 % interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crankorder.engine.definition import Engine
+from crankorder.engine.transfer_paths import AddedMass
+from crankorder.identify.balance.transfer_path import Complex, Real
+
+LEAST_T = 1.96
+AGREE_CHI_SQUARE = 5.991
+"""95 % point of χ² with two degrees of freedom: one complex difference."""
+VAGUE_DEG = 60.0
+"""An angle with a wider half interval is not stated."""
+KEYS = (
+    "residual_reciprocating_g",
+    "residual_second_order_g",
+    "residual_rotating_gmm",
+    "angle_deg",
+    "forward_gmm",
+    "forward_angle_deg",
+    "reverse_gmm",
+    "reverse_angle_deg",
+    "along_g",
+    "along_quadrature_g",
+    "across_g",
+)
+NO_ACROSS = (
+    "the path of forces across the cylinder is not identified: no order of known force acts there; state it "
+    "([[transfer_paths]], direction X) or run a test with a known added mass"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Complex masses (kg at the crank radius) behind orders 1 and 2, with what they multiply.
+
+    ``mass_kg`` (mass,); ``covariance`` (2 mass, 2 mass) of real and imaginary parts in turn, with ``freedom``;
+    ``sought``: (order, axis) of each; the force of a mass is mass · ``per_kg`` · r ω².
+    """
+
+    mass_kg: Complex
+    covariance: Real
+    freedom: float
+    sought: tuple[tuple[int, str], ...]
+    per_kg: Complex
+
+    def combined(self, shares: Complex) -> tuple[complex, Real]:
+        """The complex sum Σ ``shares`` (mass,) · mass and the covariance (2, 2) of its parts."""
+        turn = np.array([[[s.real, -s.imag], [s.imag, s.real]] for s in shares]).transpose(1, 0, 2).reshape(2, -1)
+        return complex(shares @ self.mass_kg), turn @ self.covariance @ turn.T
+
+
+def t_of(freedom: float) -> float:
+    """Student's t for a 95 % interval with ``freedom`` degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return max(LEAST_T, float(stdtrit(min(max(freedom, 1.0), 1e6), 0.975)))
+
+
+def with_interval(key: str, value: float, half: float) -> dict[str, Any]:
+    """The record's entries ``key`` and ``key``_ci95 of ``value`` ± ``half``."""
+    return {key: value, f"{key}_ci95": [value - half, value + half]}
+
+
+def size_and_angle(
+    size_key: str, angle_key: str, value: complex, covariance: Real, *, freedom: float
+) -> dict[str, Any]:
+    """Entries of a complex unbalance ``value`` with the ``covariance`` (2, 2) of its parts and their ``freedom``.
+
+    ``size_key`` and ``angle_key`` name them. The interval of the size starts at 0 where the unbalance may be none; the
+    angle (degrees) is then None.
+    """
+    size, t = abs(value), t_of(freedom)
+    inwards = np.array([value.real, value.imag]) / size if size else np.array([1.0, 0.0])
+    along = float(np.sqrt(inwards @ covariance @ inwards))
+    aside = np.array([-inwards[1], inwards[0]])
+    across = float(np.sqrt(aside @ covariance @ aside))
+    joint = np.sqrt(AGREE_CHI_SQUARE) * max(along, across)
+    half_deg = float(np.degrees(np.arcsin(min(1.0, t * across / size)))) if size else 180.0
+    low = size - t * along if size > joint else 0.0
+    stated = size > joint and half_deg < VAGUE_DEG
+    angle = float(np.degrees(np.angle(value)))
+    return {
+        size_key: size,
+        f"{size_key}_ci95": [max(0.0, low), size + t * along],
+        angle_key: angle if stated else None,
+        f"{angle_key}_ci95": [angle - half_deg, angle + half_deg] if stated else None,
+    }
+
+
+def split_record(split: Split, *, engine: Engine) -> dict[str, Any]:
+    """Residual entries of the record ``balance`` from a ``split``, for ``engine``; what it does not tell, with reasons.
+
+    ``along_g`` and ``along_quadrature_g``: force of the first order along the cylinder over r ω², in step with the
+    piston's own and a quarter turn ahead of it, in grams at the crank radius; likewise ``residual_second_order_g`` over
+    the force that a gram on the piston makes at order 2. Below 0 where shafts take away more than there is.
+    """
+    record: dict[str, Any] = dict.fromkeys(KEYS) | {f"{key}_ci95": None for key in KEYS}
+    record["crank_radius_mm"] = 1e3 * engine.crank_radius_m
+    undecided: dict[str, str] = {}
+    at = {place: number for number, place in enumerate(split.sought)}
+    record |= _along(split, at)
+    if (1, "X") in at and (1, "Z") in at:
+        record |= _both_ways(split, at, engine, undecided)
+    else:
+        record |= _one_way(split, at, engine, undecided)
+    if (2, "Z") in at:
+        value, covariance = _in_kg(split, at[(2, "Z")], 1.0)
+        half = 1e3 * t_of(split.freedom) * float(np.sqrt(covariance[0, 0]))
+        record |= with_interval("residual_second_order_g", 1e3 * value.real, half)
+    else:
+        undecided["residual_second_order_g"] = (
+            "no shafts take the second order away: the whole reciprocating mass makes it"
+            if 2 not in engine.shafts.every_order
+            else "the path at order 2 is not identified"
+        )
+    return record | {"not_decided": undecided}
+
+
+def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Real]:
+    shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
+    shares[number] = share
+    return split.combined(shares)
+
+
+def _along(split: Split, at: dict[tuple[int, str], int]) -> dict[str, Any]:
+    if (1, "Z") not in at:
+        return {}
+    number = at[(1, "Z")]
+    value, covariance = _in_kg(split, number, abs(split.per_kg[number]))
+    half = 1e3 * t_of(split.freedom) * np.sqrt(np.diag(covariance))
+    return with_interval("along_g", 1e3 * value.real, float(half[0])) | with_interval(
+        "along_quadrature_g", 1e3 * value.imag, float(half[1])
+    )
+
+
+def _one_way(split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]) -> dict[str, Any]:
+    """Forces along the cylinder alone: both orders tell the reciprocating mass where they ask for the same one."""
+    for key in ("across_g", "forward_gmm", "reverse_gmm"):
+        undecided[key] = NO_ACROSS
+    undecided["residual_rotating_gmm"] = undecided["angle_deg"] = NO_ACROSS
+    first, second = at.get((1, "Z")), at.get((2, "Z"))
+    alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
+    if first is None or second is None:
+        undecided["residual_reciprocating_g"] = f"{alike}, and no residual of the second order tells them apart"
+        return {}
+    if len(engine.cylinders) > 1:
+        undecided["residual_reciprocating_g"] = f"{alike}, and of several cylinders none is known to be the one"
+        return {}
+    value, covariance, apart = _common(split, first, second)
+    if apart > AGREE_CHI_SQUARE:
+        undecided["residual_reciprocating_g"] = (
+            f"orders 1 and 2 ask for different masses, {1e3 * abs(split.mass_kg[first]):.3g} and "
+            f"{1e3 * abs(split.mass_kg[second]):.3g} g: rotating unbalance, or shafts that miss one of the orders"
+        )
+        return {}
+    half = 1e3 * t_of(split.freedom) * float(np.sqrt(covariance[0, 0]))
+    return with_interval("residual_reciprocating_g", 1e3 * value.real, half)
+
+
+def _common(split: Split, first: int, second: int) -> tuple[complex, Real, float]:
+    """The one mass that two masses tell best (generalised least squares), its covariance, and χ² of their difference.
+
+    χ² has two degrees of freedom.
+    """
+    picked = [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
+    both = split.mass_kg[[first, second]]
+    values = np.stack([both.real, both.imag], axis=1).ravel()
+    weight = np.linalg.pinv(split.covariance[np.ix_(picked, picked)])
+    design = np.concatenate([np.eye(2), np.eye(2)])
+    covariance = np.linalg.pinv(design.T @ weight @ design)
+    common = covariance @ design.T @ weight @ values
+    left = values - design @ common
+    return complex(common[0], common[1]), covariance, float(left @ weight @ left)
+
+
+def _both_ways(
+    split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
+) -> dict[str, Any]:
+    """Forces along and across: forward and reverse, and for cylinders along Z rotating and reciprocating."""
+    z, x = at[(1, "Z")], at[(1, "X")]
+    g_mm = 1e6 * engine.crank_radius_m
+    shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
+
+    def sum_of(along: complex, across: complex) -> tuple[complex, Real]:
+        shares[z], shares[x] = along * split.per_kg[z], across * split.per_kg[x]
+        return split.combined(shares)
+
+    freedom = split.freedom
+    across, covariance = sum_of(0, 1)
+    record = size_and_angle("across_g", "_", 1e3 * across, 1e6 * covariance, freedom=freedom)
+    for name, sign in (("forward", 1), ("reverse", -1)):
+        value, covariance = sum_of(0.5 * g_mm, 0.5j * sign * g_mm)
+        record |= size_and_angle(f"{name}_gmm", f"{name}_angle_deg", value, covariance, freedom=freedom)
+    if any(cylinder.bank_deg for cylinder in engine.cylinders):
+        for key in ("residual_rotating_gmm", "residual_reciprocating_g", "angle_deg"):
+            undecided[key] = "pistons of leaning cylinders act across too: forward and reverse parts tell all there is"
+    else:
+        value, covariance = sum_of(0, 1j * g_mm)
+        record |= size_and_angle("residual_rotating_gmm", "angle_deg", value, covariance, freedom=freedom)
+        piston = np.conj(split.per_kg[z]) / abs(split.per_kg[z]) ** 2
+        value, covariance = sum_of(piston, -1j * piston)
+        half = 1e3 * t_of(freedom) * float(np.sqrt(covariance[0, 0]))
+        record |= with_interval("residual_reciprocating_g", 1e3 * value.real, half)
+        if abs(value.imag) > t_of(freedom) * float(np.sqrt(covariance[1, 1])):
+            undecided["reverse_angle_deg"] = "part of the reverse force is out of step with the piston: mistimed shafts"
+    for key in ("angle_deg", "forward_angle_deg", "reverse_angle_deg"):
+        if record.get(key, 0.0) is None:
+            undecided[key] = "the unbalance may be none: its angle means nothing"
+    return {key: value for key, value in record.items() if not key.startswith("_")}
+
+
+def added_words(added: Sequence[AddedMass]) -> str:
+    """Words that say which ``added`` masses are part of the residual."""
+    each = [
+        f"{mass.mass_g:g} g on the {mass.on}"
+        + (f" at {mass.radius_mm:g} mm, {mass.angle_deg:g}°" if mass.on == "crank" else f" of cylinder {mass.cylinder}")
+        for mass in added
+    ]
+    return f"the residual includes what was added on purpose: {', '.join(each)}"
+
+
+def rotor_record(split: Split) -> dict[str, Any]:
+    """Residual entries of a rotor from a ``split`` whose masses (kg) stand at 1 mm: unbalance in one plane."""
+    record: dict[str, Any] = dict.fromkeys(KEYS) | {f"{key}_ci95": None for key in KEYS}
+    undecided = {
+        "residual_reciprocating_g": "a rotor has no pistons",
+        "residual_second_order_g": "a rotor has no pistons",
+        "along_g": "a rotor has no pistons",
+    }
+    at = {place: number for number, place in enumerate(split.sought)}
+    shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
+    both = (1, "X") in at and (1, "Z") in at
+    for axis, turn in (("Z", 1.0), ("X", 1.0j)):
+        if (1, axis) in at:
+            shares[at[(1, axis)]] = 1e3 * turn * (0.5 if both else 1.0)
+    value, covariance = split.combined(shares)
+    record |= size_and_angle("residual_rotating_gmm", "angle_deg", value, covariance, freedom=split.freedom)
+    if both:
+        shares[at[(1, "X")]] *= -1
+        value, covariance = split.combined(shares)
+        record |= size_and_angle("reverse_gmm", "reverse_angle_deg", value, covariance, freedom=split.freedom)
+    else:
+        undecided["reverse_gmm"] = "one direction alone tells no sense of rotation: all is taken to turn with the shaft"
+    if record["angle_deg"] is None:
+        undecided["angle_deg"] = "the unbalance may be none: its angle means nothing"
+    return record | {"crank_radius_mm": None, "not_decided": undecided}

@@ -1,0 +1,214 @@
+"""Paths from force to acceleration: the measured orders that they are sought in, and what a manifest states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.engine.transfer_paths import StatedPath
+from crankorder.identify.balance.noise_beside import noise_shape
+from crankorder.settings import STANDARD_GRAVITY_M_S2
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+PER_M_S2 = {"m/s2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY_M_S2}
+NEAREST_BIN, FURTHEST_BIN = 3, 7
+"""Bins beside an order, outside a window's main lobe, whose noise tells how the channels' errors go together."""
+FEWEST_BINS = 4
+GRID = 1e-6
+"""An order counts as a bin of the map within this."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredOrders:
+    """Complex amplitudes (m/s²) of some orders in the accelerometers, with errors.
+
+    A row is one order at one speed, all speeds of the first order first. ``amplitude`` and ``error``, the standard
+    error of its real and of its imaginary part, ∞ where nothing was measured: (channel, row). ``freedom``: of the
+    errors. ``steady_error``: the same drawn towards the bins beside, less scattered, for weights; ``own_share`` is what
+    it still has of its own. ``correlation`` (row, channel, channel): of the channels' errors, Hermitian with unit
+    diagonal. ``noise`` (row, channel, channel): covariance of the complex errors as noise at like frequency tells it,
+    ``noise_bins`` (row,) in number; where too few do it is diagonal, of ``steady_error``, and ``noise_bins`` 0.
+    """
+
+    channels: tuple[str, ...]
+    orders: tuple[int, ...]
+    speed_rpm: Real
+    amplitude: Complex
+    error: Real
+    steady_error: Real
+    own_share: Real
+    freedom: Real
+    correlation: Complex
+    noise: Complex
+    noise_bins: Real
+
+    @property
+    def order_of_row(self) -> NDArray[np.int64]:
+        """Order of each row."""
+        return np.repeat(np.array(self.orders, dtype=np.int64), self.speed_rpm.size)
+
+    @property
+    def rpm_of_row(self) -> Real:
+        """Speed of each row (rpm)."""
+        return np.tile(self.speed_rpm, len(self.orders))
+
+    @property
+    def frequency_hz(self) -> Real:
+        """Frequency of each row (Hz)."""
+        return self.order_of_row * self.rpm_of_row / 60.0
+
+    def without(self, rows: NDArray[np.bool_]) -> MeasuredOrders:
+        """The same with nothing measured in ``rows`` (row,)."""
+        return replace(
+            self,
+            error=np.where(rows, np.inf, self.error),
+            steady_error=np.where(rows, np.inf, self.steady_error),
+        )
+
+
+def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequence[float] = ()) -> MeasuredOrders:
+    """The ``orders`` of the OrderMap ``order_map`` in its accelerometers; those that are no bin of it are left out.
+
+    ``lines``: orders at which lines stand, whose bins are no noise.
+    """
+    bins = order_map["order"].values
+    places = {k: int(np.argmin(np.abs(bins - k))) for k in orders}
+    found = {k: i for k, i in places.items() if abs(bins[i] - k) < GRID * max(1, k)}
+    unit, quantity = order_map["unit"].values.tolist(), order_map["quantity"].values.tolist()
+    known = [c for c, name in enumerate(unit) if name in PER_M_S2 and "accel" in str(quantity[c]).casefold()]
+    scale = np.array([PER_M_S2[unit[c]] for c in known])[:, None, None]
+    taken = order_map.isel(channel=known)
+    level = scale * taken["coherent_amplitude"].values.astype(np.float64)
+    complex_map = level * np.exp(1j * np.radians(taken["phase"].values.astype(np.float64)))
+    error_map = scale * taken["standard_error"].values.astype(np.float64)
+    at = list(found.values())
+    amplitude, error, freedom = (
+        np.moveaxis(values[:, :, at], 2, 1).reshape(len(known), -1)
+        for values in (complex_map, error_map, taken["degrees_of_freedom"].values.astype(np.float64))
+    )
+    sound = np.isfinite(amplitude) & np.isfinite(error) & (error > 0)
+    beside = [_beside(bins, i, lines) for i in at]
+    correlation = [_correlation(complex_map[:, :, near] / error_map[:, :, near]) for near in beside]
+    typical = [_typical(error_map[:, :, near]) for near in beside]
+    around = np.stack(typical, axis=1).reshape(len(known), -1) if at else error
+    freedom = np.where(sound, freedom, 1.0)
+    steady, share = _steadier(np.where(sound, error, np.nan), around, freedom)
+    together = np.concatenate(correlation) if at else np.zeros((0, len(known), len(known)), dtype=np.complex128)
+    speed_rpm = order_map["speed"].values.astype(np.float64)
+    hertz = bins * speed_rpm[:, None] / 60.0
+    quiet = np.broadcast_to(_holds_noise(bins, lines), hertz.shape)
+    shape, n_bins = noise_shape(complex_map, frequency_hz=hertz, usable=quiet, at_hz=hertz[:, at].T.ravel())
+    return MeasuredOrders(
+        channels=tuple(str(order_map["channel"].values[c]) for c in known),
+        orders=tuple(found),
+        speed_rpm=speed_rpm,
+        amplitude=np.where(sound, amplitude, 0.0),
+        error=np.where(sound, error, np.inf),
+        steady_error=np.where(sound, steady, np.inf),
+        freedom=freedom,
+        own_share=share,
+        correlation=together,
+        noise=_covariance(shape, np.where(sound, steady, 1.0)),
+        noise_bins=n_bins,
+    )
+
+
+def _beside(bins: Real, centre: int, lines: Sequence[float]) -> list[int]:
+    """Bins beside the bin ``centre`` in which noise alone stands."""
+    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
+    near = [
+        i for i in range(len(bins)) if NEAREST_BIN <= abs(i - centre) <= FURTHEST_BIN and bins[i] > NEAREST_BIN * step
+    ]
+    return [i for i in near if all(abs(bins[i] - line) > (NEAREST_BIN - 0.5) * step for line in lines)]
+
+
+def _holds_noise(bins: Real, lines: Sequence[float]) -> NDArray[np.bool_]:
+    """Whether noise alone stands in each of ``bins``."""
+    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
+    away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NEAREST_BIN - 0.5) * step
+    return np.asarray(away.all(axis=1) & (bins > NEAREST_BIN * step))
+
+
+def _covariance(shape: Complex, error: Real) -> Complex:
+    """Covariance (row, channel, channel) of complex errors of ``shape``, as large as ``error`` (channel, row) says.
+
+    Diagonal where no shape is known.
+    """
+    power = 2 * error.T**2
+    with np.errstate(invalid="ignore"):
+        scale = (power / np.einsum("rcc->rc", shape).real).mean(axis=1)[:, None, None]
+    return np.asarray(np.where(np.isfinite(scale), shape * scale, power[:, :, None] * np.eye(len(error))))
+
+
+def _typical(beside: Real) -> Real:
+    """Geometric mean (channel, speed) of errors (channel, speed, bin); NaN where too few bins tell it."""
+    if beside.shape[2] < FEWEST_BINS:
+        return np.full(beside.shape[:2], np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.exp(np.log(beside).mean(axis=2)))
+
+
+def _steadier(own: Real, beside: Real, freedom: Real) -> tuple[Real, Real]:
+    """Errors ``own`` drawn towards those ``beside``, as far as these tell them, and the share left of their own.
+
+    All (channel, row). The share is that of the true scatter between the two in the whole one, which ``freedom`` makes
+    larger (empirical Bayes, as in Smyth 2004); of few degrees of freedom it stays small.
+    """
+    usable = np.isfinite(own) & (own > 0) & np.isfinite(beside) & (beside > 0)
+    if np.count_nonzero(usable) < FEWEST_BINS:
+        return own, np.minimum(1.0, freedom / 8)
+    apart = np.log(np.where(usable, own / np.where(usable, beside, 1.0), 1.0) ** 2)
+    middle = float(np.median(apart[usable]))
+    true = max(0.0, float(np.mean((apart[usable] - middle) ** 2)) - float(np.mean(2 / freedom[usable])))
+    share = np.where(usable, np.minimum(true / (true + 2 / freedom), freedom / 8), np.minimum(1.0, freedom / 8))
+    return own * np.exp(0.5 * (share - 1) * np.where(usable, apart - middle, 0.0)), share
+
+
+def _correlation(noise: Complex) -> Complex:
+    """Correlation (speed, channel, channel) of ``noise`` (channel, speed, bin); full where too few bins tell it."""
+    n_channels, n_speeds, n_bins = noise.shape
+    noise = np.where(np.isfinite(noise), noise, 0.0)
+    power = np.einsum("csb,dsb->scd", noise, noise.conj())
+    size = np.sqrt(np.einsum("scc->sc", power).real)
+    if n_bins < FEWEST_BINS or not (size > 0).all():
+        return np.ones((n_speeds, n_channels, n_channels), dtype=np.complex128)
+    correlation: Complex = power / (size[:, :, None] * size[:, None, :])
+    return correlation
+
+
+def accelerance_of(path: StatedPath, frequency_hz: Real) -> Complex:
+    """Acceleration per force (1/kg) that a stated ``path`` has at ``frequency_hz`` (Hz, any shape); NaN where it ends.
+
+    A table is joined by straight lines in its real and imaginary parts.
+    """
+    f = np.asarray(frequency_hz, dtype=np.float64)
+    value: Complex | Real
+    if path.points:
+        hertz, real, imag = np.array(path.points).T
+        value = np.interp(f, hertz, real) + 1j * np.interp(f, hertz, imag)
+    elif path.apparent_mass_kg is not None:
+        value = np.full(f.shape, 1.0 / path.apparent_mass_kg)
+    else:
+        value = np.full(f.shape, path.rigid_per_kg, dtype=np.complex128)
+        for mode in path.modes:
+            residue = mode.residue_per_kg + 1j * mode.residue_imag_per_kg
+            value = (
+                value + residue * resonance(f, np.array([mode.frequency_hz]), np.array([mode.damping_ratio]))[..., 0]
+            )
+    low, high = path.holds_hz
+    return np.where((f >= low) & (f <= high), value, np.nan)
+
+
+def resonance(frequency_hz: Real, natural_hz: Real, damping_ratio: Real) -> Complex:
+    """Acceleration −x² / (1 − x² + 2iζx), x = f / f_j, of modes of unit residue, shape (…, mode).
+
+    ``frequency_hz``: f, any shape (…). ``natural_hz`` and ``damping_ratio``: f_j (Hz) and ζ_j, (mode,).
+    """
+    x = np.asarray(frequency_hz)[..., None] / natural_hz
+    return np.asarray(-(x**2) / (1 - x**2 + 2j * damping_ratio * x), dtype=np.complex128)

@@ -1,0 +1,297 @@
+"""Bearing lines in the envelope map: search with a stated level of false alarm, orders with their intervals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from crankorder.identify.bearings.places import Place, made_by, on_cycle
+
+FLOOR_BINS = 64
+"""Bins whose median is the floor, a Hann window's worth of independent ones being two thirds."""
+
+FLOOR_WORTH = 0.4
+"""Independent powers that a bin is worth in the median: two thirds (Hann) of the mean's, and that of 0.6."""
+
+NEAR_CELLS = (3, 12)
+"""Cells of resolution beside a line whose median is its nearest floor: a line on the skirt of another is none."""
+
+CYCLE_CELLS = 1.5
+"""Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
+
+PLACE_ERROR = (0.42, 0.40)
+"""Standard error of a line's place in cells of resolution, times the root of its power ratio and of the independent
+spectra: of many frames, and what is added (in squares) for one; measured on tones in noise."""
+
+PARABOLA_POWER = 0.1154
+"""Power to which the power ratios are raised before a parabola is laid through them."""
+
+WANDER_SHARE = 0.01
+"""Standard deviation, as a share, of the way from one strike to the next that is allowed for where the test does not
+show it: strikes that slip at random add up, so that the mean order of a recording is not that of a longer one."""
+
+LEAST_SPEEDS = 4
+"""Speeds from which on their own scatter says how well an order is known."""
+
+HARMONICS = 4
+"""Highest multiple of a line that is looked for."""
+
+HARMONIC_LEVEL = 1e-3
+"""Chance that noise alone makes one multiple or sideband of a line that was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Power ratios (channel, speed, order) of line to floor, as :func:`spectra_of` reads them from an EnvelopeMap."""
+
+    ratio: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+    order: NDArray[np.float64]
+    count: NDArray[np.float64]
+    cell: NDArray[np.float64]
+    speed_rpm: NDArray[np.float64]
+    revs_per_cycle: int
+    bands_tried: int
+
+    def chance(self, ratio: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Chance (channel, speed, bin) of so high a power ``ratio`` in one bin by noise, its floor being estimated."""
+        count = np.maximum(self.count, 1e-3)[:, :, None]
+        return np.asarray(fdtrc(2.0 * count, 2.0 * self.floor_worth[None, :, None] * count, ratio))
+
+    @property
+    def floor_worth(self) -> NDArray[np.float64]:
+        """Independent bins (speed,) that the floor is worth."""
+        return np.asarray(FLOOR_BINS * FLOOR_WORTH * self.order[1] / self.cell)
+
+    def free(self) -> NDArray[np.bool_]:
+        """Bins (speed, order) at which strikes can be told from what is locked to the engine's cycle."""
+        return np.logical_not(
+            on_cycle(self.order[None], revs_per_cycle=self.revs_per_cycle, within=CYCLE_CELLS * self.cell[:, None])
+        )
+
+    def near(self, order: float) -> slice:
+        """Bins within one cell of ``order``, of the coarsest resolution there is."""
+        step = self.order[1]
+        reach = max(1, round(float(self.cell.max()) / step))
+        middle = round(order / step)
+        return slice(max(middle - reach, 0), max(min(middle + reach + 1, len(self.order)), 0))
+
+
+@dataclass(frozen=True, eq=False)
+class EnvelopeLine:
+    """A bearing line in the envelope: its order with standard error and degrees of freedom, and where it is strongest.
+
+    ``seen`` (channel, speed) says where it stands over the level by itself; ``chance`` is that of noise making it
+    anywhere in the test, ``also`` what else of the list it makes.
+    """
+
+    place: Place
+    order: float
+    order_error: float
+    freedom: float
+    channel: int
+    speed: int
+    ratio: float
+    amplitude: float
+    amplitude_error: float
+    chance: float
+    seen: NDArray[np.bool_]
+    harmonics: int
+    sidebands: float | None
+    also: list[str] = field(default_factory=list)
+
+
+def spectra_of(envelope: xr.Dataset) -> Spectra:
+    """Spectra of the EnvelopeMap ``envelope``; 0 where a channel has none."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.nan_to_num((envelope["amplitude"].values / envelope["floor"].values) ** 4, posinf=0.0)
+    return Spectra(
+        ratio=ratio,
+        amplitude=envelope["amplitude"].values,
+        order=envelope["order"].values,
+        count=np.nan_to_num(envelope["n_independent"].values),
+        cell=1.0 / envelope["revs_per_frame"].values,
+        speed_rpm=envelope["speed"].values,
+        revs_per_cycle=int(envelope.attrs["revs_per_cycle"]),
+        bands_tried=max(int(envelope.attrs["bands_tried"]), 1),
+    )
+
+
+def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probability: float) -> list[EnvelopeLine]:
+    """Lines of ``places`` that stand over the level in ``spectra``, strongest first, each once.
+
+    ``false_alarm_probability`` is the chance that noise alone makes any line in the whole test: it is shared out over
+    all bins of all places in all channels, speeds and bands tried, half of it to single spectra, half to the mean of
+    all. A line that a stronger one makes by itself (its multiples and sidebands) is told in that one's ``also``.
+    """
+    inside = [place for place in places if place.low > spectra.order[1] and place.high < spectra.order[-1]]
+    bins = sum(int((place.high - place.low) / spectra.order[1]) + 1 for place in inside)
+    found = [line for place in inside if (line := _line(spectra, place, bins, false_alarm_probability)) is not None]
+    found.sort(key=lambda line: -line.ratio)
+    kept: list[EnvelopeLine] = []
+    within = 1.5 * float(spectra.cell.max())
+    for line in found:
+        told = next(((other, how) for other in kept if (how := _made_by(line, other, within))), None)
+        if told is None:
+            kept.append(line)
+        else:
+            told[0].also.append(f"{line.place.name} {line.place.title} would be at {line.order:.4g}: {told[1]}")
+    return kept
+
+
+def _made_by(line: EnvelopeLine, other: EnvelopeLine, within: float) -> str:
+    """How a stronger line ``other`` makes ``line`` too; empty where it does not or where both are alike."""
+    if line.place.line == other.place.line and abs(line.order - other.order) <= within:
+        return ""
+    return made_by(line.order, other.place, other.order, within=within)
+
+
+def _line(spectra: Spectra, place: Place, bins: int, false_alarm_probability: float) -> EnvelopeLine | None:
+    """The line of ``place``; None where nothing stands over the level."""
+    step = spectra.order[1]
+    span = slice(math.ceil(place.low / step), math.floor(place.high / step) + 1)
+    ratio = np.where(_peaks(spectra, span), spectra.ratio[:, :, span], 0.0)
+    if not ratio.size or not ratio.any():
+        return None
+    cells = spectra.count.size * spectra.bands_tried * bins
+    alone = np.minimum(spectra.chance(ratio) * cells * 2.0, 1.0)
+    total = float(spectra.count.sum())
+    mean = (spectra.count[:, :, None] * spectra.ratio).sum(axis=(0, 1)) / max(total, 1e-9)
+    own = float((spectra.count * spectra.floor_worth[None]).sum())
+    free = spectra.free()[:, span].all(axis=0) & _peak_of(mean, span, 1)
+    together = np.where(
+        free, np.minimum(fdtrc(2.0 * total, 2.0 * own, mean[span]) * spectra.bands_tried * bins * 2.0, 1.0), 1.0
+    )
+    chance = min(float(alone.min()), float(together.min()))
+    if chance > false_alarm_probability:
+        return None
+    seen: NDArray[np.bool_] = np.asarray(alone.min(axis=2) <= false_alarm_probability)
+    if seen.any():
+        channel, speed, at = np.unravel_index(np.argmax(ratio * (alone <= false_alarm_probability)), ratio.shape)
+    else:
+        at = np.argmin(together)
+        channel, speed = np.unravel_index(np.argmax(spectra.ratio[:, :, span.start + at]), seen.shape)
+    peak = span.start + int(at)
+    order, error, freedom = _order(spectra, seen, mean, peak, total)
+    strength = float(spectra.ratio[channel, speed, peak])
+    size = float(spectra.amplitude[channel, speed, peak])
+    spread = 0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9))
+    multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
+    return EnvelopeLine(
+        place, order, error, freedom, int(channel), int(speed), strength, size, spread, chance, seen, multiples, spacing
+    )
+
+
+def _peaks(spectra: Spectra, span: slice) -> NDArray[np.bool_]:
+    """Bins (channel, speed, bins of ``span``) that may be lines: peaks off the cycle's orders and above skirts."""
+    made = np.zeros((*spectra.count.shape, span.stop - span.start), dtype=np.bool_)
+    free = spectra.free()
+    for speed, cell in enumerate(spectra.cell):
+        reach = max(1, round(float(cell) / spectra.order[1]))
+        for channel in range(len(made)):
+            made[channel, speed] = free[speed, span] & _peak_of(spectra.ratio[channel, speed], span, reach)
+    return made
+
+
+def _peak_of(ratio: NDArray[np.float64], span: slice, reach: int) -> NDArray[np.bool_]:
+    """Bins of ``span`` that are the largest within ``reach`` and stand well above the medians to both sides."""
+    made = np.zeros(span.stop - span.start, dtype=np.bool_)
+    near, far = NEAR_CELLS[0] * reach, NEAR_CELLS[1] * reach
+    for at in range(span.start, span.stop):
+        around = ratio[max(at - reach, 0) : at + reach + 1]
+        if ratio[at] <= 0.0 or ratio[at] < around.max():
+            continue
+        left, right = ratio[max(at - far, 0) : max(at - near + 1, 0)], ratio[at + near : at + far + 1]
+        # a line on the flank of another is above one side's median only
+        skirts = max(float(np.median(side)) if side.size else 0.0 for side in (left, right))
+        made[at - span.start] = ratio[at] > SKIRT_RATIO * skirts
+    return made
+
+
+SKIRT_RATIO = 6.0
+"""Power ratio over the medians of both sides that a line needs: noise rarely has it, a skirt never."""
+
+
+def _parabola(ratio: NDArray[np.float64], at: int) -> float:
+    """Where, in bins from ``at``, the parabola through a power of three neighbours has its top: right to 0.001 bins.
+
+    Source: K. J. Werner and F. G. Germain (2016), Applied Sciences 6, 306: the power that suits a Hann window.
+    """
+    if not 0 < at < len(ratio) - 1:
+        return 0.0
+    left, middle, right = np.maximum(ratio[at - 1 : at + 2], 0.0) ** PARABOLA_POWER
+    bend = left - 2.0 * middle + right
+    return float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
+
+
+def _order(
+    spectra: Spectra, seen: NDArray[np.bool_], mean: NDArray[np.float64], peak: int, total: float
+) -> tuple[float, float, float]:
+    """Order of a line near bin ``peak`` with its standard error and the degrees of freedom of that.
+
+    Each speed is a measurement of its own, for slip varies; channels of one recording share it.
+    """
+    step = float(spectra.order[1])
+    speeds = np.flatnonzero(seen.any(axis=0))
+    if not len(speeds):
+        noise = float(spectra.cell.max()) * PLACE_ERROR[0] / math.sqrt(mean[peak] * total)
+        order = (peak + _parabola(mean, peak)) * step
+        return order, math.hypot(noise, _wander(spectra, order, np.arange(len(spectra.cell)))), math.inf
+    places, noises = np.array([_at_speed(spectra, seen, int(speed), peak) for speed in speeds]).T
+    wanders = np.array([_wander(spectra, peak * step, np.array([speed])) for speed in speeds])
+    weight = 1.0 / (noises**2 + wanders**2)
+    order = float((weight * places).sum() / weight.sum())
+    if len(speeds) < LEAST_SPEEDS:
+        return order, float(weight.sum() ** -0.5), math.inf
+    freedom = len(speeds) - 1.0
+    spread = float((weight * (places - order) ** 2).sum()) / freedom
+    least = float((weight**2 * noises**2).sum()) / float(weight.sum())
+    return order, math.sqrt(max(spread, least) / float(weight.sum())), freedom
+
+
+def _wander(spectra: Spectra, order: float, speeds: NDArray[np.int64]) -> float:
+    """Standard error of the mean place of a line at ``order`` by random slips over what was recorded at ``speeds``."""
+    frames = spectra.count[:, speeds].max(axis=0)
+    revs = float((0.5 * (frames + 1.0) / spectra.cell[speeds]).sum())
+    return WANDER_SHARE * math.sqrt(order / max(revs, 1.0))
+
+
+def _at_speed(spectra: Spectra, seen: NDArray[np.bool_], speed: int, peak: int) -> tuple[float, float]:
+    """Order of a line near bin ``peak`` at one speed, and its error by noise: of all channels that show it."""
+    step, cell = float(spectra.order[1]), float(spectra.cell[speed])
+    reach = max(2, round(2.0 * cell / step))
+    places, weights = [], []
+    for channel in np.flatnonzero(seen[:, speed]):
+        ratio = spectra.ratio[channel, speed]
+        first = max(peak - reach, 0)
+        at = first + int(np.argmax(ratio[first : peak + reach + 1]))
+        places.append((at + _parabola(ratio, at)) * step)
+        weights.append(float(ratio[at] * spectra.count[channel, speed]))
+    frames = max(float(spectra.count[:, speed].max()), 1.0)
+    error = cell * math.hypot(PLACE_ERROR[0], PLACE_ERROR[1] / math.sqrt(frames)) / math.sqrt(sum(weights))
+    return float(np.average(places, weights=weights)), error
+
+
+def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: int) -> tuple[int, float | None]:
+    """How many of the multiples of ``order`` (itself included) and whether sidebands stand over the floor."""
+    multiples = sum(_stands(spectra, times * order, channel, speed) for times in range(1, HARMONICS + 1))
+    spacing = place.spacing
+    if spacing is None or spacing < 3.0 * float(spectra.cell[speed]):
+        return multiples, None
+    both = [_stands(spectra, times * order + side * spacing, channel, speed) for times in (1, 2) for side in (-1, 1)]
+    return multiples, spacing if any(both[:2]) or all(both[2:]) else None
+
+
+def _stands(spectra: Spectra, order: float, channel: int, speed: int) -> bool:
+    """Whether something stands over the level at ``order``."""
+    near = spectra.near(order)
+    if near.stop <= near.start or order > spectra.order[-1]:
+        return False
+    ratio = np.zeros((*spectra.count.shape, 1))
+    ratio[channel, speed] = spectra.ratio[channel, speed, near].max()
+    return bool(spectra.chance(ratio)[channel, speed, 0] * (near.stop - near.start) <= HARMONIC_LEVEL)

@@ -1,0 +1,153 @@
+"""Bearing lines of a test, in its orders and in its envelopes, each with slip, evidence and a verdict in words."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import xarray as xr
+from scipy.special import stdtrit
+
+from crankorder.engine.bearings import Bearing
+from crankorder.identify.bearings.envelope_lines import EnvelopeLine, Spectra, envelope_lines, spectra_of
+from crankorder.identify.bearings.places import Place, bearing_places
+from crankorder.identify.bearings.verdicts import envelope_evidence, envelope_verdict, vibration_verdict
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.lines.growth import growth, largest, mean_level
+from crankorder.settings import IdentifySettings
+
+NORMAL_FREEDOM = 1e6
+"""Degrees of freedom from which on Student's t is a normal distribution."""
+
+
+def bearing_records(
+    orders: tuple[AgreedOrder, ...],
+    envelope: xr.Dataset | None,
+    *,
+    bearings: tuple[Bearing, ...],
+    revs_per_cycle: int,
+    settings: IdentifySettings,
+) -> list[dict[str, Any]]:
+    """One record per bearing line that was found in the vibration or in its envelope, in words of the findings' schema.
+
+    A line may turn slower or faster than in pure rolling by ``settings.bearing_slip_percent``; it is looked for over
+    all of that. A rolling element's fault is looked for at twice BSF; N*fs is BPFO + BPFI.
+
+    In the vibration an order that is exactly locked is a bearing line only as N*fs, and is then said to be as likely a
+    part with so many teeth: no rolling bearing keeps step. In the envelope nothing is looked for on multiples of the
+    cycle's order, where combustion is.
+
+    Parameters
+    ----------
+    orders : found in the vibration, as all channels agree on them
+    envelope : the EnvelopeMap of the test, None where there is none
+    bearings : of the machine
+    revs_per_cycle : crank revolutions per engine cycle, ≥ 1
+    settings : slip and ``bearing_false_alarm_probability``, the chance that noise alone makes any line in the
+        envelopes of the whole test: shared out over every bin of every place, channel, speed and band tried
+    """
+    places = bearing_places(bearings, slip_percent=settings.bearing_slip_percent)
+    records = [
+        record
+        for place in places
+        if (record := _vibration_record(place, orders, revs_per_cycle=revs_per_cycle)) is not None
+    ]
+    if envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"]:
+        spectra = spectra_of(envelope)
+        level = settings.bearing_false_alarm_probability
+        found = envelope_lines(spectra, places, false_alarm_probability=level)
+        records += [_envelope_record(line, found, spectra, envelope, level=level) for line in found]
+    return records
+
+
+def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> dict[str, Any] | None:
+    """Record of ``place`` where an order of the vibration lies in it; None where none does."""
+    near = [order for order in orders if _within(order, place)]
+    if place.line != "N*fs":
+        near = [order for order in near if not _is_locked(order, revs_per_cycle)]
+    if not near:
+        return None
+    best = max(near, key=lambda order: max(_height(line) for line in order.lines))
+    line = max(best.lines, key=_height)
+    law, best_seen = growth(line), largest(line)
+    steady = law is not None and law.law == "keeps its size"
+    level = mean_level(line) if steady else best_seen
+    multiples = [n for n in (2, 3, 4) if any(abs(o.order - n * best.order) <= 3.0 * _reach(o, n, best) for o in orders)]
+    return _record(place, best.order, best.order_error, best.degrees_of_freedom) | {
+        "seen_in": "vibration",
+        "amplitude": level.amplitude,
+        "amplitude_ci95": [level.low, level.high],
+        "channel": line.channel,
+        "speed_rpm": best_seen.speed_rpm,
+        "band_hz": None,
+        "harmonics": 1 + len(multiples),
+        "sidebands": None,
+        "lock": best.lock,
+        "verdict": vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
+        "evidence": f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
+        f"{len(best.lines)} channels show it" + ("; its mean over all speeds, for it keeps its size" if steady else ""),
+    }
+
+
+def _reach(order: AgreedOrder, times: int, of: AgreedOrder) -> float:
+    return max(math.hypot(order.order_error, times * of.order_error), 1e-3)
+
+
+def _height(line: OrderLine) -> float:
+    """How far a line stands over the local floor: what compares channels of different units."""
+    return line.level_over_floor_db
+
+
+def _within(order: AgreedOrder, place: Place) -> bool:
+    spare = 1.96 * order.order_error
+    return place.low - spare <= order.order <= place.high + spare
+
+
+def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
+    """Whether an order belongs to the engine's cycle: locked, or on one of its multiples as far as can be told."""
+    multiple = round(order.order * revs_per_cycle) / revs_per_cycle
+    return order.lock == "locked" or (
+        order.lock == "undecided" and abs(order.order - multiple) <= 2.0 * order.order_error
+    )
+
+
+def _freedom(value: float) -> float:
+    return min(max(value, 1.0), NORMAL_FREEDOM)
+
+
+def _record(place: Place, order: float, error: float, freedom: float) -> dict[str, Any]:
+    """What every record says of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``."""
+    half = error * float(stdtrit(_freedom(freedom), 0.975))
+    slip, half_slip = place.slip_percent(order), 100.0 * half / place.expected
+    return {
+        "name": place.name,
+        "line": place.line,
+        "order": order,
+        "order_ci95": [order - half, order + half],
+        "order_expected": place.expected,
+        "slip_percent": slip,
+        "slip_percent_ci95": [slip - half_slip, slip + half_slip],
+    }
+
+
+def _envelope_record(
+    line: EnvelopeLine, found: list[EnvelopeLine], spectra: Spectra, envelope: xr.Dataset, *, level: float
+) -> dict[str, Any]:
+    """Record of a ``line`` of the envelope among all ``found``."""
+    names = envelope["channel"].values.tolist()
+    nominal = envelope.attrs["speed_basis"] == "nominal"
+    band = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
+    half = 1.96 * line.amplitude_error
+    return _record(line.place, line.order, line.order_error, line.freedom) | {
+        "seen_in": "envelope",
+        "amplitude": line.amplitude,
+        "amplitude_ci95": [max(0.0, line.amplitude - half), line.amplitude + half],
+        "channel": names[line.channel],
+        "speed_rpm": float(spectra.speed_rpm[line.speed]),
+        "band_hz": band,
+        "harmonics": line.harmonics,
+        "sidebands": line.sidebands,
+        "lock": "slips",
+        "verdict": envelope_verdict(line, found, speed_is_nominal=nominal),
+        "evidence": envelope_evidence(line, names, band, level=level, n_speeds=len(spectra.speed_rpm)),
+    }

@@ -1,0 +1,143 @@
+"""What a bearing line says, in plain words."""
+
+from __future__ import annotations
+
+import math
+
+from crankorder.identify.bearings.envelope_lines import EnvelopeLine
+from crankorder.identify.bearings.places import Place
+from crankorder.identify.found import AgreedOrder
+
+DAMAGED = {
+    "BPFO": "the outer race",
+    "BPFI": "the inner race",
+    "BSF": "a rolling element",
+    "FTF": "the cage",
+}
+
+COMPANION_SHARE = 0.5
+"""Of the strongest line's amplitude, below which another line of the same bearing is taken for its companion."""
+
+RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
+
+
+def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) -> str:
+    """Verdict on an ``order`` of the vibration at ``place``: a bearing, or a part that keeps step with the shaft.
+
+    ``revs_per_cycle``: crank revolutions of an engine cycle, whose multiples combustion makes.
+    """
+    if place.line == "N*fs":
+        return _passage_verdict(place, order, revs_per_cycle)
+    slip = place.slip_percent(order.order)
+    text = f"Order {order.order:.4g} may be {DAMAGED[place.line]} of {place.name}: {_slip_words(slip)}."
+    if order.lock == "undecided":
+        text += f" Whether it slips is not decided{_revs_words(order)}."
+    return f"{text} {RE_RUN}"
+
+
+def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> str:
+    """Verdict on N*fs, which is BPFO + BPFI for every geometry, and a multiple of the shaft's order as well."""
+    n, shaft = place.elements or 0, place.shaft_order
+    whose = "the crankshaft" if shaft == 1.0 else f"the shaft that turns at {shaft:g} of the crank's speed"
+    if order.lock == "locked":
+        text = (
+            f"Exactly locked: {n} x of {whose} (a toothed or lobed part, or that shaft's {n}th harmonic). "
+            f"A rolling bearing of {n} elements would slip: no bearing alarm."
+        )
+        cycle = place.expected * revs_per_cycle
+        if abs(cycle - round(cycle)) < 1e-9:
+            text += " In a firing engine combustion makes this order too."
+        return text
+    if order.lock == "slips":
+        slip = place.slip_percent(order.order)
+        return (
+            f"Slips ({_slip_words(slip)}), so no part that keeps step with {whose}: the {n} rolling elements of "
+            f"{place.name} passing (N*fs = BPFO + BPFI). {RE_RUN}"
+        )
+    return (
+        f"Either the {n} rolling elements of {place.name} (N*fs = BPFO + BPFI) or a part with {n} teeth or lobes on "
+        f"{whose}: not decided{_revs_words(order)}."
+    )
+
+
+def _alike(line: EnvelopeLine, other: EnvelopeLine) -> bool:
+    """Whether two lines are those of the two races and of about the same amplitude."""
+    races = {line.place.line, other.place.line} == {"BPFO", "BPFI"}
+    return races and COMPANION_SHARE <= line.amplitude / other.amplitude <= 1.0 / COMPANION_SHARE
+
+
+def _damage(place: Place) -> str:
+    if place.line == "N*fs":
+        return "strikes of every rolling element"
+    return f"damage of {DAMAGED[place.line]}"
+
+
+def _revs_words(order: AgreedOrder) -> str:
+    if order.needed_revs is None or not math.isfinite(order.needed_revs):
+        return ""
+    return f"; a recording of {math.ceil(order.needed_revs)} revolutions would tell"
+
+
+def _slip_words(slip_percent: float) -> str:
+    if abs(slip_percent) < 0.005:
+        return "just as in pure rolling"
+    return f"{abs(slip_percent):.2f} % {'slower' if slip_percent > 0.0 else 'faster'} than in pure rolling"
+
+
+def envelope_verdict(line: EnvelopeLine, found: list[EnvelopeLine], *, speed_is_nominal: bool) -> str:
+    """Verdict on a ``line`` of the envelope among all ``found``: which part is damaged, and how sure that is.
+
+    ``speed_is_nominal``: where the speed was stated and not measured, its error looks like slip.
+    """
+    place = line.place
+    others = [other for other in found if other is not line]
+    kin = [other for other in others if other.place.name == place.name and other.ratio > line.ratio]
+    lead = max(kin, key=lambda other: other.ratio, default=None)
+    slip = _slip_words(place.slip_percent(line.order))
+    if lead is not None and (place.line in ("N*fs", "FTF") or line.amplitude < COMPANION_SHARE * lead.amplitude):
+        share = line.amplitude / lead.amplitude
+        return (
+            f"{place.title} of {place.name} ({slip}) with {share:.0%} of the amplitude of {lead.place.title}: it goes "
+            f"with {_damage(lead.place)} as the load passes the rolling elements; no second damage is concluded."
+        )
+    like = [other for other in others if other.place.name == place.name and _alike(line, other)]
+    if like:
+        text = (
+            f"Strikes at {place.title} of {place.name}, {slip}, and about as strong at {like[0].place.title}: both "
+            "races are struck, as by a damaged rolling element, by dirt or by damage of both; which part is not told."
+        )
+    else:
+        text = f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}."
+    if speed_is_nominal:
+        text += " The speed is nominal: its error looks like slip."
+    same = [
+        other
+        for other in others
+        if abs(other.order - line.order) <= 3.0 * math.hypot(other.order_error, line.order_error)
+    ]
+    if same:
+        names = ", ".join(f"{other.place.name} {other.place.title}" for other in same)
+        text += f" {names} cannot be told from it."
+    return f"{text} {RE_RUN}"
+
+
+def envelope_evidence(
+    line: EnvelopeLine, channels: list[str], band_hz: list[float], *, level: float, n_speeds: int
+) -> str:
+    """How a ``line`` was found: how high, in which of ``channels`` and ``band_hz``, at how many speeds.
+
+    ``level``: the false-alarm probability of the whole test; ``n_speeds``: the speeds looked at.
+    """
+    seen = line.seen.any(axis=0).sum()
+    text = (
+        f"{10.0 * math.log10(line.ratio):.1f} dB over the envelope's floor in {channels[line.channel]}, band "
+        f"{band_hz[0]:.0f} to {band_hz[1]:.0f} Hz; over the level at {seen} of {n_speeds} speeds"
+    )
+    if not seen:
+        text += ", so only in the mean of all"
+    text += f"; {line.harmonics} of its first 4 multiples"
+    if line.sidebands is not None:
+        text += f", sidebands {line.sidebands:.3g} apart"
+    chance = "below 1e-12" if line.chance < 1e-12 else f"{line.chance:.1e}"
+    text += f"; chance that noise makes it anywhere in the test {chance} (level {level:g})"
+    return "; ".join([text, *line.also])

@@ -1,0 +1,1 @@
+"""What differs between two tests, how surely, and what would explain it."""

@@ -1,0 +1,328 @@
+"""What differs between two tests, order by order: amplitude and vector at like speeds, each with a 95 % interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.special import fdtrc, stdtr, stdtrit
+
+from crankorder.identify.changes.order_in_map import Line, line_of
+from crankorder.identify.false_discovery import claimed, simes
+from crankorder.orders.phase_marks import LOCATED, WHOLE
+
+CLEAR = 3.0
+"""Standard errors above zero from which the logarithm of an amplitude has a normal error."""
+
+MATCH = 0.02
+"""Orders found in two tests closer than this are one order."""
+
+ALWAYS = (1.0, 2.0)
+"""Orders that are compared whether or not a test found them: where a change of mass shows."""
+
+TO_DB = 20.0 / np.log(10.0)
+"""Decibels of a ratio of amplitudes for each unit of its natural logarithm."""
+
+EXACT = 1e-9
+"""Relative size of a difference that is rounding."""
+
+
+@dataclass(frozen=True)
+class MeanRatio:
+    """Weighted mean over the speeds of an order's ratio [dB], 95 % interval, p-values of "1" and of "alike at all"."""
+
+    ratio_db: float
+    ci95_db: tuple[float, float]
+    p_value: float
+    p_alike: float
+
+
+@dataclass(frozen=True, eq=False)
+class OrderChange:
+    """One order in one channel in two tests at like speeds; every interval (speeds, 2) holds 95 %.
+
+    ``p_value`` (speeds,) says how likely so large a difference is where nothing changed, ``p_all`` the same for all
+    speeds together; ``mean`` is over the speeds that show the order clearly in both tests. ``changed`` and
+    ``changed_at`` are claims at the false-discovery rate that was asked for.
+    """
+
+    channel: str
+    order: float
+    unit: str
+    locked: bool
+    base_rpm: NDArray[np.float64]
+    new_rpm: NDArray[np.float64]
+    base: Line
+    new: Line
+    difference: NDArray[np.float64]
+    difference_ci95: NDArray[np.float64]
+    ratio_db: NDArray[np.float64]
+    ratio_db_ci95: NDArray[np.float64]
+    p_value: NDArray[np.float64]
+    mean: MeanRatio
+    p_all: float
+    changed: bool = False
+    changed_at: NDArray[np.bool_] | None = None
+
+    @property
+    def vector_change(self) -> NDArray[np.complex128]:
+        """Phasor of the second test less that of the first; NaN where their phases cannot be compared."""
+        return np.asarray(self.new.vector - self.base.vector)
+
+
+def like_speeds(
+    base_rpm: NDArray[np.float64], new_rpm: NDArray[np.float64], *, within_rpm: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Positions in both lists of the speeds that are compared with one another: nearest first, each used once.
+
+    Parameters
+    ----------
+    base_rpm, new_rpm : (speeds,), min-1; NaN (speed unknown) is like a single NaN of the other test, and nothing else
+    within_rpm : largest difference of two like speeds, min-1; nothing is interpolated
+    """
+    if len(base_rpm) == len(new_rpm) == 1 and np.isnan(base_rpm[0]) and np.isnan(new_rpm[0]):
+        return np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    apart = np.abs(base_rpm[:, None] - new_rpm[None, :])
+    taken: list[tuple[int, int]] = []
+    for at in np.argsort(apart, axis=None, kind="stable"):
+        one, two = (int(k) for k in np.unravel_index(at, apart.shape))
+        if not apart[one, two] <= within_rpm:
+            break
+        if all(one != a and two != b for a, b in taken):
+            taken.append((one, two))
+    taken.sort()
+    pairs = np.array(taken, dtype=np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def orders_to_compare(
+    base: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]], highest: float
+) -> list[tuple[float, bool]]:
+    """Orders that either test found and orders 1 and 2, ascending, each with whether it is locked to the shaft.
+
+    ``base`` and ``new`` are the ``orders`` of both findings; ``highest`` is the last order of the maps. Records within
+    their intervals of one another are one order, called by the half order that they agree with.
+    """
+    groups: list[tuple[float, bool]] = []
+    for record in [*base, *new]:
+        order, ends = float(record["order"]), record.get("order_ci95") or [record["order"]] * 2
+        half = round(2 * order) / 2
+        named = half if ends[0] <= half <= ends[1] or abs(order - half) < MATCH else order
+        locked = bool(record.get("locked", True)) and record.get("lock", "locked") != "slips"
+        same = next((at for at, (known, _) in enumerate(groups) if abs(known - named) < MATCH), None)
+        if same is None:
+            groups.append((named, locked))
+        else:
+            groups[same] = groups[same][0], groups[same][1] and locked
+    groups += [(order, True) for order in ALWAYS if all(abs(order - known) >= MATCH for known, _ in groups)]
+    return sorted(group for group in groups if 0 < group[0] <= highest + MATCH)
+
+
+def order_changes(
+    base: xr.Dataset,
+    new: xr.Dataset,
+    orders: Sequence[tuple[float, bool]],
+    channels: Sequence[str],
+    *,
+    within_rpm: float,
+    q: float,
+    phases: bool = True,
+    turn_rev: float = 0.0,
+) -> list[OrderChange]:
+    """Change of each order in each channel between two tests, with claims at a false-discovery rate.
+
+    Parameters
+    ----------
+    base, new : OrderMaps
+    orders : orders with whether they are locked, as of :func:`orders_to_compare`
+    channels : names of channels that both maps have in the same unit
+    within_rpm : largest difference of speeds that are compared, min-1
+    q : false-discovery rate of the claims, 0 to 1: over orders and channels, and over all their speeds
+    phases : False where the marks from which phases count are not the same place in both tests
+    turn_rev : angle by which that mark sat later in the second test, rev: its phases are turned back
+    """
+    pairs = like_speeds(base["speed"].values, new["speed"].values, within_rpm=within_rpm)
+    made: list[OrderChange] = []
+    for channel in channels if len(pairs[0]) else ():
+        for order, locked in orders:
+            told = phases and locked and _phases_compare(base, new, order)
+            lines = [
+                line_of(item, channel, order, at, locked=locked, phases=told)
+                for item, at in zip((base, new), pairs, strict=True)
+            ]
+            if all(np.isfinite(line.amplitude).any() for line in lines):
+                speeds = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
+                back = np.exp(-2j * np.pi * order * turn_rev)
+                lines[1] = replace(lines[1], vector=np.asarray(lines[1].vector * back))
+                lines[1] = _for_speed(base, channel, order, pairs[0], speeds, lines[1], locked=locked, phases=told)
+                unit = str(base["unit"].values[base["channel"].values.tolist().index(channel)])
+                made.append(
+                    change(
+                        lines[0], lines[1], speeds[0], speeds[1], channel=channel, order=order, unit=unit, locked=locked
+                    )
+                )
+    return _with_claims(made, q)
+
+
+def _for_speed(
+    base: xr.Dataset,
+    channel: str,
+    order: float,
+    at: NDArray[np.int64],
+    speeds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    new: Line,
+    *,
+    locked: bool,
+    phases: bool,
+) -> Line:
+    """The line ``new`` with errors that hold what the difference of like speeds may make, by the slope in ``base``."""
+    speed = base["speed"].values
+    apart = np.abs(speeds[1] - speeds[0])
+    known = np.flatnonzero(np.isfinite(speed))
+    known = known[np.argsort(speed[known], kind="stable")]
+    if len(known) < 2 or not np.any(apart > 0):
+        return new
+    whole = line_of(base, channel, order, known, locked=locked, phases=phases)
+    added = []
+    for values in (whole.amplitude, whole.vector):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = np.abs(np.diff(values)) / np.diff(speed[known])
+        steps = np.where(np.isfinite(steps), steps, 0.0)
+        slope = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
+        place = {int(position): k for k, position in enumerate(known)}
+        added.append(np.array([slope[place[int(k)]] for k in at]) * apart)
+    return replace(new, error=np.hypot(new.error, added[0]), vector_error=np.hypot(new.vector_error, added[1]))
+
+
+def _with_claims(made: list[OrderChange], q: float) -> list[OrderChange]:
+    if not made:
+        return made
+    whole = claimed(np.array([one.p_all for one in made]), q=q)
+    each = claimed(np.stack([one.p_value for one in made]), q=q)
+    return [replace(one, changed=bool(all_), changed_at=at) for one, all_, at in zip(made, whole, each, strict=True)]
+
+
+def _phases_compare(base: xr.Dataset, new: xr.Dataset, order: float) -> bool:
+    marks = {str(item.attrs.get("phase_reference")) for item in (base, new)}
+    whole = abs(order - round(order)) < WHOLE
+    known = all(int(item.attrs.get("cycle_known", 0)) for item in (base, new))
+    return len(marks) == 1 and marks <= set(LOCATED) and (whole or known)
+
+
+def welch(
+    error: NDArray[np.float64], freedom: NDArray[np.float64], error2: NDArray[np.float64], freedom2: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Standard error of a difference and its degrees of freedom, of the shape of the arguments.
+
+    ``error`` and ``error2`` are the standard errors of both sides, ``freedom`` and ``freedom2`` theirs (≥ 1).
+    Source: Welch (1947), Biometrika 34, 28; Satterthwaite (1946), Biometrics Bull. 2, 110.
+    """
+    both = error**2 + error2**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(both > 0, error**2 / both, 0.5)
+    effective = 1.0 / (share**2 / freedom + (1.0 - share) ** 2 / freedom2)
+    return np.sqrt(both), np.maximum(effective, 1.0)
+
+
+def change(
+    base: Line,
+    new: Line,
+    base_rpm: NDArray[np.float64],
+    new_rpm: NDArray[np.float64],
+    *,
+    channel: str = "",
+    order: float = 1.0,
+    unit: str = "",
+    locked: bool = True,
+) -> OrderChange:
+    """Change from one line to another at like speeds, no claim made yet.
+
+    Parameters
+    ----------
+    base, new : lines at the same number of speeds
+    base_rpm, new_rpm : (speeds,), min-1
+    channel, order, unit, locked : what is compared, handed on
+    """
+    error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
+    difference = new.amplitude - base.amplitude
+    half = stdtrit(freedom, 0.975) * error
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio_db = 20.0 * np.log10(new.amplitude / base.amplitude)
+    p_value = _p_values(base, new, difference, error, freedom)
+    mean = mean_ratio(base, new)
+    p_all = float(np.nanmin([1.0, 2.0 * mean.p_value, 2.0 * simes(p_value)]))
+    return OrderChange(
+        channel, order, unit, locked, base_rpm, new_rpm, base, new,
+        difference, np.stack([difference - half, difference + half], axis=1),
+        ratio_db, _ratio_db_ci95(base, new), p_value, mean, p_all,
+    )  # fmt: skip
+
+
+def _p_values(
+    base: Line,
+    new: Line,
+    difference: NDArray[np.float64],
+    error: NDArray[np.float64],
+    freedom: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Chance of so large a difference where nothing changed: of the phasors where there are any, else amplitudes."""
+    apart = np.abs(new.vector - base.vector)
+    spread, vector_freedom = welch(base.vector_error, base.freedom, new.vector_error, new.freedom)
+    size = np.maximum(base.amplitude, new.amplitude)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_vector = fdtrc(2.0, vector_freedom, apart**2 / (2.0 * spread**2))
+        by_amplitude = 2.0 * stdtr(freedom, -np.abs(difference) / error)
+        by_vector = np.where(apart <= EXACT * size, 1.0, by_vector)
+        by_amplitude = np.where(np.abs(difference) <= EXACT * size, 1.0, by_amplitude)
+    return np.asarray(np.where(np.isfinite(apart), by_vector, by_amplitude))
+
+
+def _clear(line: Line) -> NDArray[np.bool_]:
+    return np.asarray((line.amplitude > CLEAR * line.error) & (line.amplitude > 0))
+
+
+def _ratio_db_ci95(base: Line, new: Line) -> NDArray[np.float64]:
+    """Ends (speeds, 2): by the logarithm's error where both are clear, else from both intervals at 97.5 %."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, two = base.error / base.amplitude, new.error / new.amplitude
+        error, freedom = welch(one, base.freedom, two, new.freedom)
+        middle = np.log(new.amplitude / base.amplitude)
+        half = stdtrit(freedom, 0.975) * error
+        near = np.stack([middle - half, middle + half], axis=1)
+        reach = [stdtrit(line.freedom, 0.9875) * line.error for line in (base, new)]
+        low = np.maximum(new.amplitude - reach[1], 0.0) / (base.amplitude + reach[0])
+        high = (new.amplitude + reach[1]) / np.maximum(base.amplitude - reach[0], 0.0)
+        far = np.log(np.stack([low, high], axis=1))
+    both = _clear(base) & _clear(new)
+    return np.asarray(np.where(both[:, None], near, far) * TO_DB)
+
+
+def mean_ratio(base: Line, new: Line) -> MeanRatio:
+    """Mean over speeds of the ratio of two lines, of those speeds where both are clear of their noise; else NaN.
+
+    ``base`` and ``new`` are lines at like speeds. The speeds are these and no sample of others: the error is that of
+    the measurement alone, corrected for weights that are estimated (Meier 1953, Biometrics 9, 59).
+    """
+    kept = _clear(base) & _clear(new)
+    if not kept.any():
+        return MeanRatio(np.nan, (np.nan, np.nan), np.nan, np.nan)
+    one, two = (line.error[kept] / line.amplitude[kept] for line in (base, new))
+    error, freedom = welch(one, base.freedom[kept], two, new.freedom[kept])
+    values = np.log(new.size[kept] / base.size[kept])
+    values = np.where(np.abs(values) <= EXACT, 0.0, values)
+    weight = 1.0 / np.maximum(error, 1e-12) ** 2
+    share = weight / weight.sum()
+    mean = float(np.sum(share * values))
+    variance = (1.0 + 4.0 * float(np.sum(share * (1.0 - share) / freedom))) / float(weight.sum())
+    degrees = 1.0 / float(np.sum(share**2 / freedom))
+    half = float(stdtrit(degrees, 0.975)) * np.sqrt(variance)
+    p_value = float(2.0 * stdtr(degrees, -abs(mean) / np.sqrt(variance)))
+    spare = len(values) - 1
+    fair = np.maximum(freedom - 2.0, 0.5) / freedom  # an estimated variance makes a square over it larger on average
+    misfit = float(np.sum(fair * weight * (values - mean) ** 2))
+    alike = float(fdtrc(spare, np.sum(freedom), misfit / spare)) if spare else np.nan
+    return MeanRatio(mean * TO_DB, ((mean - half) * TO_DB, (mean + half) * TO_DB), p_value, alike)

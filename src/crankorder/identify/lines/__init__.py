@@ -1,0 +1,1 @@
+"""Order lines over a stated false-alarm level, their numbers, locks and growth."""

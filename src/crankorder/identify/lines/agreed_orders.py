@@ -1,0 +1,283 @@
+"""Orders of the shaft as all channels, recordings and frames of a test agree on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import stdtrit
+
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.lines.line_phasors import Recording, recordings_of, zooms
+from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
+from crankorder.identify.lines.zoom import Zoomed
+from crankorder.quantities import flags_of
+from crankorder.settings import IdentifySettings
+
+SAME_ORDER = 0.125
+"""Lines of different channels that are closer than this are one order of the shaft."""
+
+STATED_SPEED_ERROR = 0.002
+"""Standard error, as a share, of a speed that no pulses tell: a plate's or a motor's whose load is not known."""
+
+WANDER_RATIO = 10.0
+"""A line that changes slowly by so many times its fast noise swells and fades: noise does by chance once in 1e6."""
+
+LARGEST_FREEDOM = 1e6
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Test:
+    """What the orders of a test are told from."""
+
+    recordings: list[Recording]
+    order_map: xr.Dataset
+    by_pulses: bool
+
+    @property
+    def resolution(self) -> float:
+        axis = self.order_map["order"].values
+        return float(axis[1] - axis[0])
+
+    @property
+    def revs_per_cycle(self) -> int:
+        return int(self.order_map.attrs["revs_per_cycle"])
+
+
+@dataclass(frozen=True)
+class _Number:
+    """An order with its standard error, degrees of freedom, and by what it was told."""
+
+    order: float
+    error: float
+    freedom: float
+    by_phase: bool
+
+
+def orders_agreed(
+    lines: Sequence[OrderLine], *, frames: Sequence[xr.Dataset], order_map: xr.Dataset, settings: IdentifySettings
+) -> tuple[AgreedOrder, ...]:
+    """Orders of the test, lowest first, each with the ``lines`` of the channels that show it: they see one shaft.
+
+    The number is told by the phase that a line gains on its bin from frame to frame in each of the recordings
+    (``frames``, their OrderFrames, may be empty), then over all that show it, at the speeds of ``order_map`` where it
+    is seen: far finer than a bin. Where recordings disagree by more than their errors, as of a bearing whose slip goes
+    with the speed, the number is the mean over recordings and its error that of such a mean. A number that is proven
+    an exact multiple of the cycle's (``lock`` "locked") is given as that multiple; no other is rounded. Two lines
+    within a bin are told apart where they beat within a recording; where a line only swells and fades, the
+    reservation says that two may stand there.
+
+    Without pulses the crank angle itself comes from a stated speed, a speed signal or the vibration: an order is only
+    as good as that, 0.2 % is added to its standard error, and nothing is called locked.
+    ``settings``: ``order_match``, the distance below which two found orders are one.
+    """
+    by_pulses = not any(_without_pulses(item) for item in (*frames, order_map))
+    test = _Test(recordings_of(frames), order_map, by_pulses)
+    agreed = [order for group in _groups(lines) for order in _agreed(group, test)]
+    agreed.sort(key=lambda item: item.order)
+    return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
+
+
+def _without_pulses(item: xr.Dataset) -> bool:
+    """Whether the crank angle of ``item`` comes from anything but pulses; a map without a word on it counts as good."""
+    return any(flag["flag"] == "no_index" and "no encoder pulses" in flag["detail"] for flag in flags_of(item))
+
+
+def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
+    """Lines of different channels that are one order; a channel has no two such."""
+    groups: list[list[OrderLine]] = []
+    for line in sorted(lines, key=lambda item: item.order):
+        channels = {other.channel for other in groups[-1]} if groups else set()
+        if groups and line.order - groups[-1][0].order < SAME_ORDER and line.channel not in channels:
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    return groups
+
+
+def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:
+    """``agreed`` without a second line that another group had found as its own already."""
+    kept: list[AgreedOrder] = []
+    for item in agreed:
+        twin = bool(kept) and item.order - kept[-1].order < min(near, match)
+        error = np.hypot(item.order_error, kept[-1].order_error) if twin else 0.0
+        if twin and item.order - kept[-1].order < 4.0 * error:
+            kept[-1] = max(kept[-1], item, key=lambda one: sum(len(line.seen) for line in one.lines))
+        else:
+            kept.append(item)
+    return kept
+
+
+def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
+    """The order of ``group``, and the second one beside it where there is one."""
+    weights = np.array([1.0 / line.order_error**2 for line in group])
+    mean = float(np.average([line.order for line in group], weights=weights))
+    spread = float(np.sqrt(np.average([(line.order - mean) ** 2 for line in group], weights=weights)))
+    # channels share the noise and the skirts of other lines: none makes the others more certain
+    by_lobe = _Number(mean, max(float(1.0 / np.sqrt(weights.max())), spread), LARGEST_FREEDOM, False)
+    bin_order = test.resolution * round(mean / test.resolution)
+    seen = _zooms(group, test, bin_order, mean)
+    if not seen:
+        return [_named(by_lobe, group, test, "")]
+    first = _joined([(bin_order + z.offset, z.variance, z.dof) for z in seen.values()])
+    pairs = {k: z.second for k, z in seen.items() if z.second is not None}
+    if pairs and 2 * len(pairs) >= len(seen):
+        second = _joined([(bin_order + z.offset, z.variance, z.dof) for z in pairs.values()])
+        steps = len(test.recordings) > 1 or test.order_map.sizes["speed"] == 1
+        wide = _all_channels(group, test) if steps else group
+        in_all = _zooms(wide, test, bin_order, mean)
+        pairs_in_all = {k: z.second for k, z in in_all.items() if z.second is not None}
+        if pairs_in_all:
+            seen, pairs = in_all, pairs_in_all
+        else:  # the other channels hide the second line: it is that of the channels that show it
+            wide = group
+        firsts = _rebuilt(wide, test, seen, first) if steps else group
+        seconds = _rebuilt(wide, test, pairs, second)
+        text = "two lines within a quarter order, told apart by their beat"
+        return [_named(first, firsts, test, text), _named(second, seconds, test, text)]
+    known = [z.wander for z in seen.values() if np.isfinite(z.wander)]
+    swells = bool(known) and float(np.median(known)) > WANDER_RATIO
+    text = "it swells and fades slowly: two lines closer than a recording can tell may stand here" if swells else ""
+    return [_named(first, group, test, text)]
+
+
+def _all_channels(group: list[OrderLine], test: _Test) -> list[OrderLine]:
+    """``group`` with stand-ins for the channels that did not show the line alone: of two lines that beat each hides
+    the other's steadiness."""
+    have = {line.channel: line for line in group}
+    clearest = max(group, key=lambda line: line.level_over_floor_db)
+    names = [str(name) for name in test.order_map["channel"].values]
+    return [have.get(name) or replace(clearest, channel=name) for name in names]
+
+
+def _zooms(group: list[OrderLine], test: _Test, bin_order: float, expected: float) -> dict[int, Zoomed]:
+    """The line of ``group`` in each recording that runs at speeds at which it is seen."""
+    names = test.order_map["channel"].values.tolist()
+    return zooms(
+        test.recordings,
+        channels=[names.index(line.channel) for line in group],
+        at=round(bin_order / test.resolution),
+        speeds_rpm=np.unique(np.concatenate([line.speed_rpm for line in group])),
+        speed_bin_rpm=float(test.order_map.attrs.get("speed_bin_rpm", 25.0)),
+        near=expected - bin_order,
+    )
+
+
+def _joined(found: list[tuple[float, float, float]]) -> _Number:
+    """Mean of orders with their variances and degrees of freedom, one of each recording.
+
+    A scatter between them beyond their own errors (Paule and Mandel 1982) is that of the line: the mean is then over
+    recordings that could be made, with one degree of freedom less than there are.
+    """
+    order, variance, freedom = (np.array(column) for column in zip(*found, strict=True))
+    weight = 1.0 / variance
+    if len(order) == 1:
+        return _Number(float(order[0]), float(np.sqrt(variance[0])), float(freedom[0]), True)
+    between = _between(order, variance)
+    if between > 0.0:
+        weight = 1.0 / (variance + between)
+    mean = float(np.average(order, weights=weight))
+    share = weight / weight.sum()
+    own = float(1.0 / np.sqrt(weight.sum()))
+    freedom_of_own = float(1.0 / np.sum(share**2 / freedom))  # Welch and Satterthwaite
+    chi_square = float(weight @ (order - mean) ** 2)
+    if between == 0.0:
+        return _Number(mean, own, freedom_of_own, True)
+    error = float(np.sqrt(max(1.0, chi_square / (len(order) - 1)))) * own
+    return _Number(mean, error, float(len(order) - 1), True)
+
+
+def _between(order: Floats, variance: Floats) -> float:
+    """Variance between recordings beyond their own such that the weighted scatter is as large as expected."""
+    freedom = len(order) - 1
+
+    def over(extra: float) -> float:
+        weight = 1.0 / (variance + extra)
+        return float(weight @ (order - np.average(order, weights=weight)) ** 2) - freedom
+
+    if over(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, xtol=1e-24, rtol=1e-9))
+
+
+def _named(number: _Number, lines: list[OrderLine], test: _Test, reservation: str) -> AgreedOrder:
+    order, error = number.order, number.error
+    reasons = [reservation] if reservation else []
+    if not test.by_pulses:
+        error = float(np.hypot(error, STATED_SPEED_ERROR * order))
+        reasons.append("no encoder pulses: the number is as good as the speed from which the crank angle comes")
+    by_phase = number.by_phase and test.by_pulses
+    lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
+    needed = None
+    if lock == "locked":
+        order = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
+        # the interval holds the multiple, as the proof of the lock says
+        within = sure_half_width(1.0, number.freedom) / float(stdtrit(max(min(number.freedom, 1e6), 1.0), 0.975))
+        error = max(error, abs(number.order - order) / within)
+    elif lock == "undecided":
+        needed = _needed_revs(order, lines, test)
+    reasons += sorted({line.reservation for line in lines if line.reservation})
+    return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons))
+
+
+def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:
+    """Revolutions of one recording after which it is told, from the clearest line at its clearest speed."""
+    if not test.by_pulses:
+        return None  # no length of a recording mends a speed that is not known
+    frames = test.order_map["n_frames"].values
+    revs = float(test.order_map.attrs["revs_per_frame"])
+    hop = revs * (1.0 - float(test.order_map.attrs["overlap"]))
+    best = min(
+        (
+            (float(error / amplitude), int(speed))
+            for line in lines
+            for error, amplitude, speed in zip(line.amplitude_error, line.amplitude, line.seen, strict=True)
+            if amplitude > 0.0 and np.isfinite(error)
+        ),
+        default=None,
+    )
+    if best is None:
+        return None
+    span = revs + (float(frames[best[1]]) - 1.0) * hop
+    return revs_to_decide(order, relative_error=best[0], span_rev=span, revs_per_frame=revs)
+
+
+def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
+    """Lines of the channels of ``group`` with amplitudes of the one component ``found`` in the recordings alone."""
+    speed = test.order_map["speed"].values
+    lines = []
+    for channel, line in enumerate(group):
+        rows = []
+        for k, z in found.items():
+            mean_rpm = float(np.mean(test.recordings[k].speed_rpm))
+            distance = np.abs(speed - mean_rpm)
+            seen = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0
+            bins = z.offset / test.resolution
+            loss = float(np.sinc(bins) / (1.0 - bins**2)) if abs(abs(bins) - 1.0) > 1e-6 else 0.5
+            rows.append((seen, mean_rpm, abs(z.amplitude[channel]) / loss, float(z.error[channel]) / loss, z.dof))
+        rows.sort()
+        rows = [row for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
+        seen_at, rpm, amplitude, error, freedom = (np.array(column) for column in zip(*rows, strict=True))
+        clear = amplitude > 3.0 * error
+        if not clear.any():
+            continue
+        lines.append(
+            replace(
+                line,
+                order=number.order,
+                order_error=number.error,
+                seen=seen_at[clear],
+                speed_rpm=rpm[clear],
+                amplitude=amplitude[clear],
+                amplitude_error=error[clear],
+                degrees_of_freedom=freedom[clear],
+                phase_deg=np.full(int(clear.sum()), np.nan),
+            )
+        )
+    return lines or group

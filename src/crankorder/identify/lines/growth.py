@@ -1,0 +1,272 @@
+"""How an order line grows with speed, how large it becomes, and where it is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import gammaincc, stdtr, stdtrit
+
+from crankorder.identify.found import OrderLine
+
+SpeedLaw = Literal["grows with speed^n", "keeps its size", "follows no power law"]
+
+FEWEST_SPEEDS = 4
+"""Speeds below which no law is told from two numbers."""
+
+LAW_TOLERANCE = 0.005
+"""No machine follows a law, and no sensor a scale, better than by this share of the amplitude."""
+
+FIT_CHANCE = 0.001
+"""A law whose residuals would be as large with less than this chance does not fit."""
+
+STEADY_EXPONENT = 0.25
+"""Whatever keeps its size has an exponent below this, whose interval holds 0 …"""
+
+LEAST_EXPONENT = 0.1
+"""An exponent whose whole interval is below this changes no amplitude by more than 20 % over speeds of 1 to 6."""
+
+STEADY_PRECISION = 0.5
+"""… and has a half width below this: a law that is not known is not steady."""
+
+TUNING = 4.685
+"""Tukey's biweight: 95 % efficient where all errors are normal (Huber and Ronchetti 2009, 4.8)."""
+
+DEVIATES = 4.0
+"""Standard deviations from which the amplitude at a speed deviates from the law that the others follow."""
+
+LAW_SCATTER = 0.1
+"""Amplitudes that grow follow a power law well enough to be of use where they leave it by less than this share."""
+
+LARGEST_DEVIATING = 0.34
+"""Share of speeds that may deviate from a law that is said to hold at the others."""
+
+LARGEST_FREEDOM = 1e6
+CHOSEN_BY = 2.0
+"""The largest amplitude is chosen by what it surely is: less so many standard errors."""
+
+LOW_SHARE = 1.6
+"""Of the chance outside the interval so many halves lie below it: little is left above, where one error is added."""
+
+SIMULTANEOUS = 0.005
+"""Chance given to the simultaneous interval within which the conditional one is taken."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """Amplitude ~ speed**``exponent`` with its standard error and degrees of ``freedom``.
+
+    ``law`` names what the amplitude does; ``fit_chance`` is the chance of residuals as large if the law held at the
+    speeds that do not deviate; ``scatter`` the share of the amplitude by which these leave the law beyond their
+    errors; ``deviating_rpm`` the speeds that deviate, as at a resonance.
+    """
+
+    exponent: float
+    exponent_error: float
+    freedom: float
+    law: SpeedLaw
+    fit_chance: float
+    scatter: float
+    deviating_rpm: tuple[float, ...]
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """95 % interval of the exponent."""
+        half = float(stdtrit(self.freedom, 0.975)) * self.exponent_error
+        return self.exponent - half, self.exponent + half
+
+
+@dataclass(frozen=True)
+class Largest:
+    """Largest amplitude of a line, at ``speed_rpm``, with the ends ``low`` and ``high`` of its 95 % interval.
+
+    ``at`` is its place among the speeds seen.
+    """
+
+    at: int
+    speed_rpm: float
+    amplitude: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MeanLevel:
+    """Mean amplitude of a line over its speeds with the ends of its 95 % interval."""
+
+    amplitude: float
+    low: float
+    high: float
+
+
+def growth(line: OrderLine) -> Growth | None:
+    """How the amplitude of ``line`` grows with speed; None for fewer than four speeds, or all alike.
+
+    Weighted regression of log amplitude on log speed: a speed counts by its own error and by the scatter that all of
+    them show beyond that, and less the farther it deviates (biweight), so that speeds near a resonance do not make the
+    law. Amplitude "keeps its size" only where the exponent is 0 within its interval and a constant fits.
+    """
+    known = (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(line.speed_rpm)
+    speed, amplitude = line.speed_rpm[known], line.amplitude[known]
+    if len(speed) < FEWEST_SPEEDS or not np.ptp(speed) > 0.0:
+        return None
+    x, y = np.log(speed / np.exp(np.log(speed).mean())), np.log(amplitude)
+    error = _log_errors(line.amplitude_error[known] / amplitude, line.degrees_of_freedom[known])
+    coefficient, weight = _robust_line(x, y, error)
+    residual = y - coefficient[0] - coefficient[1] * x
+    core_scale = np.hypot(error, _excess(residual, error, weight > 0.0))
+    deviating = np.abs(residual) > DEVIATES * core_scale
+    kept = ~deviating
+    if np.count_nonzero(kept) < FEWEST_SPEEDS or not np.ptp(x[kept]) > 0.0:
+        kept = np.ones(len(x), dtype=np.bool_)
+    exponent, exponent_error, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
+    freedom = _freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
+    few_deviate = bool(np.count_nonzero(~kept) <= LARGEST_DEVIATING * len(x))
+    half = float(stdtrit(freedom, 0.975)) * exponent_error
+    law = _law(exponent, half, fits=few_deviate and chance >= FIT_CHANCE, near=few_deviate and excess < LAW_SCATTER)
+    return Growth(exponent, exponent_error, freedom, law, chance, excess, tuple(speed[~kept].tolist()))
+
+
+def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
+    """What amplitudes do that ``fits`` an exponent with the interval's ``half`` width exactly, or is ``near`` it."""
+    if abs(exponent) <= half or abs(exponent) + half <= LEAST_EXPONENT:
+        steady = fits and abs(exponent) < STEADY_EXPONENT and half < STEADY_PRECISION
+        return "keeps its size" if steady else "follows no power law"
+    return "grows with speed^n" if fits or near else "follows no power law"
+
+
+def _freedom(error: Floats, excess: float, freedom: Floats) -> float:
+    """Degrees of freedom of an error made of the speeds' own, of ``freedom`` each, and of the ``excess`` scatter.
+
+    Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
+    """
+    own = float(np.exp(np.mean(np.log(error**2))))
+    held = float(np.clip(np.sum(np.where(np.isfinite(freedom), freedom, LARGEST_FREEDOM)), 1.0, LARGEST_FREEDOM))
+    return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
+
+
+def _log_errors(relative: Floats, freedom: Floats) -> Floats:
+    """Standard deviations of log amplitudes whose errors are themselves known with ``freedom`` only."""
+    held = np.clip(np.nan_to_num(freedom, nan=1.0, posinf=LARGEST_FREEDOM), 1.0, LARGEST_FREEDOM)
+    widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
+    return np.hypot(relative * widened, LAW_TOLERANCE)
+
+
+def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Coefficients (level, slope) by biweight from the median of pairwise slopes on, and the last weights."""
+    dx, dy = x[:, None] - x, y[:, None] - y
+    apart = np.abs(dx) > 0.25 * np.ptp(x)
+    slope = float(np.median(dy[apart] / dx[apart]))
+    level = float(np.median(y - slope * x))
+    weight = np.ones(len(x))
+    for _ in range(15):
+        residual = y - level - slope * x
+        scale = np.hypot(error, max(0.0, float(np.median(np.abs(residual))) / 0.6745 - float(np.median(error))))
+        share = np.minimum(np.abs(residual) / (TUNING * scale), 1.0)
+        weight = (1.0 - share**2) ** 2
+        strength = weight / scale**2
+        if np.count_nonzero(weight) < 3:
+            break
+        mean = float(np.average(x, weights=strength))
+        slope = float(strength @ ((x - mean) * y) / (strength @ (x - mean) ** 2))
+        level = float(np.average(y - slope * x, weights=strength))
+    return np.array([level, slope]), weight
+
+
+def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
+    """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
+    residual, error = residual[kept], error[kept]
+    freedom = max(len(residual) - 2, 1)
+
+    def over(scatter: float) -> float:
+        return float(np.sum(residual**2 / (error**2 + scatter**2))) - freedom
+
+    if over(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, xtol=1e-9))
+
+
+def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float]:
+    """Slope, its error, the excess scatter and the chance of a worse fit without that scatter."""
+    excess, slope, chance = 0.0, 0.0, 1.0
+    for step in range(4):
+        weight = 1.0 / (error**2 + excess**2)
+        mean = float(np.average(x, weights=weight))
+        slope = float(weight @ ((x - mean) * y) / (weight @ (x - mean) ** 2))
+        residual = y - float(np.average(y, weights=weight)) - slope * (x - mean)
+        if step == 0:
+            chance = float(gammaincc(0.5 * (len(x) - 2), 0.5 * float(residual**2 @ weight)))
+        excess = _excess(residual, error, np.ones(len(x), dtype=np.bool_))
+    weight = 1.0 / (error**2 + excess**2)
+    mean = float(np.average(x, weights=weight))
+    return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), excess, chance
+
+
+def largest(line: OrderLine) -> Largest:
+    """Largest amplitude of ``line`` over its speeds with a 95 % interval that allows for its having been chosen.
+
+    That speed is taken at which the amplitude is surely the largest: less two standard errors. Still what was chosen
+    is too large on average: given the choice it is distributed as if cut off below at what the next one reaches. The
+    interval holds all true amplitudes that this makes no surprise of, within a wider one that holds for all speeds at
+    once (hybrid interval of Andrews, Kitagawa and McCloskey 2024, Quarterly Journal of Economics 139), and what lies
+    one standard error above.
+    """
+    error = np.where(np.isfinite(line.amplitude_error), line.amplitude_error, np.inf)
+    least = line.amplitude - CHOSEN_BY * error
+    at = int(np.argmax(least)) if np.isfinite(least).any() else line.strongest
+    seen, one = float(line.amplitude[at]), float(error[at])
+    speed = float(line.speed_rpm[at])
+    if one == 0.0 or not np.isfinite(one):
+        return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
+    freedom = float(np.clip(np.nan_to_num(line.degrees_of_freedom[at], nan=1.0), 1.0, LARGEST_FREEDOM))
+    others = np.delete(least, at)
+    cut = (float(np.max(others)) - seen) / one + CHOSEN_BY if len(others) else -np.inf
+    wide = float(stdtrit(freedom, 1.0 - 0.5 * SIMULTANEOUS / len(least)))
+    share = 0.5 * (0.05 - SIMULTANEOUS) / (1.0 - SIMULTANEOUS)
+    parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
+    low, high = (seen + one * _not_surprising(cut, wide, freedom, part) for part in parts)
+    # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
+    return Largest(at, speed, seen, max(0.0, low), max(high, seen + one))
+
+
+def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> float:
+    """True less seen amplitude, in errors, at which a ``share`` of what is above ``cut`` is above what was seen."""
+
+    def above(true: float) -> float:
+        """Chance of more than what was seen, given that it is above the cut, less the share wanted."""
+        uncut = float(stdtr(freedom, true - cut)) if np.isfinite(cut) else 1.0
+        return float(stdtr(freedom, true)) / max(uncut, 1e-300) - share
+
+    if above(-wide) >= 0.0:
+        return -wide
+    if above(wide) <= 0.0:
+        return wide
+    return float(brentq(above, -wide, wide, xtol=1e-6))
+
+
+def mean_level(line: OrderLine) -> MeanLevel:
+    """Mean amplitude of ``line`` over the speeds seen, each by its error and the scatter beyond, with its interval."""
+    amplitude, error = line.amplitude, np.hypot(line.amplitude_error, LAW_TOLERANCE * line.amplitude)
+    known = np.isfinite(error)
+    amplitude, error = amplitude[known], error[known]
+    if len(amplitude) < 2:
+        one = largest(line)
+        return MeanLevel(one.amplitude, one.low, one.high)
+    mean = float(np.average(amplitude, weights=1.0 / error**2))
+    for _ in range(3):
+        excess = _excess(amplitude - mean, error, np.ones(len(error), dtype=np.bool_))
+        weight = 1.0 / (error**2 + excess**2)
+        mean = float(np.average(amplitude, weights=weight))
+    freedom = _freedom(error, excess, line.degrees_of_freedom[known])
+    half = float(stdtrit(freedom, 0.975)) / float(np.sqrt(weight.sum()))
+    return MeanLevel(mean, max(0.0, mean - half), mean + half)
+
+
+def visible_range_rpm(line: OrderLine) -> tuple[float, float]:
+    """Lowest and highest speed at which ``line`` stands above the false-alarm level."""
+    return float(line.speed_rpm.min()), float(line.speed_rpm.max())

@@ -1,0 +1,200 @@
+"""What tells a line of the shaft from a resonance that noise excites."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.special import gammaincc, gammaln
+
+from crankorder.identify.found import Evidence
+from crankorder.identify.lines.zoom import Zoomed
+
+STEADY_KURTOSIS = -0.4
+"""A line 4 dB over the noise in its own bin has this spectral kurtosis; noise alone has 0."""
+
+STEADY_SIGMAS = 5.0
+"""Standard deviations by which the spectral kurtosis must lie below that of noise."""
+
+LEAST_DAMPING = 1e-4
+"""No structure rings with a smaller damping ratio: what is steadier at one speed than such a resonance is a line."""
+
+FOLLOWED_SPEEDS = 8
+"""A line that is neither locked nor steady must be seen at so many speeds …"""
+
+FOLLOWED_BINS = 20.0
+"""… between which a line of fixed frequency would have moved by so many bins …"""
+
+FOLLOWED_SIGMAS = 6.0
+"""… and stand so many standard deviations of the noise above the orders beside it."""
+
+STANDING_RATIO = 100.0
+"""A line that cannot be proven must stand 20 dB over its floor."""
+
+PROVABLE_FRAMES = 8.0
+"""With so many independent frames beyond the first, a lock can be proven and must be."""
+
+UNPROVEN: Evidence = "stands out, too few revolutions for proof"
+"""What is said of a high line on an order of the cycle in a test of fewer frames."""
+
+
+def evidence_of(
+    order_map: xr.Dataset,
+    ratio: NDArray[np.float64],
+    channel: int,
+    peak: int,
+    seen: NDArray[np.int64],
+    false_alarm_probability: float,
+) -> Evidence | None:
+    """What tells the line from a resonance that noise excites; None where nothing does.
+
+    ``order_map`` is the OrderMap, ``ratio`` (speeds, orders) the energy of the ``channel`` over its floor, ``peak`` the
+    line's bin, ``seen`` the speeds at which it stands above the level; noise agrees in phase as well as a line that is
+    called locked with ``false_alarm_probability``.
+    """
+    if _is_locked(order_map, channel, peak, seen, false_alarm_probability):
+        return "locked to the shaft"
+    if has_moved(order_map, peak, seen) and is_steady(order_map, channel, peak, seen, false_alarm_probability):
+        return "steady, not locked"
+    if _follows(order_map, ratio, peak, seen):
+        return "follows the speed"
+    if _stands_out(order_map, ratio, peak, seen):
+        return UNPROVEN
+    return None
+
+
+def _stands_out(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether a line on an order of the cycle is far over its floor in a test too short to prove any lock.
+
+    ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its reservation rather than
+    kept back: a resonance that noise excites could be as high, but seldom on an order of the cycle at every speed.
+    """
+    high = float(np.median(ratio[seen, peak])) > STANDING_RATIO and len(seen) == order_map.sizes["speed"]
+    return high and is_unprovable(order_map, peak)
+
+
+def is_unprovable(order_map: xr.Dataset, peak: int) -> bool:
+    """Whether bin ``peak`` of ``order_map`` is an order of the cycle, with too few frames to prove a lock."""
+    axis, step = order_map["order"].values, 1.0 / int(order_map.attrs["revs_per_cycle"])
+    off = abs(axis[peak] - step * round(axis[peak] / step)) / (axis[1] - axis[0])
+    provable = float(np.maximum(order_map["n_independent"].values - 1.0, 0.0).sum())
+    return bool(off < 0.5 and provable < PROVABLE_FRAMES)
+
+
+def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether the line is a sharp ridge along its order over speeds at which a fixed frequency would have moved far.
+
+    ``ratio`` (speeds, orders) is the energy over its floor. A resonance sweeps over all orders and raises neighbours
+    alike; the logarithm of the energy of one frame of noise scatters by pi / sqrt(6) about its mean.
+    """
+    axis, speed = order_map["order"].values, order_map["speed"].values
+    moved = axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) / (axis[1] - axis[0])
+    if len(seen) < FOLLOWED_SPEEDS or moved < FOLLOWED_BINS:
+        return False
+    span = slice(int(seen[0]), int(seen[-1]) + 1)
+    height = np.log(np.maximum(ratio[span], 1e-3)).mean(axis=0)
+    beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 <= k < len(axis)]
+    frames = float(order_map["n_frames"].values[span].sum())
+    independent = frames * min(1.0, 2.0 * (1.0 - float(order_map.attrs["overlap"])))
+    scatter = np.pi / np.sqrt(6.0 * independent)
+    return bool(height[peak] - height[beside].mean() > FOLLOWED_SIGMAS * scatter)
+
+
+def _is_locked(
+    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
+) -> bool:
+    """Whether the frames agree in phase as noise would only with ``false_alarm_probability``.
+
+    The coherence g of n frames of noise exceeds its value with probability (1 - g)**(n - 1) (Goodman 1957); minus the
+    logarithms of several speeds add up to a gamma variable. A resonance excited by noise may stand out as far as a
+    line does, but its phase wanders.
+    """
+    energy = order_map["amplitude"].values[channel, seen, peak] ** 2
+    coherent = order_map["coherent_amplitude"].values[channel, seen, peak] ** 2
+    coherence = np.nan_to_num(np.divide(coherent, energy, out=np.zeros(len(seen)), where=energy > 0.0))
+    n_independent = np.maximum(1.0, order_map["n_coherent"].values[channel, seen, peak])
+    evidence = float(np.sum(-(n_independent - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))))
+    return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
+
+
+def is_steady(
+    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
+) -> bool:
+    """Whether the amplitude is far steadier from frame to frame than noise: a line that slips, or whose speed drifts.
+
+    Of bin ``peak`` of the ``channel`` of ``order_map`` at the speeds ``seen``, with ``false_alarm_probability``.
+    Spectral kurtosis is 0 ± 2/sqrt(n) for n frames of noise and -1 for a line (Antoni 2006). Few frames cannot lie so
+    many of these standard deviations below 0: for them the chance of so low a kurtosis itself tells.
+    """
+    frames = order_map["n_independent"].values[seen].astype(np.float64)
+    kurtosis = order_map["spectral_kurtosis"].values[channel, seen, peak].astype(np.float64)
+    known = np.isfinite(kurtosis) & (frames >= 2.0)
+    if not known.any():
+        return False
+    mean = float(np.average(kurtosis[known], weights=frames[known]))
+    if mean < -STEADY_SIGMAS * 2.0 / float(np.sqrt(frames[known].sum())) and mean < STEADY_KURTOSIS:
+        return True
+    evidence = -log_chance_of_kurtosis(kurtosis[known], frames[known]).sum()
+    if gammaincc(np.count_nonzero(known), evidence) >= false_alarm_probability:
+        return False
+    at = seen[known]
+    if len(at) > 1 and has_moved(order_map, peak, at):
+        return True
+    return len(at) == 1 and _steadier_than_a_resonance(order_map, peak, int(at[0]), mean, false_alarm_probability)
+
+
+def log_chance_of_kurtosis(kurtosis: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Logarithm of the chance (at most) that ``frames`` independent ones of noise have so low a spectral ``kurtosis``.
+
+    The frames' shares of their total power are uniform on a simplex (Greenwood 1946), of n - 1 dimensions; a kurtosis
+    below its value is the ball of squared radius (1 + kurtosis) (n - 1) / (n (n + 1)) about its middle. The chance is
+    the ball's volume over the simplex', exactly as long as the ball lies inside: 1 + kurtosis up to (n + 1)/(n - 1)^2.
+    """
+    m = frames - 1.0
+    squared = np.maximum(1.0 + kurtosis, 1e-12) * m / (frames * (frames + 1.0))
+    ball = 0.5 * m * np.log(np.pi * squared) - gammaln(0.5 * m + 1.0)
+    return np.asarray(np.minimum(ball + gammaln(frames) - 0.5 * np.log(frames), 0.0))
+
+
+def _steadier_than_a_resonance(
+    order_map: xr.Dataset, peak: int, at: int, kurtosis: float, false_alarm_probability: float
+) -> bool:
+    """Whether even the least damped resonance, excited by noise, would swell more over the frames of the speed ``at``.
+
+    Its phasor forgets itself with K = 2 pi damping f T over the time T. Its power over T, as long as that is short of
+    the memory, is a random walk whose variance is below s with a chance of exp(-K / (2 s)) where the resonance stands
+    at its mean,, and exp(-K / (2 s e)) where it
+    stands e times over it, which has the chance exp(-e): together exp(-sqrt(2 K / s)) at most.
+    """
+    hop = float(order_map.attrs["revs_per_frame"]) * (1.0 - float(order_map.attrs["overlap"]))
+    turned = float(order_map["order"].values[peak]) * hop * max(float(order_map["n_frames"].values[at]) - 1.0, 0.0)
+    forgotten = 2.0 * np.pi * LEAST_DAMPING * turned
+    return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < false_alarm_probability)
+
+
+def has_moved(order_map: xr.Dataset, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether a line of fixed frequency would have left its bin over the speeds ``seen``; True for a single speed.
+
+    ``order_map`` is the OrderMap, ``peak`` the line's bin in it.
+    """
+    axis, speed = order_map["order"].values, order_map["speed"].values
+    if len(speed) < 2 or not np.isfinite(speed).all():
+        return True
+    return bool(axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) > 2.0 * (axis[1] - axis[0]))
+
+
+def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) -> bool:
+    """Whether the phase of the line ``found`` in one recording or several turns as evenly as that of no noise.
+
+    The power of n frames at their best frequency stands over that of waves a little slower and faster, which a
+    resonance raises alike, by more than a ratio s with a chance of at most n (1 + s / f)^(-f/2), f being the degrees of
+    freedom of the latter (Fisher 1929); minus the logarithms of several recordings add up to a gamma variable, and
+    noise does so with less than ``false_alarm_probability``.
+    """
+    evidence = 0.0
+    for line in found:
+        trials = np.log(max(line.frames, 2.0))
+        evidence += max(0.0, 0.5 * line.dof * float(np.log1p(line.snr / line.dof)) - float(trials))
+    return len(found) > 0 and bool(gammaincc(len(found), evidence) < false_alarm_probability)

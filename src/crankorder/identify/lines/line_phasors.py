@@ -1,0 +1,92 @@
+"""Phasors of a line in the frames of all recordings, and what their turn tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.lines.zoom import SWEPT_RATIO, Zoomed, zoomed
+from crankorder.orders.common_frames import common_frames
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Frames of a recording: ``spectrum`` (channels, frames, orders), the middle of each in rev, speeds in rpm.
+
+    Frames are ``revs`` long and ``hop_rev`` apart.
+    """
+
+    spectrum: NDArray[np.complexfloating]
+    centre_rev: Floats
+    speed_rpm: Floats
+    revs: float
+    hop_rev: float
+
+
+def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
+    """The recordings of ``frames`` (their OrderFrames) that can be taken together."""
+    return [_recording(item) for item in (common_frames(frames)[0] if frames else [])]
+
+
+def _recording(item: xr.Dataset) -> Recording:
+    revs = float(item.attrs["revs_per_frame"])
+    begin = item["crank_angle"].values.astype(np.float64)
+    hop = float(np.median(np.diff(begin))) if len(begin) > 1 else revs
+    return Recording(item["spectrum"].values, begin + 0.5 * revs, item["speed"].values, revs, max(hop, 1e-9))
+
+
+Phasors = tuple[Recording, NDArray[np.complex128], Floats, Floats]
+
+
+def phasors_at(
+    recordings: Sequence[Recording], *, channels: list[int], at: int, speeds_rpm: Floats, speed_bin_rpm: float
+) -> dict[int, Phasors]:
+    """Of each of ``recordings`` itself, the phasors (channels, frames) in the bin ``at``, the frames' middles, speeds.
+
+    Frames of ``channels`` count whose speed is between the least and the largest of ``speeds_rpm``, give or take
+    ``speed_bin_rpm``, and that are whole in all channels; recordings with fewer than two are left out.
+    """
+    found: dict[int, Phasors] = {}
+    low, high = float(np.min(speeds_rpm)) - speed_bin_rpm, float(np.max(speeds_rpm)) + speed_bin_rpm
+    for number, item in enumerate(recordings):
+        speed = item.speed_rpm
+        known = np.isfinite(low) and bool(np.isfinite(speed).all())
+        at_speed = (speed >= low) & (speed <= high) if known else np.ones(len(speed), dtype=np.bool_)
+        if np.count_nonzero(at_speed) < 2:
+            continue
+        phasors = np.asarray(item.spectrum[channels, :, at], dtype=np.complex128)
+        kept = at_speed & np.isfinite(phasors.real).all(axis=0)
+        if np.count_nonzero(kept) >= 2:
+            found[number] = item, phasors[:, kept], item.centre_rev[kept], speed[kept]
+    return found
+
+
+def zooms(
+    recordings: Sequence[Recording],
+    *,
+    channels: list[int],
+    at: int,
+    speeds_rpm: Floats,
+    speed_bin_rpm: float,
+    near: float,
+    alone: bool = False,
+) -> dict[int, Zoomed]:
+    """The line in the bin ``at`` of the ``channels`` in each of ``recordings`` that shows it, by its number.
+
+    ``speeds_rpm`` and ``speed_bin_rpm`` pick frames as in :func:`phasors_at`; ``near`` is the distance from the bin, in
+    orders, that is expected; where ``alone`` no second line is looked for.
+    """
+    picked = phasors_at(recordings, channels=channels, at=at, speeds_rpm=speeds_rpm, speed_bin_rpm=speed_bin_rpm)
+    found: dict[int, Zoomed] = {}
+    for number, (item, phasors, centre, speed) in picked.items():
+        swept = bool(speed.max() > SWEPT_RATIO * speed.min())
+        line = zoomed(phasors, centre, revs=item.revs, hop_rev=item.hop_rev, swept=swept, near=near, alone=alone)
+        if line is not None:
+            found[number] = line
+    return found

@@ -1,0 +1,267 @@
+"""Order lines over a stated false-alarm level, each with its order and its amplitude over the speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.found import Evidence, OrderLine
+from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.cfar import excess_over_noise, independent_bins, noise_chance, reference_bins
+from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
+from crankorder.identify.lines.line_phasors import Recording, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.zoom import left_of_slow_waves
+from crankorder.settings import IdentifySettings, OrderSettings
+
+__all__ = ["NEIGHBOUR_ORDERS", "Z95", "OrderLine", "excess_over_noise", "order_lines", "orders_agreed"]
+
+NEIGHBOUR_ORDERS = 0.25
+"""Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
+
+NEIGHBOUR_BINS = 8
+"""… or within so many bins, where frames are so long that these are fewer orders: skirts are as wide as bins."""
+
+SWEPT_BINS = 0.15
+"""Standard error, in bins, that a change of amplitude within the frames of a run-up leaves in the place of a line."""
+
+LEAST_BINS = 0.01
+"""Standard error, in bins, that other lines' skirts and the slope of the noise leave in the place of any line."""
+
+SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
+
+ONE_SPEED = "at one speed a line of fixed frequency would look the same"
+
+SWELLING_RATIO = 400.0
+"""A line that swells and fades must stand 26 dB over its floor: then a resonance would leave more than noise …"""
+
+LEFT_RATIO = 2.0
+"""… beside its slow waves, at most so many times the floor."""
+
+FIXED_SHARE = 0.5
+"""A line of few speeds whose frequency stands out at this share of the speeds beside is one of fixed frequency."""
+
+Z95 = 1.959964
+"""Half width of a 95 % interval in standard deviations."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What all channels' lines are looked for in: the map, what stands over the noise, and how often noise would."""
+
+    order_map: xr.Dataset
+    recordings: list[Recording]
+    excess: Floats
+    ratio: Floats
+    floor: Floats
+    false_alarm_probability: float
+    floor_worth: float
+
+    @property
+    def axis(self) -> Floats:
+        return np.asarray(self.order_map["order"].values)
+
+    @property
+    def speed(self) -> Floats:
+        return np.asarray(self.order_map["speed"].values)
+
+
+def order_lines(
+    order_map: xr.Dataset, *, settings: IdentifySettings, orders: OrderSettings, frames: Sequence[xr.Dataset] = ()
+) -> list[OrderLine]:
+    """Order lines of all channels of the OrderMap ``order_map``, by channel, then by order.
+
+    A line stands above the level that noise alone reaches with ``settings.false_alarm_probability`` at enough speeds
+    (``settings.min_speeds``, ``settings.min_speed_fraction``), is the largest within a quarter order, or within
+    eight bins if these are less, and is no resonance that noise excites: its frames agree in phase (locked to the
+    shaft), or in amplitude over speeds at which a fixed frequency would have left its bin (it slips), or at one speed
+    more than the least damped resonance would; or it follows the speed far. In a test too short for such
+    proof, a high line on an order of the cycle is named with that reservation; and so is one at too few speeds, where
+    noise would make one like it somewhere in the map with less than ``settings.false_alarm_probability``.
+    ``orders`` give the floor's width. With the ``frames`` (OrderFrames of all recordings) a line also counts that keeps
+    one order, though no exact multiple of the shaft's, by the turn of its phase (a map alone shows that of long lines
+    only); one that swells and fades slowly, as two do that are too close to be parted, is kept with that reservation.
+    """
+    excess, ratio, floor = excess_over_noise(order_map, settings=settings, orders=orders)
+    bins = reference_bins(
+        order_map["order"].values,
+        line_step=1.0 / int(order_map.attrs["revs_per_cycle"]),
+        guard_bins=orders.guard_bins,
+        n_bins=orders.floor_bins,
+    )
+    chance = settings.false_alarm_probability
+    search = _Search(order_map, recordings_of(frames), excess, ratio, floor, chance, independent_bins(bins))
+    n_speeds = len(search.speed)
+    needed = min(n_speeds, max(settings.min_speeds, round(settings.min_speed_fraction * n_speeds)))
+    lines = []
+    for channel in range(len(excess)):
+        for peak in _peaks(excess[channel], search.axis):
+            seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
+            line = _line_at(search, channel, int(peak), seen, needed)
+            if line is not None:
+                lines.append(line)
+    return lines
+
+
+def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:
+    """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
+    chance, reservation = search.false_alarm_probability, ""
+    if len(seen) < needed:
+        if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
+            return None
+        chance /= search.excess[0].size
+        reservation = f"seen at {len(seen)} of {len(search.speed)} speeds only"
+    evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
+    if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
+        evidence = UNPROVEN if is_unprovable(search.order_map, peak) else "steady, not locked"
+    if evidence is None and _swells_slowly(search, channel, peak, seen):
+        evidence, reservation = (
+            UNPROVEN,
+            "; ".join(filter(None, (reservation, SWELLS))),
+        )
+    if evidence is None:
+        return None
+    if evidence == "steady, not locked" and len(search.speed) == 1:
+        reservation = "; ".join(filter(None, (reservation, ONE_SPEED)))
+    return _line(search, channel, peak, seen, evidence, reservation)
+
+
+def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> bool:
+    """Whether the frames show that the line keeps one order, over speeds that no line of fixed frequency allows."""
+    if not search.recordings or not has_moved(search.order_map, peak, seen):
+        return False
+    found = zooms(
+        search.recordings,
+        channels=[channel],
+        at=peak,
+        speeds_rpm=search.speed[seen],
+        speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
+        near=0.0,
+        alone=True,
+    )
+    return keeps_one_order(list(found.values()), false_alarm_probability=chance)
+
+
+def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether the frames hold nothing but slow waves and the noise of the floor, and the line stands far over that."""
+    if float(np.median(search.ratio[channel, seen, peak])) < SWELLING_RATIO:
+        return False
+    floor = float(np.median(search.floor[channel, seen, peak]))
+    width = float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
+    at_speeds = [search.speed[seen]] if not np.isfinite(search.speed[seen]).all() else search.speed[seen][:, None]
+    left = [  # each speed by itself: between those seen there is none of the line
+        left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=item.hop_rev)
+        for speeds in at_speeds
+        for item, phasors, centre, _ in phasors_at(
+            search.recordings, channels=[channel], at=peak, speeds_rpm=speeds, speed_bin_rpm=width
+        ).values()
+    ]
+    known = [value for value in left if np.isfinite(value)]
+    return len(known) > 0 and float(np.median(known)) < LEFT_RATIO * floor
+
+
+def _beyond_chance(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether noise would stand as high at as many speeds, in any bin of any channel, with less than the level.
+
+    With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
+    """
+    n = search.order_map["n_independent"].values
+    highest = max(
+        noise_chance(float(search.ratio[channel, s, peak]), float(n[s]), search.floor_worth) for s in seen.tolist()
+    )
+    n_speeds, k = len(search.speed), len(seen)
+    sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
+    cells = search.excess.shape[0] * search.excess.shape[2]
+    return bool(cells * sets * highest**k < search.false_alarm_probability)
+
+
+def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+    """Whether what is seen at the speeds ``seen`` stands at the same frequency at the speeds beside them too."""
+    axis, speed = search.axis, search.speed
+    if not np.isfinite(speed).all():
+        return False
+    beside = [s for k in seen.tolist() for s in range(k - 2, k + 3) if 0 <= s < len(speed) and s not in seen]
+    found = []
+    for s in sorted(set(beside)):
+        nearest = min(seen.tolist(), key=lambda k: abs(k - s))
+        at = round(axis[peak] * speed[nearest] / speed[s] / (axis[1] - axis[0]))
+        if abs(at - peak) > 1 and 1 <= at < len(axis) - 1:
+            found.append(bool((search.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
+    return len(found) > 0 and float(np.mean(found)) >= FIXED_SHARE
+
+
+def _peaks(excess: Floats, axis: Floats) -> NDArray[np.int64]:
+    """Bins that are above the level at a speed or more and the largest within a quarter order, or 8 bins if fewer."""
+    score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
+    reach = min(NEIGHBOUR_BINS, max(1, round(NEIGHBOUR_ORDERS / (axis[1] - axis[0]))))
+    padded = np.pad(score, reach, constant_values=-1.0)
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
+    return np.flatnonzero((score > 0.0) & (score >= highest))
+
+
+def _line(
+    search: _Search, channel: int, peak: int, seen: NDArray[np.int64], evidence: Evidence, reservation: str
+) -> OrderLine:
+    order_map, axis = search.order_map, search.axis
+    resolution = float(axis[1] - axis[0])
+    beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
+    energy = order_map["amplitude"].values[channel, seen, peak] ** 2
+    noise = search.floor[channel, seen, peak]
+    n_frames = order_map["n_independent"].values[seen]
+    lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
+    distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
+    if evidence == "locked to the shaft":
+        amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
+        error = order_map["standard_error"].values[channel, seen, peak]
+        dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
+    else:
+        amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
+        error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
+        dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
+        loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
+        amplitude, error = amplitude / loss, error / loss
+    return OrderLine(
+        channel=str(order_map["channel"].values[channel]),
+        order=float(axis[peak]) + resolution * distance,
+        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(order_map) else LEAST_BINS)),
+        seen=seen,
+        speed_rpm=order_map["speed"].values[seen],
+        amplitude=amplitude,
+        amplitude_error=error,
+        degrees_of_freedom=dof,
+        phase_deg=order_map["phase"].values[channel, seen, peak],
+        evidence=evidence,
+        level_over_floor_db=float(10.0 * np.log10(search.ratio[channel, seen, peak].max())),
+        reservation=reservation,
+    )
+
+
+def _is_swept(order_map: xr.Dataset) -> bool:
+    """Whether the speeds are those of a run-up or coast-down, whose groups touch, and not steps."""
+    speed = np.sort(order_map["speed"].values)
+    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(order_map.attrs["speed_bin_rpm"]))
+
+
+def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:
+    """Distance of a line from its bin, in bins, and its standard error, from the three bins of its main lobe.
+
+    ``lobe`` is (speeds, 3) amplitudes, ``noise`` (speeds,) the noise power in each. Both neighbours of the Hann
+    window's main lobe tell the distance, (2 r - 1) / (1 + r) on the right and (1 - 2 l) / (1 + l) on the left (Rife
+    and Vincent 1970); their mean has no bias from noise and errs by 0.61 / sqrt(signal-to-noise ratio). Speeds count
+    by that ratio. Where both sides disagree by more than noise makes them the shape is not that of one steady line:
+    half of what they differ by is in the error too.
+    """
+    left, right = lobe[:, 0] / lobe[:, 1], lobe[:, 2] / lobe[:, 1]
+    by_right, by_left = (2.0 * right - 1.0) / (1.0 + right), (1.0 - 2.0 * left) / (1.0 + left)
+    offset = 0.5 * (by_right + by_left)
+    weight = lobe[:, 1] ** 2 / np.maximum(noise, 1e-12 * lobe[:, 1] ** 2)
+    mean = float(np.average(offset, weights=weight))
+    share = weight / weight.sum()
+    spread = float(np.sqrt(share @ (offset - mean) ** 2 / max(1, len(offset) - 1)))
+    apart = 0.5 * abs(float(np.average(by_right - by_left, weights=weight)))
+    return mean, max(spread, apart, 0.61 / float(np.sqrt(weight.sum())))

@@ -1,0 +1,309 @@
+"""The order of a line, from the phase by which it runs ahead of its bin from frame to frame."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainccinv
+
+GRID_PER_SPAN = 4
+"""Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
+
+SEEN_SQUARED = 40.0
+"""Square of a line's amplitude over its noise, along one axis, from which its phase is followed."""
+
+BEATING_SQUARED = 4.0
+"""The same of a line whose beat with a second one still counts as its noise."""
+
+NOISE_DEGREES = 6
+"""Slow polynomials over the frames, whose power is the noise near the line."""
+
+SWEPT_RATIO = 1.02
+"""Fastest over slowest frame from which the phase of the structure's response may turn under way …"""
+
+SWEPT_TURN = 0.25
+"""… by this standard error, in revolutions of phase over the whole recording: a mode turns it by half of one."""
+
+SECOND_CHANCE = 1e-6
+"""Chance that noise shows a second line beside the first."""
+
+SECOND_RATIO = 0.03
+"""A second line has at least this share of the first one's amplitude: less may be its skirts."""
+
+SECOND_CYCLES = 1.5
+"""Two lines are told apart where they beat so often within the recording."""
+
+WANDER_DEGREES = 3
+"""Polynomials over the frames that tell a line that swells and fades once …"""
+
+WANDER_SHARE = 0.02
+"""… by at least this share of its amplitude (root mean square)."""
+
+SWEPT_SECOND_RATIO = 0.15
+"""In a run-up, whose lines have skirts of their own, a second line has at least this share of the first one's."""
+
+SAME_HALVES = 0.5
+"""Largest difference of a second line between both halves of the recording, over its amplitude."""
+
+MIRRORED = 0.5
+"""An equal line on the other side, of this share of the second's amplitude, makes both a modulation of the first."""
+
+Complex = NDArray[np.complex128]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Zoomed:
+    """A line in one recording: ``offset`` from its bin and its ``variance`` [orders], with ``dof`` degrees of freedom.
+
+    ``amplitude`` (channels,) complex at crank angle 0 and its standard ``error``; ``span_rev`` from the first to the
+    last frame's centre; ``snr`` the square of the mean's amplitude over its noise along one axis, over so many
+    ``frames``; ``wander`` how much more of what is left after the line is slow than fast (NaN where not known);
+    ``second`` a line beside it.
+    """
+
+    offset: float
+    variance: float
+    dof: float
+    amplitude: Complex
+    error: Floats
+    span_rev: float
+    snr: float
+    frames: float
+    wander: float = np.nan
+    second: Zoomed | None = None
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames of a recording: their ``turn`` [rev] from its middle, their length ``revs``, and whether the speed is
+    ``swept``."""
+
+    turn: Floats
+    revs: float
+    swept: bool
+
+    def noise_of(self, rows: Floats, offset: float) -> Floats:
+        """Noise amplitude of each of ``rows`` (rows, frames) of a line at ``offset`` in white noise of unit power.
+
+        Frames that overlap share noise: slow waves over them hold more of it than fast ones.
+        """
+        power = np.ones(len(rows))
+        for lag in range(1, len(self.turn)):
+            apart = (self.turn[lag:] - self.turn[:-lag]) / self.revs
+            if apart.min() >= 1.0:
+                break
+            part = np.minimum(apart, 1.0)
+            full = 2.0 * np.pi * part
+            alike = ((1.0 - part) * (2.0 + np.cos(full)) + 1.5 / np.pi * np.sin(full)) / 3.0  # of Hann windows
+            alike = alike * np.cos(2.0 * np.pi * offset * apart * self.revs)
+            power += 2.0 * (rows[:, lag:] * rows[:, :-lag]) @ alike
+        return np.asarray(np.sqrt(np.maximum(power, 1e-3)))
+
+
+def zoomed(
+    phasors: Complex,
+    centre_rev: Floats,
+    *,
+    revs: float,
+    hop_rev: float,
+    swept: bool = False,
+    near: float | None = None,
+    alone: bool = False,
+) -> Zoomed | None:
+    """The line in one bin of the frames of one recording, or None where it is too weak there to follow its phase.
+
+    The frames' phasors turn by the line's distance from the bin; of trial distances the one is taken at which they add
+    up to most (the periodogram, which is the maximum-likelihood estimate of a line in white noise: Rife and Boorstyn
+    1974), then the slope of the phase that is left. Its error is told by slower and faster waves of the same phasors.
+
+    Parameters
+    ----------
+    phasors : (channels, frames), complex amplitudes whose phase is that from crank angle 0
+    centre_rev : (frames,), rev, crank angle of the middle of each
+    revs : rev, length of a frame
+    hop_rev : rev, from frame to frame: distances beyond half its reciprocal cannot be told from smaller ones
+    swept : whether the speed changes so much that the structure may turn the phase
+    near : distance from the bin that is expected; None looks everywhere that can be told
+    alone : whether no second line is looked for
+    """
+    span = float(np.ptp(centre_rev)) if len(centre_rev) else 0.0
+    if len(centre_rev) < 2 or span <= 0.0:
+        return None
+    middle = 0.5 * (centre_rev[0] + centre_rev[-1])
+    turn = centre_rev - middle
+    frames = Frames(turn, revs, swept)
+    if swept and len(turn) >= 8:
+        phasors = _flattened(phasors, turn)
+    trial = _trials(span, hop_rev, near)
+    kernel = np.exp(-2j * np.pi * np.outer(turn, trial))
+    power = np.square(np.abs(phasors @ kernel)) / len(turn)
+    total = np.maximum(np.square(np.abs(phasors)).sum(axis=1), 1e-300)
+    noise = np.maximum(total - power.max(axis=1), 1e-9 * total)
+    found = float(trial[int(np.argmax((power / noise[:, None]).sum(axis=0)))])
+    line = _followed(phasors, frames, found)
+    second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > BEATING_SQUARED else None
+    if second is not None:
+        others = phasors - _waves(second, turn)
+        line = _followed(others, frames, line.offset)
+        second = _followed(phasors - _waves(line, turn), frames, second.offset)
+        if second.snr < SEEN_SQUARED:
+            second = None
+    if line.snr < SEEN_SQUARED:
+        return None
+    wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
+    beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
+    return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
+
+
+def left_of_slow_waves(phasors: Complex, turn: Floats, *, hop_rev: float) -> float:
+    """Power of a frame that is left of ``phasors`` (frames,) without the slow waves of a line; NaN for few frames.
+
+    ``turn`` (frames,) is the crank angle of each in rev from the middle, ``hop_rev`` that from frame to frame. Lines so
+    close that they beat less than twice in the recording leave the noise, a resonance that noise excites far more.
+    """
+    if len(turn) < 2 * (NOISE_DEGREES + 1):
+        return np.nan
+    trial = _trials(float(np.ptp(turn)), hop_rev, None)
+    best = trial[int(np.argmax(np.abs(phasors @ np.exp(-2j * np.pi * np.outer(turn, trial)))))]
+    rows = _polynomials(turn, NOISE_DEGREES)
+    slow = rows @ (phasors * np.exp(-2j * np.pi * best * turn))
+    left = float(np.square(np.abs(phasors)).sum() - np.square(np.abs(slow)).sum())
+    return left / (len(turn) - NOISE_DEGREES - 1)
+
+
+def _at_zero(line: Zoomed, middle: float) -> Complex:
+    return np.asarray(line.amplitude * np.exp(-2j * np.pi * ((line.offset * middle) % 1.0)))
+
+
+def _trials(span: float, hop_rev: float, near: float | None) -> Floats:
+    reach = 0.5 / hop_rev
+    count = 2 * int(np.ceil(GRID_PER_SPAN * reach * span)) + 1
+    trial = np.linspace(-reach, reach, count)
+    return trial if near is None else trial[np.abs(trial - near) <= 0.5 * reach + 1.0 / span]
+
+
+def _waves(line: Zoomed, turn: Floats) -> Complex:
+    """Phasors (channels, frames) of ``line`` at ``turn`` from the middle of the recording."""
+    return np.asarray(line.amplitude[:, None] * np.exp(2j * np.pi * line.offset * turn))
+
+
+def _followed(phasors: Complex, frames: Frames, offset: float) -> Zoomed:
+    """The line near ``offset``: least squares of the phase along the frames, whose noise is what is left of it.
+
+    All channels are joined into one series, each by its amplitude over its noise, so that noise which they share is
+    not taken for that of several.
+    """
+    turn = frames.turn
+    degrees = min(len(turn) - 1, NOISE_DEGREES + min(len(turn) // 16, NOISE_DEGREES))
+    rows = _polynomials(turn, degrees)
+    slope, steady_from = float(rows[1] @ turn), 2 if frames.swept and degrees > 1 else 1
+    level = frames.noise_of(rows, offset)
+    for _ in range(3):
+        steady = phasors * np.exp(-2j * np.pi * offset * turn)
+        amplitude = steady.mean(axis=1)
+        size = np.maximum(np.abs(amplitude), 1e-300)
+        along = (steady * (amplitude.conj() / size)[:, None]) @ rows.T / level
+        held = _channel_noise(along, size, steady_from)
+        weight = size / held
+        joined = (weight @ along) / float(weight @ size)
+        offset += float(joined[1].imag) * level[1] / slope / (2.0 * np.pi)
+    kept = np.concatenate([joined[2:].imag, joined[steady_from:].real])
+    dof = max(1.0, len(kept) - len(phasors) + 1.0)  # the weights of the channels were fitted to the same waves
+    power = float(kept @ kept) / dof
+    variance = power * level[1] ** 2 / (2.0 * np.pi * slope) ** 2
+    if frames.swept:
+        variance += (SWEPT_TURN / float(np.ptp(turn))) ** 2
+    snr = len(turn) / max(power * level[0] ** 2, 1e-24)
+    error = level[0] * np.sqrt(held / len(kept) / len(turn))
+    return Zoomed(offset, variance, dof, amplitude, error, float(np.ptp(turn)), snr, float(len(turn)))
+
+
+def _polynomials(turn: Floats, degrees: int) -> Floats:
+    """Orthonormal polynomials (0 … ``degrees``, frames) over ``turn``, positive at its end."""
+    return _polynomials_of(np.ascontiguousarray(turn, dtype=np.float64).tobytes(), degrees)
+
+
+@functools.lru_cache(maxsize=256)
+def _polynomials_of(turn: bytes, degrees: int) -> Floats:
+    values = np.frombuffer(turn)
+    basis = np.linalg.qr(np.vander(values / np.abs(values).max(), degrees + 1, increasing=True))[0].T
+    rows = np.asarray(basis * np.where(basis[:, -1:] < 0.0, -1.0, 1.0))
+    rows.flags.writeable = False
+    return rows
+
+
+def _channel_noise(along: Complex, size: Floats, steady_from: int) -> Floats:
+    """Noise power (channels,) of the slow waves ``along`` (channels, degrees) of lines of ``size``."""
+    held = np.square(along[:, 2:].imag).sum(axis=1) + np.square(along[:, steady_from:].real).sum(axis=1)
+    return np.asarray(np.maximum(held, 1e-18 * size**2))
+
+
+def _second(phasors: Complex, frames: Frames, line: Zoomed, hop_rev: float) -> Zoomed | None:
+    """A second line beside ``line``, where noise, a modulation or the skirts of ``line`` would not look like it."""
+    turn, span = frames.turn, float(np.ptp(frames.turn))
+    if len(turn) < 8:
+        return None
+    left = phasors - _waves(line, turn)
+    trial = _trials(span, hop_rev, None)
+    trial = trial[np.abs(trial - line.offset) >= SECOND_CYCLES / span]
+    if len(trial) < 8:
+        return None
+    power = np.square(np.abs(left @ np.exp(-2j * np.pi * np.outer(turn, trial))))
+    score = (power / np.maximum(np.median(power, axis=1, keepdims=True), 1e-300)).sum(axis=0)
+    n = float(len(phasors))
+    level = n * gammainccinv(n, SECOND_CHANCE / len(turn)) / gammainccinv(n, 0.5)
+    best = int(np.argmax(score))
+    if score[best] < level:
+        return None
+    found = _refined_pair(phasors, frames, line, float(trial[best]))
+    large = np.abs(found.amplitude) > (SWEPT_SECOND_RATIO if frames.swept else SECOND_RATIO) * np.abs(line.amplitude)
+    if not large.any() or abs(found.offset - line.offset) < SECOND_CYCLES / span:
+        return None
+    mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - found.offset) * turn)).mean(axis=1))
+    if np.linalg.norm(mirror) > MIRRORED * np.linalg.norm(found.amplitude):
+        return None
+    return found if _in_both_halves(phasors, turn, line, found) else None
+
+
+def _flattened(phasors: Complex, turn: Floats) -> Complex:
+    """``phasors`` of a run-up over the smooth growth of their amplitude, of the same mean."""
+    rows = _polynomials(turn, 2)
+    growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
+    return np.asarray(phasors / growth * growth.mean(axis=1, keepdims=True))
+
+
+def _refined_pair(phasors: Complex, frames: Frames, line: Zoomed, offset: float) -> Zoomed:
+    frames, turn, first = replace(frames, swept=False), frames.turn, line
+    second = _followed(phasors - _waves(first, turn), frames, offset)
+    for _ in range(4):
+        first = _followed(phasors - _waves(second, turn), frames, first.offset)
+        second = _followed(phasors - _waves(first, turn), frames, second.offset)
+    return second
+
+
+def _in_both_halves(phasors: Complex, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
+    """Whether ``second`` beside ``line`` has one amplitude and phase in both halves of the recording."""
+    waves = np.exp(2j * np.pi * np.outer(turn, [line.offset, second.offset]))
+    halves = [np.linalg.lstsq(waves[part], phasors[:, part].T, rcond=None)[0][1] for part in (turn < 0, turn >= 0)]
+    apart = np.linalg.norm(halves[0] - halves[1])
+    return bool(apart < SAME_HALVES * (np.linalg.norm(halves[0]) + np.linalg.norm(halves[1])))
+
+
+def _wander(phasors: Complex, turn: Floats, line: Zoomed) -> float:
+    """Power of slow waves over that of all faster ones, in what is left of the frames without ``line``; by channel.
+
+    The median over channels; NaN for few frames, or where what is left is less than WANDER_SHARE of the line.
+    """
+    if len(turn) < 4 * WANDER_DEGREES:
+        return np.nan
+    left = (phasors - _waves(line, turn)) * np.exp(-2j * np.pi * line.offset * turn)
+    rows = _polynomials(turn, WANDER_DEGREES)[1:]
+    slow = np.square(np.abs(left @ rows.T)).sum(axis=1)
+    fast = np.maximum(np.square(np.abs(left)).sum(axis=1) - slow, 1e-30)
+    ratio = slow / WANDER_DEGREES / (fast / (len(turn) - WANDER_DEGREES - 1))
+    large = slow / len(turn) > (WANDER_SHARE * np.abs(line.amplitude)) ** 2
+    return float(np.median(np.where(large, ratio, 0.0)))

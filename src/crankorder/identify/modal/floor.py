@@ -1,0 +1,209 @@
+"""The floor of a Campbell map: what is left of the spectra without the lines that move with speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.fft.windows import window_named
+from crankorder.identify.modal.resonance import Sight, sight
+
+MASKED_BINS = 3.0
+"""Bins on each side of an order line that take no part in the floor at least: its main lobe."""
+
+LEAK = 0.05
+"""Share of the floor that a line may leak into bins that are kept."""
+
+CLIP_CHANCE = 1e-5
+"""Chance that noise alone makes a cell so high above the same bin at other speeds that it is left out as a line."""
+
+LINE_CHANCE = 1e-3
+"""Chance below which a half order at one speed is taken to be there."""
+
+USUAL_OVERLAP = 0.5
+"""Share that frames overlap where the map does not say."""
+
+LOWEST_BINS = 4.0
+"""Noise bandwidths from zero on that are left out: the mean and its slow changes."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """Spectra without order lines, joined over the speeds.
+
+    ``frequency_hz`` (F,) of the bins in use; ``psd`` (C, F) at unit gain; ``averages`` (C, F): independent power
+    spectra behind each; ``gain`` (C, K) of each speed; ``cells`` (C, K, F): psd of each speed at unit gain, NaN where
+    masked; ``cell_averages`` (C, K). ``seen``: how the window sees power.
+    """
+
+    frequency_hz: Array
+    psd: Array
+    averages: Array
+    gain: Array
+    cells: Array
+    cell_averages: Array
+    channels: tuple[str, ...]
+    speed_rpm: Array
+    seen: Sight
+
+    @property
+    def step_hz(self) -> float:
+        """Distance of neighbouring bins."""
+        return float(self.frequency_hz[1] - self.frequency_hz[0])
+
+
+def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple[float, float]]:
+    """Half orders (order, speed in rpm) below ``top_hz`` whose coherent amplitude stands out at that speed.
+
+    Too weak for a line of the test, they would still lift single bins of the floor.
+    ``order_map``: the OrderMap.
+    """
+    from scipy.special import fdtrc
+
+    order, speed = order_map["order"].values, order_map["speed"].values
+    half = np.flatnonzero((np.abs(2.0 * order - np.rint(2.0 * order)) < 1e-6) & (order > 0.0))
+    size, error = (
+        order_map[name].values[:, :, half].astype(float) for name in ("coherent_amplitude", "standard_error")
+    )
+    freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        chance = fdtrc(2.0, np.maximum(freedom, 1.0), 0.5 * (size / error) ** 2)
+    seen = (np.where((freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < LINE_CHANCE).any(axis=0)
+    seen &= speed[:, None] / 60.0 * order[half] < top_hz
+    return [(float(order[half[j]]), float(speed[k])) for k, j in np.argwhere(seen)]
+
+
+def quiet_floor(
+    campbell: xr.Dataset, orders: tuple[tuple[float, float], ...], *, single: list[tuple[float, float]] | None = None
+) -> Floor | None:
+    """Floor of the CampbellMap ``campbell`` without the lines of ``orders`` (order, its error); None where none is.
+
+    Lines are masked as wide as the window's skirt stands over the floor, and so is every cell far above the same bin
+    at the other speeds (a line that nobody found); ``single`` (order, rpm) are masked at that speed only. Each
+    speed has a gain of its own.
+    """
+    frequency = campbell["frequency"].values
+    seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
+    used = np.flatnonzero(frequency > LOWEST_BINS * float(campbell.attrs["enbw_hz"]))
+    psd = campbell["psd"].values[:, :, used].astype(np.float64)
+    averages = _independent(campbell)
+    known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
+    if not known.any():
+        known = (averages > 0.0).any(axis=0)
+    psd, averages, speed = psd[:, known], averages[:, known], campbell["speed"].values[known]
+    if len(used) < 20 or psd.shape[1] == 0:
+        return None
+    psd[~(psd > 0.0)] = np.nan
+    moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
+    psd[moving] = np.nan
+    for order, rpm in single or []:
+        if len(speed) > 2 and abs(speed - rpm).min() < 0.01 * rpm:
+            near = np.abs(frequency[used] - order * rpm / 60.0) <= MASKED_BINS * seen.bin_hz
+            psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
+    psd, gain = _at_unit_gain(psd, averages)
+    if psd.shape[1] > 2:
+        _clip(psd, averages)
+    weight = np.where(np.isnan(psd), 0.0, (averages * 1.0)[:, :, None])
+    total = weight.sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.nansum(weight * np.nan_to_num(psd), axis=1) / total
+    names = tuple(str(name) for name in campbell["channel"].values)
+    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen)
+
+
+def _independent(campbell: xr.Dataset) -> Array:
+    """Independent power spectra (channels, speeds) that the frames of the map are worth."""
+    overlap = float(campbell.attrs.get("overlap", USUAL_OVERLAP))
+    window = window_named(str(campbell.attrs["window"]), 256)
+    hop = max(1, round(256 * (1.0 - overlap)))
+    frames = campbell["n_frames"].values[None, :] * np.ones((campbell.sizes["channel"], 1), dtype=np.int64)
+    if "n_frames_used" in campbell:
+        frames = campbell["n_frames_used"].values
+    worth = {int(n): window.independent_frames(hop, int(n), power=True) if n else 0.0 for n in np.unique(frames)}
+    return np.array([[worth[int(n)] for n in row] for row in frames])
+
+
+def _order_mask(
+    psd: Array,
+    frequency: Array,
+    speed: Array,
+    orders: tuple[tuple[float, float], ...],
+    campbell: xr.Dataset,
+    seen: Sight,
+) -> NDArray[np.bool_]:
+    """Cells (channels, speeds, frequencies) that lines of ``orders`` cover, skirts included."""
+    mask = np.zeros(psd.shape, dtype=bool)
+    step = float(frequency[1] - frequency[0])
+    level = _median(psd, axis=1)
+    skirt = _skirt(str(campbell.attrs["window"]))
+    half_bin_rpm = _half_bin(campbell)
+    for order, error in orders:
+        for k, rpm in enumerate(speed):
+            line_hz = order * rpm / 60.0
+            spread = (3.0 * error * rpm + order * half_bin_rpm) / 60.0
+            if not np.isfinite(line_hz) or line_hz - spread > frequency[-1] + 20.0 * seen.bin_hz:
+                continue
+            near = np.abs(frequency - line_hz) <= spread + seen.bin_hz
+            for channel in range(len(psd)):
+                height = np.fmax.reduce(psd[channel, k, near], initial=0.0)
+                floor = np.fmin.reduce(level[channel, near], initial=np.inf)
+                over = height / floor if np.isfinite(floor) and floor > 0.0 else 1.0
+                bins = max(MASKED_BINS, 0.5 * int(np.argmax(np.append(skirt * over < LEAK, True))))
+                mask[channel, k, np.abs(frequency - line_hz) <= spread + bins * seen.bin_hz + 0.5 * step] = True
+    return mask
+
+
+def _skirt(window: str) -> Array:
+    """Largest power response from every half bin on: what a line leaks that far away, up to the 16th bin."""
+    response = window_named(window, 512).response(np.arange(0, 16, 0.25)) ** 2
+    return np.asarray(np.maximum.accumulate(response[::-1])[::-1][::2])
+
+
+def _half_bin(campbell: xr.Dataset) -> float:
+    """Half the width in rpm of a speed group of a run-up, whose groups touch; a stepped test's groups are narrow."""
+    speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
+    touching = len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width
+    return 0.5 * width if touching else 0.0
+
+
+def _at_unit_gain(psd: Array, averages: Array) -> tuple[Array, Array]:
+    """``psd`` divided by the gain of each speed, and those gains (channels, speeds), 1 on average."""
+    level = _median(psd, axis=1)
+    gain = _median(psd / level[:, None], axis=2)
+    gain = np.where(np.isfinite(gain) & (gain > 0.0), gain, 1.0)
+    level = _median(psd / gain[:, :, None], axis=1)
+    gain *= np.nan_to_num(_median(psd / gain[:, :, None] / level[:, None], axis=2), nan=1.0)
+    mean = (gain * averages).sum(axis=1, keepdims=True) / np.maximum(averages.sum(axis=1, keepdims=True), 1e-9)
+    gain /= np.where(mean > 0.0, mean, 1.0)
+    return psd / gain[:, :, None], gain
+
+
+def _clip(psd: Array, averages: Array) -> None:
+    """NaN into cells (and their neighbours) of ``psd`` that stand over their bin's median as noise hardly ever does."""
+    from scipy.special import gammainccinv
+
+    shape = np.maximum(averages, 1.0)
+    median = gammainccinv(shape, 0.5) / shape
+    limit = gammainccinv(shape, CLIP_CHANCE) / shape / median
+    high = psd > limit[:, :, None] * _median(psd, axis=1)[:, None]
+    wide = high.copy()
+    wide[..., 1:] |= high[..., :-1]
+    wide[..., :-1] |= high[..., 1:]
+    # what stands at a third of the speeds or more is no line that moves
+    wide &= (high.mean(axis=1) < 0.34)[:, None]
+    psd[wide] = np.nan
+
+
+def _median(values: Array, *, axis: int) -> Array:
+    """Median along ``axis`` of what is not NaN; NaN where nothing is."""
+    ordered = np.sort(values, axis=axis)  # NaN comes last
+    count = np.count_nonzero(~np.isnan(values), axis=axis)
+    low, high = (np.expand_dims(np.maximum(n, 0), axis) for n in ((count - 1) // 2, count // 2))
+    high = np.minimum(high, np.expand_dims(np.maximum(count - 1, 0), axis))
+    both = np.take_along_axis(ordered, low, axis), np.take_along_axis(ordered, high, axis)
+    return np.asarray(0.5 * (both[0] + both[1]).squeeze(axis))

@@ -1,0 +1,372 @@
+"""Which modes there are: peaks of the floor, then what the residual still shows, then what splits in two."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.modal.covariance import free_of, score_covariance
+from crankorder.identify.modal.floor import Floor
+from crankorder.identify.modal.strong_tones import SHADOW_BINS, local_maxima, narrow_peak
+from crankorder.identify.modal.surface_fit import (
+    NO_POLES,
+    Poles,
+    Problem,
+    SurfaceFit,
+    background_columns,
+    curvature,
+    fit_surface,
+)
+
+PEAK_SIGMAS = 5.0
+"""Standard deviations of its scatter by which a peak is tried as a mode; the fit decides later."""
+
+DEGREES = (2, 5)
+"""Degrees of the background's polynomial that are tried."""
+
+HANN_CORRELATION = 1.95
+"""Factor by which the likelihood counts neighbouring bins of a Hann window twice."""
+
+LOCAL_BINS = 61
+"""Bins around a pole whose misfit counts for it."""
+
+SHADOW = 2e-5
+"""Share of a line's power by which its skirts may be off."""
+
+WIDE_DAMPING = 0.25
+"""Damping ratio beyond which a pole is a part of the background, which is not taken apart."""
+
+FEWEST_BINS = 12
+"""Bins around a pole without which it is not taken apart."""
+
+NARROW_BINS = 5.0
+"""Width in bins up to which a peak's first guess sees through the window."""
+
+SMOOTH = 0.4
+"""Mean square residual below which bins around a pole surely scatter less than noise: six standard errors of it."""
+
+SMOOTHEST = 0.1
+"""Smallest mean square residual that is believed."""
+
+BOXES = (3, 7, 15, 31, 63, 127, 255, 511)
+"""Widths in bins over which the residual is summed."""
+
+SURELY = 3.0
+"""Times the limit that a pole saves by which it is kept though few averages let its linear terms scatter widely."""
+
+DOUBTFUL = 20.0
+"""Times the limit of their evidence below which poles are left out on trial."""
+
+Array = NDArray[np.float64]
+
+
+def search(floor: Floor, *, chance: float) -> tuple[Problem, SurfaceFit]:
+    """Problem and fit of ``floor`` with every pole that the data ask for at the false-alarm level ``chance``."""
+    best: tuple[float, Problem, SurfaceFit] | None = None
+    start = peaks(floor)
+    for degree in DEGREES:
+        problem = problem_of(floor, degree)
+        fit = fit_surface(problem, start, steps=15)
+        fit = _grown(problem, _surely_idle_left_out(problem, fit, chance), chance)
+        size = fit.linear.size + 2 * len(fit.poles)
+        cost = fit.deviance + HANN_CORRELATION * size * np.log(len(floor.frequency_hz))
+        if best is None or cost < best[0]:
+            best = (cost, problem, fit)
+    assert best is not None
+    _, problem, fit = best
+    fit = _split(problem, fit, chance)
+    fit = _grown(problem, fit, chance)
+    return problem, _pruned(problem, fit, chance)
+
+
+def problem_of(floor: Floor, degree: int) -> Problem:
+    """Problem of all of ``floor`` with a background of ``degree``.
+
+    Bins in the skirts of a line that is far stronger count less, for the skirts of a line that is not quite steady are
+    not the window's.
+    """
+    known = np.isfinite(floor.psd) & (floor.psd > 0.0)
+    level = np.where(known, floor.psd, 0.0)
+    beside = np.pad(level, ((0, 0), (SHADOW_BINS, SHADOW_BINS)))
+    highest = np.lib.stride_tricks.sliding_window_view(beside, 2 * SHADOW_BINS + 1, axis=1).max(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        averages = 1.0 / (1.0 / floor.averages + (SHADOW * highest / level) ** 2)
+    averages = np.where(known, averages, 0.0)
+    return Problem(
+        floor.frequency_hz, floor.psd, averages, floor.seen, background_columns(len(floor.frequency_hz), degree)
+    )
+
+
+def least_gain(n_channels: int, chance: float) -> float:
+    """Deviance that one more pole saves by ``chance``: two parameters of its own and two for each channel.
+
+    ``n_channels``: how many channels there are.
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(2.0 + 2.0 * n_channels, chance))
+
+
+def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz: float, chance: float) -> bool:
+    """Whether ``more`` poles near ``at_hz`` save more deviance than ``chance`` would, over ``less`` of them.
+
+    Bins that overlap, narrow modes and channels with common noise count the same scatter several times: the deviance
+    is that many times too large as the sandwich covariance of the poles there exceeds the naive one (Rotnitzky and
+    Jewell 1990; Satorra and Bentler 1994).
+    ``problem``: the floors that were fitted.
+    """
+    saved = (less.deviance - more.deviance) / scatter_at(problem, more, at_hz)
+    limit = least_gain(len(problem.psd), chance)
+    if saved < HANN_CORRELATION * limit:
+        return False
+    return saved > max(HANN_CORRELATION, counted_over(problem, more, at_hz)) * limit
+
+
+def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
+    """How many times the likelihood counts the scatter that moves the two poles nearest to ``at_hz``.
+
+    ``problem``: the floors that were fitted; ``fit``: the fit so far.
+    """
+    free = free_of(fit)
+    hessian = curvature(fit, free)
+    inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
+    sandwich = inverse @ score_covariance(problem, fit)[np.ix_(free, free)] @ inverse
+    near = np.argsort(np.abs(fit.poles.frequency_hz - at_hz))[:2]
+    own = np.flatnonzero(np.isin(np.repeat(np.arange(len(fit.poles)), 2)[free], near))
+    at = np.ix_(own, own)
+    return float(np.trace(np.linalg.pinv(inverse[at], rcond=1e-12) @ sandwich[at])) / len(own)
+
+
+def peaks(floor: Floor) -> Poles:
+    """Peaks of all channels of ``floor`` clear of the scatter, joined where they are nearer than they are wide."""
+    found: list[tuple[float, float, float]] = []
+    step = floor.step_hz
+    for density, averages in zip(floor.psd, floor.averages, strict=True):
+        used = np.flatnonzero(np.isfinite(density) & (density > 0.0))
+        if len(used) < 20:
+            continue
+        whole = np.interp(np.arange(len(density)), used, np.log(density[used]))
+        level = whole.copy()
+        level[1:-1] = np.log((np.exp(whole[:-2]) + np.exp(whole[1:-1]) + np.exp(whole[2:])) / 3.0)
+        scatter = 1.0 / np.sqrt(1.5 * np.median(averages[used]))
+        for peak in local_maxima(level):
+            height, width = _prominence(level, int(peak))
+            if height > PEAK_SIGMAS * scatter and height > 0.1:
+                if width > NARROW_BINS:
+                    found.append((float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step, height))
+                else:
+                    found.append((*narrow_peak(whole, int(peak), floor), height))
+    return _joined(found, floor)
+
+
+def _joined(found: list[tuple[float, float, float]], floor: Floor) -> Poles:
+    """Peaks of several channels (frequency, half width, height) that stand for one pole made one."""
+    poles = NO_POLES
+    taken: list[tuple[float, float]] = []
+    for frequency, width, _ in sorted(found, key=lambda item: -item[2]):
+        if all(abs(frequency - other) > max(2.5 * floor.step_hz, 0.7 * min(width, wide)) for other, wide in taken):
+            taken.append((frequency, width))
+            poles = poles.with_pole(frequency, min(width / frequency, 0.3))
+    return poles
+
+
+def _prominence(level: Array, peak: int) -> tuple[float, float]:
+    """Height over the higher of the two valleys that part a peak from higher ground; width at half power, in bins."""
+    higher = np.flatnonzero(level > level[peak])
+    at = int(np.searchsorted(higher, peak))
+    left, right = (int(higher[at - 1]) if at else 0), (int(higher[at]) if at < len(higher) else len(level) - 1)
+    height = float(level[peak] - max(level[left : peak + 1].min(), level[peak : right + 1].min()))
+    half = level[peak] - min(np.log(2.0), 0.5 * height)
+    under = np.flatnonzero(level < half)
+    at = int(np.searchsorted(under, peak))
+    low, high = (int(under[at - 1]) if at else 0), (int(under[at]) if at < len(under) else len(level) - 1)
+    return height, float(2 * min(high - peak, peak - low))
+
+
+def hidden_poles(problem: Problem, fit: SurfaceFit) -> NDArray[np.bool_]:
+    """Which poles of ``fit`` (M,) lie where no channel has a bin: they stand for the skirts of what is masked there.
+
+    ``problem``: the floors that were fitted.
+    """
+    used = problem.frequency_hz[(problem.averages > 0.0).any(axis=0)]
+    nearest = np.abs(fit.poles.frequency_hz[:, None] - used).min(axis=1, initial=np.inf)
+    inside = (fit.poles.frequency_hz > problem.frequency_hz[0]) & (fit.poles.frequency_hz < problem.frequency_hz[-1])
+    reach = problem.seen.bin_hz + fit.poles.damping * fit.poles.frequency_hz
+    return np.asarray(inside & (nearest > reach))
+
+
+def evidence_of(fit: SurfaceFit) -> Array:
+    """Wald statistic (M, C) of the two linear terms of each pole, in units of the bins' own scatter.
+
+    ``fit``: the fit so far.
+    """
+    made = np.empty((len(fit.poles), len(fit.linear)))
+    for channel, r in enumerate(fit.triangle):
+        inverse = np.linalg.pinv(r, rcond=1e-9)
+        for number in range(len(fit.poles)):
+            at = slice(2 * number, 2 * number + 2)
+            covariance = inverse[at] @ inverse[at].T
+            x = fit.linear[channel, at]
+            made[number, channel] = float(x @ np.linalg.pinv(covariance) @ x)
+    return made
+
+
+def dispersion(problem: Problem, fit: SurfaceFit, at_hz: float | None = None) -> float:
+    """Mean square residual in standard deviations: one where the model holds, never taken for less.
+
+    Of all bins, or of those around ``at_hz`` alone, so that a misfit elsewhere does not drown what is there.
+    ``problem``: the floors that were fitted; ``fit``: the fit so far.
+    """
+    return max(1.0, _mean_square(problem, fit, at_hz))
+
+
+def scatter_at(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
+    """Mean square residual around ``at_hz``, less than one only where the bins surely scatter less than noise does.
+
+    The skirts of what is strong elsewhere are smooth, whatever the number of averages.
+    ``problem``: the floors that were fitted; ``fit``: the fit so far.
+    """
+    square = _mean_square(problem, fit, at_hz)
+    return max(1.0, square) if square > SMOOTH else max(square / SMOOTH, SMOOTHEST)
+
+
+def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> float:
+    residual = np.stack(fit.residual[: len(problem.psd)])
+    used = problem.averages > 0.0
+    free = 1.0 - (fit.linear.size + 2.0 * len(fit.poles)) / max(1.0, float(np.count_nonzero(used)))
+    if at_hz is not None:
+        near = np.argsort(np.abs(problem.frequency_hz - at_hz), kind="stable")[:LOCAL_BINS]
+        residual, used = residual[:, near], used[:, near]
+    spare = max(1.0, float(np.count_nonzero(used)) * max(free, 0.2))
+    return float(np.sum(residual**2)) / spare
+
+
+def _surely_idle_left_out(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
+    """Without poles whose linear terms say nothing even if the model held everywhere."""
+    limit = HANN_CORRELATION * least_gain(len(problem.psd), chance)
+    kept: list[float] = []
+    while len(fit.poles):
+        evidence = evidence_of(fit).sum(axis=1)
+        evidence[np.isin(fit.poles.frequency_hz, kept)] = np.inf
+        weakest = int(np.argmin(evidence))
+        if evidence[weakest] > limit:
+            break
+        less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=5)
+        if less.deviance - fit.deviance > SURELY * limit:
+            kept.append(float(fit.poles.frequency_hz[weakest]))
+        else:
+            fit, kept = less, []
+    return fit
+
+
+def _pruned(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
+    """Without the poles that add no more than chance would, the weakest first.
+
+    Those whose linear terms are less than some times the limit are left out on trial.
+    """
+    limit = HANN_CORRELATION * least_gain(len(problem.psd), chance)
+    kept: list[float] = []
+    while len(fit.poles):
+        local = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
+        evidence = evidence_of(fit).sum(axis=1) / local
+        evidence[np.isin(fit.poles.frequency_hz, kept)] = np.inf
+        weakest = int(np.argmin(evidence))
+        if evidence[weakest] > DOUBTFUL * limit:
+            break
+        at_hz = float(fit.poles.frequency_hz[weakest])
+        less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=12)
+        surely = less.deviance - fit.deviance > SURELY * limit
+        idle = evidence[weakest] < limit and not surely
+        if idle or not saves_enough(problem, less, fit, at_hz=at_hz, chance=chance):
+            fit, kept = less, []
+        else:
+            kept.append(at_hz)
+    return fit
+
+
+def _grown(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
+    """With poles added where the residual of ``fit`` stands out, as long as each saves enough deviance."""
+    tried: list[float] = []
+    for _ in range(30):
+        found = _standing_out(problem, fit, tried)
+        if found is None:
+            break
+        frequency, width = found
+        poles = fit.poles.with_pole(frequency, min(0.3, width / frequency))
+        more = fit_surface(problem, poles, start=fit.model, steps=20)
+        if saves_enough(problem, fit, more, at_hz=frequency, chance=chance):
+            fit = more
+        else:
+            tried.append(frequency)
+    return fit
+
+
+def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tuple[float, float] | None:
+    """Frequency and half width of the most significant hump of the residual, away from those ``tried``."""
+    z = np.zeros(problem.psd.shape)
+    for row, n, y, model in zip(z, problem.averages, problem.psd, fit.model, strict=True):
+        row[:] = np.where(n > 0.0, np.sqrt(n) * (np.nan_to_num(y) / model - 1.0), 0.0)
+    best = 0.0
+    found: tuple[float, float] | None = None
+    step = float(problem.frequency_hz[1] - problem.frequency_hz[0])
+    for bins in (n for n in BOXES if n < max(64, len(problem.frequency_hz) // 4)):
+        box = np.ones(bins) / np.sqrt(bins * min(HANN_CORRELATION, 0.5 + 0.5 * bins))
+        summed = np.stack([np.convolve(row, box, mode="same") for row in z])
+        score = np.square(np.maximum(summed, 0.0)).sum(axis=0)
+        for frequency in tried:
+            score[np.abs(problem.frequency_hz - frequency) < 2.0 * bins * step] = 0.0
+        at = int(np.argmax(score))
+        if score[at] > best:
+            best, found = float(score[at]), (float(problem.frequency_hz[at]), 0.25 * bins * problem.seen.bin_hz)
+    return found if best > 25.0 * dispersion(problem, fit, found[0] if found else None) else None
+
+
+def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
+    """With poles taken apart in two where that saves enough deviance: looked at in the bins around each."""
+    limit = least_gain(len(problem.psd), chance)
+    number = 0
+    while number < len(fit.poles):
+        if fit.poles.damping[number] > WIDE_DAMPING:
+            number += 1
+            continue
+        f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
+        width = max(zeta * f, 0.3 * problem.seen.bin_hz)
+        local, start = _around(problem, fit, number, width)
+        if len(local.frequency_hz) < FEWEST_BINS or not len(start):
+            number += 1
+            continue
+        one = fit_surface(local, start, steps=8)
+        apart = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
+        for sign in (-0.5, 0.5):
+            apart = apart.with_pole(f + sign * width, 0.6 * width / f)
+        two = fit_surface(local, apart, steps=20)
+        if one.deviance - two.deviance > HANN_CORRELATION * limit * dispersion(local, two):
+            poles = fit.poles.without(number)
+            near = np.argsort(np.abs(two.poles.frequency_hz - f))[:2]
+            for k in near:
+                poles = poles.with_pole(float(two.poles.frequency_hz[k]), float(two.poles.damping[k]))
+            more = fit_surface(problem, poles, start=fit.model, steps=20)
+            if saves_enough(problem, fit, more, at_hz=f, chance=chance):
+                fit = more
+                continue
+        number += 1
+    return fit
+
+
+def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> tuple[Problem, Poles]:
+    """The bins within some widths of pole ``number``; what the others make of them is part of the background."""
+    f = fit.poles.frequency_hz[number]
+    reach = max(6.0 * width_hz, 8.0 * problem.seen.bin_hz)
+    near = np.abs(problem.frequency_hz - f) <= reach
+    poles = np.abs(fit.poles.frequency_hz - f) <= reach
+    keep = Poles(fit.poles.frequency_hz[poles], fit.poles.damping[poles], fit.poles.tone[poles])
+    local = replace(
+        problem,
+        frequency_hz=problem.frequency_hz[near],
+        psd=problem.psd[:, near],
+        averages=problem.averages[:, near],
+        background=background_columns(int(near.sum()), 2),
+    )
+    return local, keep

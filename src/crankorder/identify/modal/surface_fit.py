@@ -1,0 +1,269 @@
+"""Fit of modes to the floors of all channels at once: poles are common, residues and background each channel's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.modal.resonance import Sight, pole_columns
+
+Array = NDArray[np.float64]
+
+SMALLEST_MODEL = 0.05
+"""Share of the measured power that the model is taken to be at least: no weight explodes."""
+
+TONE_BINS = 1e-3
+"""Half width in bins that stands for none: the line of a tone."""
+
+WIDEST = 0.7
+"""Largest damping ratio that a pole may take during the fit."""
+
+MOST_STEPS = 40
+"""Steps of the fit at most."""
+
+
+class Others(Protocol):
+    """Further data that depend on the same poles."""
+
+    def evaluate(self, poles: Poles) -> tuple[list[Array], list[Array], float]:
+        """Jacobians by (ln f, ln ζ) of all poles, residuals (in standard errors) and the sum of their squares."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
+
+    ``background`` (B, F) are the columns of what is smooth; ``seen`` is the window's sight; ``others`` what else the
+    same poles must explain.
+    """
+
+    frequency_hz: Array
+    psd: Array
+    averages: Array
+    seen: Sight
+    background: Array
+    others: Others | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Natural frequencies in Hz and damping ratios, each (M,); ``tone`` (M,) marks lines that have no damping."""
+
+    frequency_hz: Array
+    damping: Array
+    tone: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.frequency_hz)
+
+    def without(self, number: int) -> Poles:
+        """All but one.
+
+        ``number``: which pole.
+        """
+        keep = np.arange(len(self)) != number
+        return Poles(self.frequency_hz[keep], self.damping[keep], self.tone[keep])
+
+    def with_pole(self, frequency_hz: float, damping: float) -> Poles:
+        """One more, lowest first.
+
+        ``frequency_hz``: in Hz; ``damping``: their ratios.
+        """
+        frequency = np.append(self.frequency_hz, frequency_hz)
+        order = np.argsort(frequency, kind="stable")
+        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, False)[order])
+
+    def chosen(self, which: NDArray[np.bool_]) -> Poles:
+        """Those that ``which`` (M,) marks."""
+        return Poles(self.frequency_hz[which], self.damping[which], self.tone[which])
+
+    def joined(self, others: Poles) -> Poles:
+        """These, then ``others``."""
+        pairs = zip(
+            (self.frequency_hz, self.damping, self.tone),
+            (others.frequency_hz, others.damping, others.tone),
+            strict=True,
+        )
+        return Poles(*(np.concatenate(pair) for pair in pairs))
+
+    def as_tone(self, number: int, is_tone: bool, *, width_hz: float) -> Poles:
+        """With number ``number`` a tone, or a mode of the half width ``width_hz``.
+
+        ``is_tone``: whether it is one.
+        """
+        tone, damping = self.tone.copy(), self.damping.copy()
+        tone[number], damping[number] = is_tone, width_hz / self.frequency_hz[number]
+        return Poles(self.frequency_hz, damping, tone)
+
+
+NO_POLES = Poles(np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceFit:
+    """``poles``, ``linear`` terms (C, 2M + B) of ``columns`` (2M + B, F), ``model`` (C, F) and its ``deviance``.
+
+    ``jacobian`` and ``residual`` hold per channel (then per item of other data) the derivative (F, 2M) by (ln f, ln ζ)
+    of all poles, less what the linear terms make up for, and what the fit leaves (F,), both in standard deviations of
+    a bin; ``triangle`` per channel is R (2M + B, 2M + B) of the weighted columns.
+    """
+
+    poles: Poles
+    linear: Array
+    columns: Array
+    model: Array
+    deviance: float
+    jacobian: tuple[Array, ...]
+    residual: tuple[Array, ...]
+    triangle: tuple[Array, ...]
+
+    def part(self, number: int) -> Array:
+        """Power (C, F) that pole ``number`` adds."""
+        at = slice(2 * number, 2 * number + 2)
+        return np.asarray(self.linear[:, at] @ self.columns[at])
+
+
+def background_columns(n_bins: int, degree: int) -> Array:
+    """Legendre polynomials over the band up to ``degree`` (degree + 1, n_bins)."""
+    return np.ascontiguousarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n_bins), degree).T)
+
+
+def gamma_deviance(psd: Array, averages: Array, model: Array) -> Array:
+    """Twice the log likelihood by which the powers ``psd`` miss ``model``, each averaged ``averages`` times."""
+    used = averages > 0.0
+    share = np.where(used, psd, 1.0) / np.where(used, model, 1.0)
+    return np.asarray(2.0 * np.where(used, averages * (share - 1.0 - np.log(share)), 0.0))
+
+
+def evaluate(problem: Problem, poles: Poles, weight_by: Array) -> SurfaceFit:
+    """Linear terms of ``poles`` for weights by the model ``weight_by`` (C, F), and all that a step needs.
+
+    ``problem``: the floors that were fitted.
+    """
+    n_poles = len(poles)
+    columns = problem.background
+    slopes: tuple[Array, Array] = (np.zeros((0, 1)), np.zeros((0, 1)))
+    if n_poles:
+        made = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
+        columns, slopes = np.concatenate([made[0], problem.background]), (made[1], made[2])
+    linear = np.empty((len(problem.psd), len(columns)))
+    jacobians, residuals, triangles = [], [], []
+    for channel, (y, n) in enumerate(zip(problem.psd, problem.averages, strict=True)):
+        weight = np.where(n > 0.0, np.sqrt(n) / weight_by[channel], 0.0)
+        measured = weight * np.where(n > 0.0, y, 0.0)
+        q, r = np.linalg.qr((columns * weight).T)
+        along = q.T @ measured
+        linear[channel] = _back_solved(r, along)
+        residuals.append(measured - q @ along)
+        triangles.append(r)
+        if not n_poles:
+            jacobians.append(np.zeros((len(y), 0)))
+            continue
+        pairs = linear[channel, : 2 * n_poles].reshape(n_poles, 2, 1)
+        by = [(part.reshape(n_poles, 2, -1) * pairs).sum(axis=1) for part in slopes]
+        raw = np.stack(by, axis=1).reshape(2 * n_poles, -1) * weight
+        jacobians.append(raw.T - q @ (q.T @ raw.T))
+    model = np.maximum(linear @ columns, SMALLEST_MODEL * np.nan_to_num(problem.psd))
+    model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
+    missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
+    if problem.others is not None and n_poles:
+        further = problem.others.evaluate(poles)
+        jacobians, residuals, missed = jacobians + further[0], residuals + further[1], missed + further[2]
+    return SurfaceFit(poles, linear, columns, model, missed, tuple(jacobians), tuple(residuals), tuple(triangles))
+
+
+def _back_solved(r: Array, along: Array) -> Array:
+    """Solution of the triangular system ``r`` x = ``along``; columns that are hardly there get nothing."""
+    diagonal = np.abs(np.diag(r))
+    if diagonal.min(initial=np.inf) > 1e-9 * diagonal.max(initial=0.0):
+        return np.asarray(np.linalg.solve(r, along))
+    return np.asarray(np.linalg.lstsq(r, along, rcond=1e-9)[0])
+
+
+def first_model(problem: Problem, bins: int = 2) -> Array:
+    """Powers (C, F) smoothed over a window's main lobe, in whose place a fit's own come later.
+
+    ``problem``: the floors that were fitted; ``bins``: on each side.
+    """
+    made = np.ones_like(problem.psd)
+    box = np.ones(2 * bins + 1)
+    for row, y, n in zip(made, problem.psd, problem.averages, strict=True):
+        weight = (n > 0.0).astype(np.float64)
+        total = np.convolve(weight, box, mode="same")
+        mean = np.convolve(np.where(n > 0.0, y, 0.0), box, mode="same") / np.maximum(total, 1e-9)
+        row[:] = np.where((n > 0.0) & (mean > 0.0), mean, 1.0)
+    return made
+
+
+def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, steps: int = MOST_STEPS) -> SurfaceFit:
+    """Best fit of ``problem`` from ``poles`` on in at most ``steps`` steps; ``start`` (C, F): model to weight by first.
+
+    The power of noise averaged n times scatters by 1/√n of itself, so residuals are weighted by the model, which
+    every step renews (quasi-likelihood of the gamma distribution, whose score has no bias); linear terms are
+    eliminated at every step (Golub and Pereyra 1973, derivative of Kaufman 1975); poles move by Levenberg-Marquardt
+    steps in ln f and ln ζ.
+    """
+    smooth = first_model(problem) if start is None else start
+    current = evaluate(problem, poles, smooth)
+    for _ in range(2):
+        current = min(current, evaluate(problem, poles, current.model), key=_deviance)
+    if not len(poles):
+        return current
+    factor, still = 1e-3, 0
+    for _ in range(steps):
+        free = np.stack([np.ones(len(poles), dtype=bool), ~poles.tone], axis=1).ravel()
+        hessian = curvature(current, free)
+        slope = np.zeros(len(hessian))
+        for j, r in zip(current.jacobian, current.residual, strict=True):
+            slope += j[:, free].T @ r
+        scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
+        if not scale.min(initial=np.inf) > 0.0:
+            break
+        move = np.zeros(2 * len(poles))
+        move[free] = np.linalg.solve(hessian + max(factor, 1e-8) * np.diag(scale), slope)
+        moved = _moved(poles, move, problem)
+        trial = evaluate(problem, moved, current.model)
+        if trial.deviance > current.deviance + 1.0:  # weights of a model that is still far off may mislead
+            trial = min(trial, evaluate(problem, moved, smooth), key=_deviance)
+        gained = current.deviance - trial.deviance
+        if gained > -1e-3:
+            current, poles = trial, trial.poles
+            factor = max(0.1 * factor, 1e-8)
+            still = still + 1 if gained < 0.01 else 0
+            if still > 1:
+                break
+        else:
+            factor = 10.0 * max(factor, 1e-4)
+            if factor > 1e5:
+                break
+    return current
+
+
+def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
+    """Second derivatives of half the deviance by the ``free`` ones of (ln f_1, ln ζ_1, …), linear terms eliminated.
+
+    ``fit``: the fit so far.
+    """
+    made = np.zeros((np.count_nonzero(free),) * 2)
+    for j in fit.jacobian:
+        made += j[:, free].T @ j[:, free]
+    return made
+
+
+def _deviance(fit: SurfaceFit) -> float:
+    return fit.deviance
+
+
+def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:
+    """``poles`` after a step in (ln f, ln ζ), no further than they are wide, inside the band."""
+    by = move.reshape(-1, 2)
+    reach = np.maximum(poles.damping, problem.seen.bin_hz / poles.frequency_hz)
+    shift = np.clip(by[:, 0], -reach, reach)
+    low, high = 0.5 * problem.frequency_hz[0], 1.2 * problem.frequency_hz[-1]
+    frequency = np.clip(poles.frequency_hz * np.exp(shift), low, high)
+    narrowest = TONE_BINS * problem.seen.bin_hz / frequency
+    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, WIDEST)
+    return Poles(frequency, np.where(poles.tone, narrowest, damping), poles.tone)

@@ -1,0 +1,167 @@
+"""Lines without damping: mains, other tones, and lines that one speed cannot tell from an order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.found import Tone, ToneKind
+from crankorder.identify.modal.floor import Floor
+from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
+from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, fit_surface
+from crankorder.settings import IdentifySettings
+
+WIDTH_CHANCE = 1e-4
+"""Chance below which a line that has no width is taken to have one."""
+
+SPEED_SPREAD = 0.002
+"""Share by which the speed of a steady recording wanders, and with it the frequency of an order."""
+
+STEADY_CHANCE = 1e-3
+"""Chance that noise of the speeds' averages scatters as little as a line does that is called steady."""
+
+NEAR_BINS = 2
+"""Bins on each side that hold a tone's power in a spectrum seen through a Hann window."""
+
+Array = NDArray[np.float64]
+
+
+def with_tones(problem: Problem, fit: SurfaceFit, floor: Floor, *, settings: IdentifySettings) -> SurfaceFit:
+    """``fit`` with the lines that need no width made tones.
+
+    A line is a tone if giving it none costs no more deviance than chance would. One whose power varies from speed to
+    speed less than noise does is a tone as well, even where its frequency wanders (mains).
+    ``problem``: the floors fitted; ``floor``: in all channels; ``settings``: those in use.
+    """
+    from scipy.special import chdtri
+
+    least = HANN_CORRELATION * float(chdtri(1.0, WIDTH_CHANCE))
+    bin_hz = problem.seen.bin_hz
+    for number in range(len(fit.poles)):
+        f = float(fit.poles.frequency_hz[number])
+        width = float(fit.poles.damping[number]) * f
+        if 2.0 * width > settings.mode_min_width_bins * bin_hz:
+            continue
+        tone = fit_surface(problem, fit.poles.as_tone(number, True, width_hz=1e-3 * bin_hz), start=fit.model, steps=10)
+        costs = tone.deviance - fit.deviance
+        if costs < least * dispersion(problem, fit, f) or is_steady(floor, f):
+            fit = tone
+    return fit
+
+
+def is_steady(floor: Floor, frequency_hz: float) -> bool:
+    """Whether the power at ``frequency_hz`` varies less over the speeds than that of noise would.
+
+    Ordinates of noise averaged n times have the relative variance 1/n; a tone's has less.
+    ``floor``: the floor in all channels.
+    """
+    from scipy.special import chdtr
+
+    at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
+    for channel in range(len(floor.channels)):
+        power = floor.cells[channel, :, at] * floor.gain[channel]
+        used = np.isfinite(power)
+        if np.count_nonzero(used) < 5:
+            continue
+        share = power[used] / power[used].mean()
+        spread = float(np.sum(floor.cell_averages[channel, used] * (share - 1.0) ** 2))
+        if float(chdtr(np.count_nonzero(used) - 1.0, spread)) < STEADY_CHANCE:
+            return True
+    return False
+
+
+def tone_of(frequency_hz: float, error_hz: float, floor: Floor, fitted: Array, *, settings: IdentifySettings) -> Tone:
+    """Tone at ``frequency_hz`` with its kind and its amplitude in every channel that shows it.
+
+    ``fitted`` (C, F) is the power of the fit without the tone, which is taken off.
+    ``error_hz``: standard error of the frequency; ``floor``: in all channels; ``settings``: those in use.
+    """
+    kind, words = kind_of(frequency_hz, error_hz, floor, settings=settings)
+    return Tone(frequency_hz, error_hz, kind, amplitudes(frequency_hz, floor, fitted), words)
+
+
+def amplitudes(frequency_hz: float, floor: Floor, fitted: Array) -> dict[str, tuple[float, float]]:
+    """Peak amplitude of a tone and its standard error in the channels where it stands out of the noise.
+
+    The power within the main lobe, less the ``fitted`` floor's, is A²/2 times the share of it that the bins hold;
+    over the speeds at which no order covers it. Noise beside a tone of power T scatters by √(2TN + N²) (Rice 1944).
+    ``frequency_hz``: in Hz.
+    """
+    near = np.flatnonzero(np.abs(floor.frequency_hz - frequency_hz) <= (NEAR_BINS + 0.5) * floor.seen.bin_hz)
+    kernel = floor.seen.kernel(floor.frequency_hz[near] - frequency_hz)
+    made: dict[str, tuple[float, float]] = {}
+    for channel, name in enumerate(floor.channels):
+        cells = floor.cells[channel][:, near]
+        whole = np.isfinite(cells).all(axis=1)
+        if not whole.any():
+            continue
+        gain, averages = floor.gain[channel, whole], floor.cell_averages[channel, whole]
+        noise = fitted[channel, near] * gain[:, None]
+        power = cells[whole] * gain[:, None]
+        # least squares of the kernel in the excess over the floor: A²/2 of each speed
+        tone = (power - noise) @ kernel / float(kernel @ kernel)
+        weight = averages / averages.sum()
+        mean = float(weight @ tone)
+        level = float(weight @ (noise @ kernel)) / float(kernel @ kernel)
+        by_noise = np.sqrt((2.0 * max(mean, 0.0) * level + level**2) / averages.sum())
+        between = float(np.sqrt(weight @ (tone - mean) ** 2 / (len(tone) - 1))) if len(tone) > 2 else 0.0
+        error = max(float(by_noise), between)
+        if mean > 4.0 * by_noise:
+            amplitude = float(np.sqrt(2.0 * mean))
+            made[name] = (amplitude, error / amplitude)
+    return made
+
+
+def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> tuple[ToneKind, str]:
+    """Kind of a line without damping at ``frequency_hz``, and what says so.
+
+    ``error_hz``: standard error of the frequency; ``floor``: in all channels; ``settings``: those in use.
+    """
+    known = on_order(frequency_hz, error_hz, floor, settings=settings)
+    if known:
+        return "order", known
+    for mains in settings.mains_hz:
+        multiple = max(1, round(frequency_hz / mains))
+        reach = settings.mains_tolerance_hz * float(np.sqrt(multiple))
+        if abs(frequency_hz - multiple * mains) <= reach + 2.0 * error_hz:
+            return "mains", f"no damping, {multiple} times the mains frequency of {mains:g} Hz, the same at all speeds"
+    return "tone", "no damping: as narrow as the window makes any tone; stays at all speeds"
+
+
+def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[Tone, ...]:
+    """``tones`` with "mains" taken back where lines of two mains frequencies stand side by side: no place has both.
+
+    ``settings`` name the mains frequencies.
+    """
+    seen: set[float] = set()
+    for tone in tones:
+        on = [m for m in settings.mains_hz if _is_multiple(tone.frequency_hz, m, settings)]
+        if tone.kind == "mains" and len(on) == 1:
+            seen.update(on)
+    if len(seen) < 2:
+        return tuple(tones)
+    words = "no damping; a multiple of a mains frequency, but so are others of another one"
+    return tuple(replace(tone, kind="tone", evidence=words) if tone.kind == "mains" else tone for tone in tones)
+
+
+def _is_multiple(frequency_hz: float, mains_hz: float, settings: IdentifySettings) -> bool:
+    multiple = max(1, round(frequency_hz / mains_hz))
+    return abs(frequency_hz - multiple * mains_hz) <= settings.mains_tolerance_hz * float(np.sqrt(multiple))
+
+
+def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:
+    """Why a narrow line at ``frequency_hz`` may be an order of the shaft, where the speeds are too alike; else "".
+
+    ``error_hz``: standard error of the frequency; ``floor``: in all channels; ``settings``: those in use.
+    """
+    speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
+    if not len(speed) or speed.max() >= settings.mode_speed_ratio * speed.min():
+        return ""
+    step = float(np.median(speed)) / 60.0 / 2.0
+    spread = (0.5 * np.ptp(speed) / np.median(speed) + SPEED_SPREAD) * frequency_hz + 2.0 * error_hz + floor.seen.bin_hz
+    half = max(1, round(frequency_hz / step))
+    if abs(frequency_hz - step * half) <= spread and step > 2.0 * spread:
+        return f"lies on order {0.5 * half:g}, and the tested speeds are too alike to tell an order from a fixed line"
+    return ""

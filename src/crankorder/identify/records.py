@@ -1,0 +1,195 @@
+"""Records of ``findings.json``: what was found, as numbers with 95 % intervals and words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from crankorder.identify.explain import Cause, Causes
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
+from crankorder.identify.lines.order_lines import Z95
+from crankorder.identify.lines.order_lock import is_half_order
+
+ENDLESS_FREEDOM = 1e6
+"""Degrees of freedom from which on Student's t is a normal distribution."""
+
+MET_SHARE = 0.05
+"""An order that is largest within this share of the speed of an excited crossing is largest because of that mode."""
+
+
+def interval(value: float, error: float, *, freedom: float | None = None) -> list[float]:
+    """95 % interval of ``value`` with its standard ``error``; by Student's t where that has ``freedom`` of its own."""
+    half = error * (Z95 if freedom is None else float(stdtrit(np.clip(freedom, 1.0, ENDLESS_FREEDOM), 0.975)))
+    return [value - half, value + half]
+
+
+def order_records(
+    orders: tuple[AgreedOrder, ...],
+    causes: Causes,
+    meetings: Sequence[Mapping[str, Any]],
+    *,
+    unit: Mapping[str, str],
+) -> list[dict[str, Any]]:
+    """Records of ``orders``, one per order and channel, by channel in the sequence of ``unit``, then by order.
+
+    ``causes`` explain them; ``meetings`` are the records of the crossings; ``unit`` is that of each channel.
+    """
+    records = [
+        _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel])
+        for agreed in orders
+        for line in agreed.lines
+    ]
+    place = {name: number for number, name in enumerate(unit)}
+    return sorted(records, key=lambda record: (place[record["channel"]], record["order"]))
+
+
+def _order_record(
+    agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[Mapping[str, Any]], unit: str
+) -> dict[str, Any]:
+    best, law = largest(line), growth(line)
+    phase, freedom = float(line.phase_deg[best.at]), float(line.degrees_of_freedom[best.at])
+    spread = float(np.degrees(line.amplitude_error[best.at] / line.amplitude[best.at]))
+    said = (
+        line.evidence,
+        f"{line.level_over_floor_db:.1f} dB over the local floor",
+        agreed.reservation,
+        line.reservation,
+    )
+    met_hz = _met_hz(agreed.order, line.channel, best.speed_rpm, meetings)
+    return {
+        "channel": line.channel,
+        "order": agreed.order,
+        "order_ci95": interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom),
+        "lock": agreed.lock,
+        "revs_to_decide": agreed.needed_revs,
+        "half_order": agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
+        "amplitude": best.amplitude,
+        "amplitude_ci95": [max(0.0, best.low), best.high],
+        "phase_deg": None if np.isnan(phase) else phase,
+        "phase_deg_ci95": None if np.isnan(phase) else interval(phase, spread, freedom=freedom),
+        "unit": unit,
+        "speed_rpm_at_max": best.speed_rpm,
+        "speed_exponent": None if law is None else law.exponent,
+        "speed_exponent_ci95": None if law is None else list(law.ci95),
+        "speed_law": None if law is None else _law(law, met_hz),
+        "meets_hz": met_hz,
+        "speed_range_rpm": [float(end) for end in visible_range_rpm(line)],
+        "n_speeds": len(line.seen),
+        "evidence": _once(*said, cause.evidence),
+        "level_over_floor_db": line.level_over_floor_db,
+        "explained_by": cause.text,
+    }
+
+
+def _once(*said: str) -> str:
+    """Everything that is ``said``, part by part, each but once."""
+    parts = [part for text in said for part in text.split("; ")]
+    return "; ".join(dict.fromkeys(part for part in parts if part))
+
+
+def _law(law: Growth, met_hz: float | None) -> str:
+    """The law that the line follows; where it follows none, the mode that it meets is why."""
+    return "meets a mode" if met_hz is not None and law.law == "follows no power law" else law.law
+
+
+def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[Mapping[str, Any]]) -> float | None:
+    """Natural frequency (Hz) whose excited crossing makes an order largest at ``at_rpm``; else None."""
+    met = [
+        record
+        for record in meetings
+        if record["excited"]
+        and record["order"] == order
+        and channel in record["channels"]
+        and abs(record["rpm"] - at_rpm) <= MET_SHARE * at_rpm
+    ]
+    best = min(met, key=lambda record: abs(float(record["rpm"]) - at_rpm), default=None)
+    return None if best is None else float(best["mode_hz"])
+
+
+def mode_records(modal: ModalFit, causes: Causes) -> list[dict[str, Any]]:
+    """Records of all modes and tones of ``modal``, lowest first, with their ``causes``."""
+    records = [_mode_record(mode, cause) for mode, cause in zip(modal.modes, causes.modes, strict=True)]
+    records += [_tone_record(tone, cause) for tone, cause in zip(modal.tones, causes.tones, strict=True)]
+    return sorted(records, key=lambda record: float(record["frequency_hz"]))
+
+
+def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
+    low, high = interval(mode.damping_ratio, mode.damping_error)
+    return {
+        "frequency_hz": mode.frequency_hz,
+        "frequency_hz_ci95": interval(mode.frequency_hz, mode.frequency_error_hz),
+        "damping_ratio": mode.damping_ratio,
+        "damping_ratio_ci95": [max(0.0, low), high],
+        "channels": list(mode.channels),
+        "evidence": mode.evidence,
+        "prominence_db": mode.prominence_db,
+        "reached_by_orders": list(mode.reached_by),
+        "undecided": mode.undecided,
+        "explained_by": cause.text,
+    }
+
+
+def _tone_record(tone: Tone, cause: Cause) -> dict[str, Any]:
+    channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0])
+    return {
+        "frequency_hz": tone.frequency_hz,
+        "frequency_hz_ci95": interval(tone.frequency_hz, tone.frequency_error_hz),
+        "damping_ratio": None,
+        "damping_ratio_ci95": None,
+        "channels": list(tone.amplitude),
+        "channel": channel,
+        "amplitude": amplitude,
+        "amplitude_ci95": [max(0.0, amplitude - Z95 * error), amplitude + Z95 * error],
+        "evidence": _once(tone.evidence, cause.evidence),
+        "explained_by": cause.text,
+    }
+
+
+def line_records(
+    orders: list[dict[str, Any]], modal: ModalFit, causes: Causes, *, channels: list[str]
+) -> list[dict[str, Any]]:
+    """Every line above the false-alarm level: records of ``orders`` first, then the tones and modes of ``modal``.
+
+    ``causes`` explain them; ``channels`` are the names of all, in the sequence of the map.
+    """
+    kept = ("channel", "order", "order_ci95", "explained_by", "amplitude", "amplitude_ci95")
+    records: list[dict[str, Any]] = [{key: record[key] for key in kept} for record in orders]
+    for tone, cause in zip(modal.tones, causes.tones, strict=True):
+        for channel, (amplitude, error) in tone.amplitude.items():
+            records.append(
+                {
+                    "channel": channel,
+                    "frequency_hz": tone.frequency_hz,
+                    "frequency_hz_ci95": interval(tone.frequency_hz, tone.frequency_error_hz),
+                    "explained_by": cause.text,
+                    "amplitude": amplitude,
+                    "amplitude_ci95": [max(0.0, amplitude - Z95 * error), amplitude + Z95 * error],
+                }
+            )
+    return records + _modes_as_lines(modal, causes, channels)
+
+
+def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> list[dict[str, Any]]:
+    """Peak of a tone as strong as the floor within the half-power width of each mode, by channel that shows it."""
+    records = []
+    for mode, cause in zip(modal.modes, causes.modes, strict=True):
+        half = mode.damping_ratio * mode.frequency_hz
+        near = np.abs(modal.frequency_hz - mode.frequency_hz) <= max(half, 1e-9)
+        for channel in mode.channels:
+            psd = modal.floor_psd[channels.index(channel), near] if modal.floor_psd.size else np.zeros(0)
+            known = psd[np.isfinite(psd)]
+            rms = float(np.sqrt(known.mean() * 2.0 * half)) if known.size else None
+            records.append(
+                {
+                    "channel": channel,
+                    "frequency_hz": mode.frequency_hz,
+                    "frequency_hz_ci95": interval(mode.frequency_hz, mode.frequency_error_hz),
+                    "explained_by": cause.text,
+                    "amplitude": None if rms is None else float(np.sqrt(2.0)) * rms,
+                }
+            )
+    return records

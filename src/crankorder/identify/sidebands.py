@@ -1,0 +1,162 @@
+"""Lines that belong to other lines: sidebands of a carrier, meshes of teeth, harmonics of a shaft of its own speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+CARRIER_SPACINGS = 2.0
+"""A carrier lies at least so many spacings from zero: below, sidebands and harmonics are the same lines."""
+
+CHANCE = 0.05
+"""A family is claimed where lines that lie anywhere would make so few of it."""
+
+SIGMAS = 3.0
+"""Standard errors within which two places are one."""
+
+LEAST_TEETH = 6
+"""Fewer teeth or blades than this are not told from the harmonics of a shaft."""
+
+MESH_RATIO = 2.0
+"""A mesh stands so many times above the lines one shaft order beside it."""
+
+
+@dataclass(frozen=True)
+class Sideband:
+    """Line ``at`` is one of ``carrier`` (positions in the lists given), ``multiple`` times ``spacing`` from it."""
+
+    at: int
+    carrier: int
+    spacing: float
+    multiple: int
+    spacing_name: str
+    chance: float
+
+
+def sidebands(
+    places: Sequence[float],
+    errors: Sequence[float],
+    amplitudes: Sequence[float],
+    *,
+    spacings: dict[str, float],
+    highest: float,
+    sides: Sequence[bool] | None = None,
+) -> list[Sideband]:
+    """Which lines are sidebands of stronger ones: pairs on both sides, alike far from their carrier.
+
+    A modulation makes both sides at once, so a carrier has to be the strongest of the three. The spacing is one of the
+    known ``spacings``, or any other that a chance of less than 5 % would not put there, counted over all pairs of
+    lines. A line is given to its strongest carrier.
+
+    Parameters
+    ----------
+    places : orders of the shaft, or frequencies in Hz, of the lines of one channel
+    errors : their standard errors
+    amplitudes : their peak amplitudes
+    spacings : names and values, in the unit of the places, of what turns or alternates: "shaft", "cage", a tone
+    highest : the range in which lines were sought begins at 0 and ends here, for the chance
+    sides : which lines may be sidebands; all where it is None. Lines on one grid, as the multiples of a shaft's order,
+        lie alike far from many others by nature and prove nothing
+    """
+    order = np.argsort(-np.asarray(amplitudes))
+    found: dict[int, Sideband] = {}
+    for carrier in order.tolist():
+        if carrier in found:
+            continue
+        may = [(sides is None or sides[k]) and amplitudes[k] < amplitudes[carrier] for k in range(len(places))]
+        for pair in _pairs(carrier, places, errors, may, spacings, highest):
+            for item in pair:
+                found.setdefault(item.at, item)
+    return [found[at] for at in sorted(found)]
+
+
+def _pairs(
+    carrier: int,
+    places: Sequence[float],
+    errors: Sequence[float],
+    may: Sequence[bool],
+    spacings: dict[str, float],
+    highest: float,
+) -> list[tuple[Sideband, Sideband]]:
+    """Pairs of lines alike far below and above ``carrier``, of those that ``may`` be its sidebands."""
+    below = [k for k in range(len(places)) if may[k] and places[k] < places[carrier]]
+    above = [k for k in range(len(places)) if may[k] and places[k] > places[carrier]]
+    pairs = []
+    for low in below:
+        for high in above:
+            spacing = 0.5 * (places[high] - places[low])
+            error = float(np.sqrt(0.25 * (errors[high] ** 2 + errors[low] ** 2) + errors[carrier] ** 2))
+            lopsided = abs(places[carrier] - 0.5 * (places[high] + places[low]))
+            if lopsided > SIGMAS * error or places[carrier] < CARRIER_SPACINGS * spacing:
+                continue
+            name, multiple = _known(spacing, 0.5 * float(np.hypot(errors[high], errors[low])), spacings)
+            # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
+            chance = len(below) * len(above) * min(1.0, 2.0 * SIGMAS * error / highest)
+            if name or chance < CHANCE:
+                unit = spacing / multiple
+                pairs.append(
+                    (
+                        Sideband(low, carrier, unit, -multiple, name, chance),
+                        Sideband(high, carrier, unit, multiple, name, chance),
+                    )
+                )
+    return sorted(pairs, key=lambda pair: (not pair[0].spacing_name, pair[1].multiple, pair[0].spacing))
+
+
+def _known(spacing: float, error: float, spacings: dict[str, float]) -> tuple[str, int]:
+    """Name of the known spacing of which ``spacing`` is the single, double or threefold; ("", 1) where none is."""
+    for multiple in (1, 2, 3):
+        for name, value in spacings.items():
+            if abs(spacing - multiple * value) <= SIGMAS * error + 1e-9:
+                return name, multiple
+    return "", 1
+
+
+def meshes(amplitude_of: dict[int, float]) -> list[int]:
+    """Whole orders that are a mesh of teeth or a passing of blades, by their sidebands.
+
+    ``amplitude_of`` gives the peak amplitudes of the whole orders of one channel. Six teeth or more, a line one shaft
+    order below and above, at half of it or less, and nothing within five orders that is as large: harmonics of a shaft
+    fall off from the first and have no such summit.
+    """
+    found = []
+    for order, amplitude in amplitude_of.items():
+        sides = [amplitude_of.get(order - 1), amplitude_of.get(order + 1)]
+        if order < LEAST_TEETH or None in sides:
+            continue
+        beside = [amplitude_of.get(order + step, 0.0) for step in range(-5, 6) if step]
+        largest_side = max(side for side in sides if side is not None)
+        if amplitude >= MESH_RATIO * largest_side and amplitude > max(beside):
+            found.append(order)
+    return sorted(found)
+
+
+def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, tuple[int, int]]:
+    """Lines that are harmonics of a shaft of its own speed: {line: (line of its first order, multiple)}.
+
+    ``places`` (orders of the crank) and their standard ``errors`` are those of lines that are not locked to it. A shaft
+    has its first order and its second at least; the slowest that explains most lines is taken, where lines that lie
+    anywhere would make less than 5 % of such a family.
+    """
+    order = np.argsort(places).tolist()
+    found: dict[int, tuple[int, int]] = {}
+    for first in order:
+        if first in found:
+            continue
+        family, chance = {first: 1}, 1.0
+        for other in order:
+            multiple = round(places[other] / places[first])
+            error = float(np.hypot(multiple * errors[first], errors[other]))
+            if other in found or multiple < 2 or abs(places[other] - multiple * places[first]) > SIGMAS * error:
+                continue
+            family[other] = multiple
+            chance *= min(1.0, 2.0 * SIGMAS * error / places[first])
+        # any of the others could have been the one that fits
+        if 2 in family.values() and chance * len(places) < CHANCE:
+            found |= {line: (first, multiple) for line, multiple in family.items()}
+    return found

@@ -1,0 +1,33 @@
+"""What is known of the machine before anything is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.engine.definition import Engine
+from crankorder.engine.transfer_paths import AddedMass, StatedPath
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What is known of the machine: its cycle, the orders that its kinematics make, its bearings, gears and masses.
+
+    ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
+    and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
+    named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose.
+    """
+
+    revs_per_cycle: int
+    engine_orders: tuple[float, ...] = ()
+    bearings: tuple[Bearing, ...] = ()
+    firing: bool = False
+    gears: tuple[tuple[str, float], ...] = ()
+    engine: Engine | None = None
+    paths: tuple[StatedPath, ...] = ()
+    added: tuple[AddedMass, ...] = ()
+    known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        orders = {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
+        object.__setattr__(self, "known_bearing_orders", orders)

@@ -1,0 +1,175 @@
+"""Bearing lines in orders and envelopes: named with slip and interval, told from what keeps step, and not made up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.identify.bearings.places import bearing_places, made_by
+from crankorder.identify.bearings.records import bearing_records
+from crankorder.orders.envelope import recording_envelope
+from crankorder.orders.envelope_map import envelope_map
+from crankorder.settings import load_settings
+from made.found_lines import agreed, line
+from made.strikes import recording, strikes
+
+SETTINGS = load_settings()
+NINE = Bearing(name="drive end", designation="6205-2RS")
+JACK = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
+ORDERS = bearing_orders(NINE)
+
+
+def records(orders=(), envelope=None, *, bearings=(NINE,), revs_per_cycle=1, level=None):
+    settings = SETTINGS.identify
+    if level is not None:
+        settings = settings.model_copy(update={"bearing_false_alarm_probability": level})
+    return bearing_records(tuple(orders), envelope, bearings=bearings, revs_per_cycle=revs_per_cycle, settings=settings)
+
+
+def map_of(*made: tuple[xr.Dataset, xr.Dataset]) -> xr.Dataset:
+    return envelope_map([recording_envelope(*one, settings=SETTINGS.orders) for one in made], speed_bin_rpm=25.0)
+
+
+def struck(shown: float, *, slip_percent: float, seed: int, size: float = 4.0, **more) -> xr.Dataset:
+    order = shown * (1.0 - slip_percent / 100.0)
+    return map_of(*(strikes(order=order, size=size, speed_rpm=rpm, seed=seed, **more) for rpm in (1500.0, 2000.0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "modulated_by"), [("BPFO", 1, None), ("BPFI", 1, 1.0), ("BSF", 2, 0.398), ("FTF", 1, None)]
+)
+def test_each_damaged_part_is_named_with_its_slip_inside_the_interval(name, times, modulated_by):
+    made = struck(times * ORDERS[name], slip_percent=0.8, seed=times, size=8.0, modulated_by=modulated_by)
+    found = records(envelope=made)
+    assert found[0]["line"] == name
+    assert found[0]["order_expected"] == pytest.approx(times * ORDERS[name])
+    assert found[0]["slip_percent_ci95"][0] < 0.8 < found[0]["slip_percent_ci95"][1]
+    assert found[0]["order_ci95"][0] < found[0]["order"] < found[0]["order_ci95"][1]
+    assert found[0]["seen_in"] == "envelope"
+    assert found[0]["band_hz"][0] < 3200.0 < found[0]["band_hz"][1]
+    assert found[0]["harmonics"] >= 2
+    assert "Damage of" in found[0]["verdict"]
+    if modulated_by is not None:
+        assert found[0]["sidebands"] == pytest.approx(modulated_by, abs=0.01)
+
+
+def test_slip_beyond_the_allowed_range_is_not_called_that_bearing():
+    inside, outside = (records(envelope=struck(ORDERS["BPFO"], slip_percent=s, seed=3, size=8.0)) for s in (1.8, 6.0))
+    assert [record["line"] for record in inside] == ["BPFO"]
+    assert outside == []
+
+
+def test_sidebands_of_a_stronger_line_are_no_second_damage():
+    # BPFI less one turn of the shaft and its like fall upon other places: none is a record of its own
+    found = records(envelope=struck(ORDERS["BPFI"], slip_percent=0.2, seed=4, size=12.0, modulated_by=1.0))
+    assert [record["line"] for record in found] == ["BPFI"]
+    assert found[0]["lock"] == "slips"
+
+
+def test_two_bearings_that_cannot_be_told_apart_are_both_named_and_say_so():
+    twin = JACK.model_copy(update={"name": "distributor shaft"})
+    made = struck(bearing_orders(JACK)["BPFO"], slip_percent=0.8, seed=5, size=8.0)
+    found = records(envelope=made, bearings=(JACK, twin))
+    assert {record["name"] for record in found} == {"jack shaft", "distributor shaft"}
+    assert all("cannot be told from it" in record["verdict"] for record in found)
+
+
+def test_a_nominal_speed_is_said_to_look_like_slip():
+    made, angle = strikes(order=ORDERS["BPFO"] * 0.99, size=8.0, speed_rpm=1500.0, seed=6)
+    made.attrs["encoder_kind"] = "constant"
+    (record,) = records(envelope=map_of((made, angle)))
+    assert "nominal" in record["verdict"]
+
+
+def test_combustion_on_half_orders_raises_no_bearing_alarm():
+    # bursts of high-frequency noise at the 11th half order, as strong as any damage
+    rate, rpm = 12_800.0, 1500.0
+    angle = np.arange(64_000) / rate * rpm / 60.0
+    bursts = np.random.default_rng(7).standard_normal(64_000) * (1.0 + 5.0 * ((5.5 * angle) % 1.0 < 0.2))
+    made = map_of(recording(bursts[None], rate_hz=rate, speed_rpm=rpm, revs_per_cycle=2))
+    assert (made["amplitude"].values / made["floor"].values).max() ** 4 > 200.0
+    assert records(envelope=made, bearings=(JACK,), revs_per_cycle=2) == []
+
+
+@pytest.mark.slow
+def test_noise_alone_makes_no_line_more_often_than_stated():
+    # 200 records, two bearings: at a level of 0.1 at most 0.1 + 3 sigma of them, and none at the shipped level
+    loose = strict = 0
+    for seed in range(200):
+        made = map_of(strikes(order=1.0, size=0.0, speed_rpm=900.0 + 10.0 * seed, seed=seed, duration_s=4.0))
+        loose += bool(records(envelope=made, bearings=(NINE, JACK), level=0.1))
+        strict += bool(records(envelope=made, bearings=(NINE, JACK)))
+    assert strict <= 1
+    assert loose <= 33
+
+
+@pytest.mark.accuracy
+def test_the_interval_of_slip_covers_strikes_that_wander_by_half_a_percent():
+    inside = found = 0
+    for seed in range(60):
+        slip = -0.5 + 2.0 * seed / 60.0
+        made = struck(ORDERS["BPFO"], slip_percent=slip, seed=100 + seed, size=3.0, jitter=0.005)
+        for record in records(envelope=made):
+            if record["line"] == "BPFO":
+                found += 1
+                inside += record["slip_percent_ci95"][0] <= slip <= record["slip_percent_ci95"][1]
+    assert found == 60
+    assert inside >= 54
+
+
+def passage(lock, order=5.5, error=1e-4, needed=None):
+    return replace(agreed(order, line(order), lock=lock, error=error), needed_revs=needed)
+
+
+def test_an_exactly_locked_line_at_n_fs_is_a_toothed_part_and_no_bearing_alarm():
+    (record,) = records([passage("locked")], bearings=(JACK,), revs_per_cycle=2)
+    assert (record["line"], record["seen_in"], record["lock"]) == ("N*fs", "vibration", "locked")
+    assert "Exactly locked: 11 x of the shaft that turns at 0.5 of the crank's speed" in record["verdict"]
+    assert "no bearing alarm" in record["verdict"]
+
+
+def test_a_slipping_line_at_n_fs_is_the_bearing_with_its_slip():
+    (record,) = records([passage("slips", order=5.5 * 0.992)], bearings=(JACK,), revs_per_cycle=2)
+    assert record["slip_percent"] == pytest.approx(0.8)
+    assert record["slip_percent_ci95"][0] < 0.8 < record["slip_percent_ci95"][1]
+    assert record["verdict"].startswith("Slips (0.80 % slower than in pure rolling)")
+
+
+def test_where_lock_is_not_decided_the_record_length_that_would_tell_is_said():
+    (record,) = records([passage("undecided", error=0.01, needed=640.0)], bearings=(JACK,), revs_per_cycle=2)
+    assert record["lock"] == "undecided"
+    assert "640 revolutions would tell" in record["verdict"]
+
+
+def test_a_locked_order_is_no_race_even_where_slip_would_allow_it():
+    # BPFO of this bearing at 2 % slip is order 2: an engine order, not an outer race
+    near_two = Bearing(name="b", bpfo=2.03, rolling_elements=5)
+    assert records([agreed(2.0, line(2.0))], bearings=(near_two,)) == []
+    (record,) = records([agreed(2.02, line(2.02), lock="slips")], bearings=(near_two,))
+    assert record["line"] == "BPFO"
+    assert "outer race" in record["verdict"]
+
+
+def test_without_bearings_orders_or_envelope_there_is_nothing():
+    empty = recording_envelope(
+        *recording(np.zeros((1, 400)), rate_hz=1000.0, speed_rpm=1500.0), settings=SETTINGS.orders
+    )
+    assert records() == []
+    assert records(envelope=empty) == []
+    assert records([passage("locked")], envelope=empty, bearings=()) == []
+
+
+def test_a_ball_is_looked_for_at_twice_its_spin_and_slip_is_slower_rolling():
+    places = {place.line: place for place in bearing_places((NINE,), slip_percent=(-1.0, 2.0))}
+    ball = places["BSF"]
+    assert ball.expected == pytest.approx(4.7135)
+    assert (ball.low, ball.high) == (pytest.approx(0.98 * 4.7135), pytest.approx(1.01 * 4.7135))
+    assert ball.slip_percent(0.99 * ball.expected) == pytest.approx(1.0)
+    assert places["N*fs"].expected == pytest.approx(9.0)
+    assert made_by(ball.expected, places["BPFO"], 3.5847, within=0.02) == ""
+    assert made_by(4.5847, places["BPFO"], 3.5847, within=0.02) == "BPFO + 1 x shaft"
+    assert made_by(2 * 3.5847, places["BPFO"], 3.5847, within=0.02) == "2 x BPFO"

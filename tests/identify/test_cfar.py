@@ -1,0 +1,122 @@
+"""Noise stands over the level as often as is stated, the floor's own error included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.identify.lines.cfar import independent_bins, noise_chance, noise_floor, noise_level, reference_bins
+from crankorder.identify.lines.order_lines import order_lines
+from crankorder.orders.map import order_map
+from crankorder.settings import load_settings
+from made.line_frames import PER_REV, angle_of, frames_of, rung, wave
+
+SETTINGS = load_settings()
+AXIS = np.arange(321) / 16
+BINS = reference_bins(AXIS, line_step=0.5, guard_bins=2, n_bins=16)
+
+
+def noise_energy(rng: np.random.Generator, n_frames: int, shape: np.ndarray, rows: int = 100) -> np.ndarray:
+    """Energies (1, rows, orders) of noise of the power ``shape`` in frames with the Hann window's neighbours alike."""
+    size = (rows, n_frames, len(AXIS) + 2)
+    white = (rng.standard_normal(size) + 1j * rng.standard_normal(size)) * np.sqrt(np.pad(shape, 1, mode="edge") / 2)
+    windowed = (white[..., 1:-1] - 0.5 * (white[..., 2:] + white[..., :-2])) / np.sqrt(1.5)
+    return (np.abs(windowed) ** 2).mean(axis=1)[None]
+
+
+def share_over(n_frames: int, shape: np.ndarray, chance: float, repeats: int) -> np.ndarray:
+    """Share of noise at each order that stands over the level."""
+    rng, over = np.random.default_rng(n_frames), np.zeros(len(AXIS))
+    near = BINS[:, 5:11]
+    levels = [noise_level(float(n_frames), independent_bins(bins), chance) for bins in (BINS, near)]
+    for _ in range(repeats):
+        energy = noise_energy(rng, n_frames, shape)
+        floor, narrowed = noise_floor(energy, BINS, n_averages=np.full(100, float(n_frames)))
+        over += (energy / floor > np.where(narrowed, levels[1], levels[0])).mean(axis=(0, 1))
+    return over / repeats
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 5, 20])
+def test_white_noise_stands_over_the_level_no_more_often_than_stated(n_frames: int) -> None:
+    share = share_over(n_frames, np.ones(len(AXIS)), 1e-3, repeats=20)[16:].mean()
+    assert 0.4e-3 < share < 1.15e-3  # 2000 x 305 bins: 6e5 trials, of which 600 +- 40 are expected over it
+
+
+def test_a_slope_of_a_decade_in_ten_orders_changes_the_chance_by_less_than_a_third() -> None:
+    share = share_over(20, 10.0 ** (AXIS / 10.0), 1e-3, repeats=20)[24:-24].mean()
+    assert share < 1.35e-3
+
+
+def test_away_from_a_resonance_the_chance_is_the_stated_one() -> None:
+    off = (np.arange(len(AXIS)) - 120) / 4.0
+    share = share_over(15, 1.0 + 300.0 / (1.0 + off**2), 1e-3, repeats=20)
+    assert np.r_[share[16:90], share[150:]].mean() < 1.35e-3
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("n_frames", [1, 5, 20])
+def test_the_chance_holds_at_one_in_ten_thousand(n_frames: int) -> None:
+    share = share_over(n_frames, np.ones(len(AXIS)), 1e-4, repeats=300 // n_frames + 20)[16:].mean()
+    assert 0.25e-4 < share < 1.3e-4
+
+
+def test_level_and_chance_are_one_anothers_inverse() -> None:
+    for n, bins, chance in ((1.0, 4.6, 1e-6), (12.5, 11.6, 1e-6), (80.0, 11.6, 1e-3)):
+        assert noise_chance(noise_level(n, bins, chance), n, bins) == pytest.approx(chance, rel=1e-3)
+
+
+def test_with_a_floor_of_ever_more_bins_the_level_becomes_that_of_a_known_floor() -> None:
+    known = -np.log(1e-6)  # of exponential energy
+    over = [noise_level(1.0, bins, 1e-6) / known - 1.0 for bins in (10.0, 100.0, 1000.0)]
+    assert over[0] > 5 * over[1] > 25 * over[2] > 0.0
+    assert over[2] < 0.02
+
+
+def test_no_bin_of_a_line_takes_part_in_its_own_floor() -> None:
+    assert (np.abs(BINS - np.arange(len(AXIS))[:, None]) > 2).all()
+    inner = BINS[60:260] - np.arange(60, 260)[:, None]
+    assert ((inner < 0).sum(axis=1) == 8).all()
+
+
+def noise_only(seed: int) -> int:
+    """Lines found in a test of ten speeds and two channels of noise, resonances included."""
+    rng, frames = np.random.default_rng(seed), []
+    mode_hz, damping = rng.uniform(20.0, 300.0), 10.0 ** rng.uniform(-2.5, -1.0)
+    for rpm in np.arange(800.0, 1800.0, 100.0):
+        noise = rng.standard_normal((2, 100 * PER_REV))
+        frames.append(frames_of([rung(row, 60.0 * mode_hz / rpm, damping) for row in noise], speed_rpm=rpm))
+    made = order_map(frames, settings=SETTINGS.orders)
+    return len(order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames))
+
+
+def test_noise_through_resonances_makes_no_line_in_forty_tests() -> None:
+    assert sum(noise_only(seed) for seed in range(40)) == 0
+
+
+@pytest.mark.accuracy
+def test_noise_through_resonances_makes_no_line_in_two_hundred_tests() -> None:
+    assert sum(noise_only(seed) for seed in range(1000, 1200)) == 0
+
+
+def test_a_line_is_found_where_it_stands() -> None:
+    angle = angle_of(150)
+    noise = np.random.default_rng(3).standard_normal(len(angle))
+    frames = [frames_of([wave(angle, 5.5, 0.5) + noise], speed_rpm=rpm) for rpm in (1000.0, 1100.0, 1200.0)]
+    made = order_map(frames, settings=SETTINGS.orders)
+    (line,) = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
+    assert line.order == pytest.approx(5.5, abs=0.01)
+
+
+def test_reference_bins_are_the_nearest_quiet_ones_half_of_them_on_each_side() -> None:
+    """Bin by bin: the nearest below and above beyond the lobe, more of one side only where the other ends."""
+    axis = np.arange(0.0, 12.0 + 1e-9, 1.0 / 16.0)
+    chosen = reference_bins(axis, line_step=0.5, guard_bins=2, n_bins=12)
+    off = np.abs(axis / 0.5 - np.round(axis / 0.5)) * 0.5 * 16.0
+    quiet = [k for k in range(len(axis)) if off[k] > 2.5 and axis[k] >= 0.5]
+    for at, bins in enumerate(chosen):
+        below = [k for k in quiet if k < at - 2][::-1]
+        above = [k for k in quiet if k > at + 2]
+        right = min(6, len(above))
+        left = min(12 - right, len(below))
+        right = 12 - left
+        assert sorted(below[:left] + above[:right]) == bins.tolist()

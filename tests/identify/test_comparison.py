@@ -1,0 +1,204 @@
+"""Two made tests side by side: intervals that cover, claims that are true, and nothing where nothing changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.map import campbell_map
+from crankorder.identify.changes.compared import compared
+from crankorder.identify.changes.map_difference import independent_frames, map_difference
+from crankorder.identify.changes.order_changes import Line, change, like_speeds, mean_ratio, orders_to_compare
+from made.recordings import steady
+from made.two_tests import RATE_HZ, SETTINGS, SPEEDS_RPM, made_test
+
+Q = 0.05
+BASE = {1.0: lambda rpm: 0.5 * (rpm / 1000) ** 2, 2.0: lambda rpm: 0.3j, 5.5: lambda rpm: 0.4}
+
+
+def measured(rng, true, *, frames=6, scatter=1.0):
+    """Line whose phasors are means of ``frames``, with the error that their scatter says."""
+    shape = (frames, *np.shape(true))
+    each = true + scatter * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    mean = each.mean(axis=0)
+    spread = np.sum(np.abs(each - mean) ** 2, axis=0) / (2 * (frames - 1))
+    error = np.sqrt(spread / frames)
+    freedom = np.full(np.shape(true), 2.0 * (frames - 1))
+    return Line(np.abs(mean), error, freedom, mean, error, error)
+
+
+def test_speeds_are_matched_nearest_first_and_none_is_used_twice():
+    one, two = like_speeds(np.array([1000.0, 1010.0, 2000.0]), np.array([1012.0, 1500.0, np.nan]), within_rpm=25.0)
+    assert (one.tolist(), two.tolist()) == ([1], [0])
+    one, two = like_speeds(np.array([np.nan]), np.array([np.nan]), within_rpm=25.0)
+    assert (one.tolist(), two.tolist()) == ([0], [0])
+
+
+def test_orders_within_their_intervals_are_one_and_a_slipping_one_is_not_locked():
+    def record(order, half, lock="locked"):
+        return {"order": order, "order_ci95": [order - half, order + half], "locked": lock == "locked", "lock": lock}
+
+    found = orders_to_compare([record(1.01, 0.02), record(5.47, 0.001, "slips")], [record(5.475, 0.001)], 20.0)
+    assert found == [(1.0, True), (2.0, True), (5.47, False)]
+
+
+def test_intervals_of_difference_and_ratio_cover_and_p_values_are_uniform_where_nothing_changed():
+    rng, n = np.random.default_rng(1), 4000
+    true = np.full(n, 12.0 + 5.0j)
+    made = change(measured(rng, true), measured(rng, true, frames=9), np.ones(n), np.ones(n))
+    for low, high in (made.difference_ci95.T, made.ratio_db_ci95.T):
+        assert np.mean((low <= 0) & (high >= 0)) == pytest.approx(0.95, abs=0.012)
+    for level in (0.05, 0.5):
+        assert np.mean(made.p_value <= level) == pytest.approx(level, abs=3.5 * np.sqrt(level / n))
+
+
+def test_the_mean_ratio_over_speeds_covers_the_truth_whatever_the_noise_of_each_speed():
+    rng, n, inside = np.random.default_rng(2), 800, 0
+    true = np.array([3.0, 6.0, 10.0, 20.0]) * np.exp(1j * np.arange(4))
+    for _ in range(n):
+        low, high = mean_ratio(measured(rng, true, scatter=0.8), measured(rng, 2.0 * true, scatter=0.8)).ci95_db
+        inside += low <= 20 * np.log10(2.0) <= high
+    assert inside / n == pytest.approx(0.95, abs=0.025)
+
+
+def test_an_amplitude_that_drowns_has_an_interval_down_to_nothing():
+    base, new = (Line(np.array([a]), np.array([1.0]), np.array([8.0]), *[np.array([np.nan])] * 2) for a in (20.0, 1.0))
+    made = change(base, new, np.ones(1), np.ones(1))
+    assert made.ratio_db_ci95[0, 0] == -np.inf and made.ratio_db_ci95[0, 1] < 0
+    assert np.isnan(made.mean.ratio_db) and made.p_all < 1e-4
+
+
+@pytest.fixture(scope="module")
+def base():
+    return made_test(BASE, name="base", seed=1)
+
+
+def test_the_line_that_doubled_is_named_and_nothing_else(base):
+    new = made_test({**BASE, 5.5: lambda rpm: 0.8}, name="doubled", seed=2)
+    made = compared([base, new], q=Q)
+    (record,) = [one for one in made.document["orders"] if one["changed"]]
+    assert record["order"] == 5.5 and record["ratio_ci95"][0] < 2.0 < record["ratio_ci95"][1]
+    assert record["n_changed"] == len(SPEEDS_RPM)
+    assert made.document["cause"] == {"cause": "orders", "orders": [5.5]}
+    rows, columns = np.nonzero(made.cells.changed[0])
+    near = np.abs(made.cells.frequency_hz[columns] - 5.5 * made.cells.base_rpm[rows] / 60)
+    assert len(near) >= len(SPEEDS_RPM) and near.max() <= 3 * 2.0  # bins of 2 Hz
+
+
+def test_a_test_beside_itself_differs_in_nothing(base):
+    document = compared([base, base], q=Q).document
+    assert document["cause"]["cause"] == "nothing changed"
+    assert not any(one["changed"] or one["difference"] for one in document["orders"])
+    assert [one["changed"] for one in document["cells"]] == [0]
+    assert {one["p_value"] for one in document["orders"]} == {1.0}
+
+
+def test_a_repeat_of_a_test_claims_an_order_no_more_often_than_stated():
+    speeds, n = SPEEDS_RPM[:2], 60
+    tests = [made_test({1.0: lambda rpm: 0.5}, seed=k, speeds=speeds, duration_s=8.0) for k in range(2 * n)]
+    any_claim = 0
+    for one, two in zip(tests[::2], tests[1::2], strict=True):
+        document = compared([one, two], q=Q).document
+        any_claim += any(record["changed"] for record in document["orders"])
+    assert any_claim <= 8  # of 60: twice that of a chance of 5 % has a chance of 1 %
+
+
+def test_a_phasor_that_turned_is_a_change_though_its_amplitude_is_not(base):
+    new = made_test({**BASE, 1.0: lambda rpm: 0.5j * (rpm / 1000) ** 2}, name="turned", seed=3)
+    changed = [one for one in compared([base, new], q=Q).document["orders"] if one["changed"]]
+    assert [one["order"] for one in changed] == [1.0]
+    assert changed[0]["ratio_ci95"][0] < 1 < changed[0]["ratio_ci95"][1]
+
+
+def test_a_mark_that_was_moved_is_named_and_taken_out(base):
+    turn = 0.03
+
+    def turned(order, phasor):
+        return lambda rpm: phasor(rpm) * np.exp(2j * np.pi * order * turn)
+
+    new = made_test({order: turned(order, phasor) for order, phasor in BASE.items()}, name="turned", seed=4)
+    document = compared([base, new], q=Q).document
+    (doubt,) = [one for one in document["confounds"] if one["what"] == "angle of the mark"]
+    assert float(doubt["new"].split("°")[0]) == pytest.approx(360 * turn, abs=0.3)
+    assert document["cause"]["cause"] == "nothing changed"
+
+
+def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
+    def mode(hz, error, damping=0.01):
+        return {
+            "frequency_hz": hz, "frequency_hz_ci95": [hz - 2 * error, hz + 2 * error], "damping_ratio": damping,
+            "damping_ratio_ci95": [damping - 0.001, damping + 0.001], "explained_by": "mode",
+        }  # fmt: skip
+
+    one = made_test(BASE, name="one", modes=[mode(115.0, 0.1), mode(172.0, 0.1), mode(187.0, 0.1)])
+    two = made_test(BASE, name="two", modes=[mode(116.5, 0.1), mode(172.1, 0.1)])
+    records = {round(r["frequency_hz"]): r for r in compared([one, two], q=Q).document["modes"]}
+    assert records[115]["changed"] and records[115]["shift_hz"] == pytest.approx(1.5)
+    assert records[115]["shift_hz_ci95"] == pytest.approx([1.5 - 0.2828, 1.5 + 0.2828], abs=0.01)
+    assert not records[172]["changed"]
+    assert records[187]["only_in"] == "base" and not records[187]["changed"]
+
+
+def test_a_bearing_line_that_grows_from_run_to_run_is_the_cause_where_no_order_changed():
+    runs = []
+    for number in range(4):
+        test = made_test({1.0: lambda rpm: 0.5}, name=f"run {number}", seed=40 + number, speeds=SPEEDS_RPM[:2])
+        size = 0.02 * 1.5**number
+        test.findings["bearings"].append(
+            {
+                "name": "jack shaft", "line": "BPFO", "order": 2.183, "channel": "A", "seen_in": "vibration",
+                "amplitude": size, "amplitude_ci95": [0.9 * size, 1.1 * size],
+            }
+        )  # fmt: skip
+        runs.append(test)
+    document = compared(runs, q=0.01).document
+    assert document["cause"] == {"cause": "growing line", "orders": [2.183]}
+    (record,) = [one for one in document["trend"] if one["changed"]]
+    assert record["line"] == "jack shaft BPFO"
+    assert record["growth_per_run_ci95"][0] < 0.5 < record["growth_per_run_ci95"][1]
+    assert compared(runs[:2], q=0.01).document["trend"] == []  # two runs are a comparison, no trend
+
+
+def noise_map(seed, *, speeds=(1000.0, 1500.0), gain=None):
+    """CampbellMap of white noise through ``gain`` (a function of time and angle that is added)."""
+    frames = []
+    for number, rpm in enumerate(speeds):
+        rng = np.random.default_rng([seed, number])
+        added = gain or (lambda time_s, angle: 0.0)
+        signal = lambda time_s, angle, rng=rng, added=added: rng.standard_normal(len(time_s)) + added(time_s, angle)  # noqa: E731
+        frames.append(
+            frequency_frames(
+                *steady([signal], speed_rpm=rpm, duration_s=6.0, rate_hz=RATE_HZ), settings=SETTINGS.campbell
+            )
+        )
+    return campbell_map(frames, speed_bin_rpm=25.0)
+
+
+def difference(one, two, **given):
+    overlap = SETTINGS.campbell.overlap
+    return map_difference(one, two, ("A",), within_rpm=25.0, overlap=(overlap, overlap), q=Q, **given)
+
+
+def test_cells_of_noise_have_the_intervals_and_the_claims_that_are_stated():
+    pairs = [difference(noise_map(2 * k), noise_map(2 * k + 1)) for k in range(150)]
+    inside = np.mean([(p.low_db[..., 2:-2] <= 0) & (p.high_db[..., 2:-2] >= 0) for p in pairs])
+    assert inside == pytest.approx(0.95, abs=0.02)
+    assert np.mean([p.changed.any() for p in pairs]) <= Q + 3 * np.sqrt(Q * (1 - Q) / len(pairs))
+
+
+def test_frames_that_overlap_are_worth_fewer():
+    # Welch (1967): Hann window, half overlapped: the variance of the mean of many is 19/18 over n
+    assert independent_frames(np.array([1e6]), overlap=0.5, window="hann")[0] == pytest.approx(1e6 * 18 / 19, rel=1e-5)
+    assert independent_frames(np.array([1.0]), overlap=0.75, window="hann")[0] == 1.0
+
+
+def test_a_line_that_lies_elsewhere_in_its_bin_is_no_change_of_level():
+    def tone(time_s, angle):
+        return 5.0 * np.cos(2 * np.pi * 5.0 * angle)
+
+    one, two = (noise_map(k, speeds=(rpm,), gain=tone) for k, rpm in ((1, 1000.0), (2, 1012.0)))
+    made = difference(one, two, locked_orders=[5.0])
+    assert not made.changed.any()
+    quiet = noise_map(3, speeds=(1000.0,))
+    assert difference(one, quiet, locked_orders=[5.0]).changed.any()

@@ -1,0 +1,100 @@
+"""Whatever else than the machine differs is named, with what it does to the comparison."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from crankorder.identify.changes.compared import compared
+from crankorder.identify.changes.confounds import confounds
+from made.two_tests import made_test, stated
+
+LINES = {1.0: lambda rpm: 0.5}
+
+
+@pytest.fixture(scope="module")
+def base():
+    return made_test(LINES, name="base", seed=1, channels=("A", "B"), duration_s=8.0)
+
+
+def differing(path, value):
+    """What run.json states of a test, with another value at ``path``."""
+    run = copy.deepcopy(stated("other", ("A", "B")))
+    at = run
+    *keys, last = path
+    for key in keys:
+        at = at[key]
+    at[last] = value
+    return run
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "what", "severity"),
+    [
+        (("manifest", "sampling", "domain"), "crank_angle", "sampling domain", "weakens"),
+        (("manifest", "sampling", "rate_hz"), 2000.0, "sampling rate", "weakens"),
+        (("manifest", "encoder", "kind"), "pulse_times", "encoder kind", "weakens"),
+        (("manifest", "test", "engine"), "task5", "engine", "harmless"),
+        (("settings", "orders", "revs_per_frame"), 8, "revolutions per frame", "weakens"),
+        (("settings", "campbell", "resolution_hz"), 1.0, "map resolution", "invalid"),
+        (("settings", "campbell", "window"), "flat-top", "map window", "invalid"),
+        (("settings", "orders", "tolerance"), 1e-3, "tolerance", "harmless"),
+        (("manifest", "channels", 1, "unit"), "g", "unit", "invalid"),
+        (("manifest", "channels", 1, "sensitivity"), "100 mV/g", "sensitivity", "weakens"),
+        (("manifest", "channels", 1, "direction"), "-Z", "direction", "weakens"),
+        (("code_sha256",), "1" * 64, "program", "weakens"),
+        (("versions", "numpy"), "1.0", "library numpy", "harmless"),
+        (("test",), "firing", "firing or motoring", "weakens"),
+        (
+            ("quality",),
+            [{"recording": "a", "flag": "clipped", "severity": "suspect", "detail": ""}],
+            "quality: clipped",
+            "weakens",
+        ),
+    ],
+)
+def test_a_difference_of_how_the_tests_were_made_is_named(base, path, value, what, severity):
+    one = {**stated("motoring", ("A", "B"))}
+    found = {c.what: c for c in confounds(one, differing(path, value), base.maps, base.maps)}
+    assert found[what].severity == severity and found[what].words is not None
+    assert set(found) - {what, "repeats"} == set()
+
+
+def test_tests_made_alike_have_only_the_doubt_that_nothing_was_repeated(base):
+    found = confounds(stated("a", ("A", "B")), stated("b", ("A", "B")), base.maps, base.maps)
+    assert [(c.what, c.severity) for c in found] == [("repeats", "weakens")]
+
+
+def test_a_channel_in_another_unit_is_refused_and_the_others_are_compared(base):
+    other = made_test(
+        LINES, name="other", seed=2, channels=("A", "B"), duration_s=8.0,
+        run=differing(("manifest", "channels", 1, "unit"), "g"),
+    )  # fmt: skip
+    document = compared([base, other], q=0.05).document
+    assert {c["name"]: c["compared"] for c in document["channels"]} == {"A": True, "B": False}
+    assert {o["channel"] for o in document["orders"]} == {"A"}
+    assert [c["channel"] for c in document["cells"]] == ["A"]
+
+
+def test_maps_of_another_resolution_are_not_compared_but_orders_are(base):
+    other = made_test(
+        LINES, name="other", seed=2, channels=("A", "B"), duration_s=8.0,
+        run=differing(("settings", "campbell", "resolution_hz"), 1.0),
+    )  # fmt: skip
+    document = compared([base, other], q=0.05).document
+    assert document["cells"] == [] and document["orders"]
+
+
+def test_speeds_of_one_test_only_are_left_out_and_named():
+    one = made_test(LINES, name="one", speeds=(900.0, 1200.0), duration_s=8.0)
+    two = made_test(LINES, name="two", speeds=(1205.0, 1800.0), duration_s=8.0)
+    document = compared([one, two], q=0.05).document
+    assert [(round(s["base_rpm"]), round(s["new_rpm"])) for s in document["speeds"]] == [(1200, 1205)]
+    assert any(c["what"] == "speeds" and c["severity"] == "weakens" for c in document["confounds"])
+
+
+def test_tests_without_a_common_speed_are_not_compared():
+    one = made_test(LINES, name="one", speeds=(900.0,), duration_s=8.0)
+    two = made_test(LINES, name="two", speeds=(1800.0,), duration_s=8.0)
+    assert compared([one, two], q=0.05).document["cause"]["cause"] == "not comparable"

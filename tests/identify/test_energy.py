@@ -1,0 +1,209 @@
+"""Where the energy of a made test lies, against what was put in."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.identify.energy import energy_shares
+from crankorder.identify.explain import Cause, Causes
+from crankorder.identify.found import Tone
+from crankorder.settings import load_settings
+from made.found_lines import agreed, fit, line
+
+SETTINGS = load_settings().identify
+SPEEDS = np.arange(600.0, 2001.0, 100.0)
+FREQUENCY = np.arange(0.0, 500.25, 0.5)
+N_FRAMES = 40
+HANN = np.array([1 / 36, 4 / 9, 1.0, 4 / 9, 1 / 36]) / (1 + 8 / 9 + 1 / 18)
+
+
+def floor_of(frequency):
+    """Spectral density with a resonance at 115 Hz."""
+    x = frequency / 115.0
+    return 1e-3 / ((1 - x**2) ** 2 + (0.03 * x) ** 2 + 0.05)
+
+
+def campbell(lines=(), *, speeds=SPEEDS, seed=0, n_channels=1, cells=()):
+    """CampbellMap of noise under ``floor_of``, of ``lines`` (frequency by speed, amplitude) and of single ``cells``."""
+    rng = np.random.default_rng(seed)
+    shape = (n_channels, len(speeds), len(FREQUENCY))
+    psd = floor_of(FREQUENCY) * rng.gamma(N_FRAMES, 1 / N_FRAMES, shape)
+    for frequency_of, amplitude in lines:
+        for row, rpm in enumerate(speeds):
+            at = round(frequency_of(rpm) / 0.5)
+            if 2 <= at < len(FREQUENCY) - 2:
+                psd[:, row, at - 2 : at + 3] += amplitude**2 / 2 / 0.5 * HANN
+    for row, at, energy in cells:
+        psd[:, row, at] += energy / 0.5
+    names = [chr(65 + k) for k in range(n_channels)]
+    return xr.Dataset(
+        {"psd": (("channel", "speed", "frequency"), psd), "n_frames": ("speed", np.full(len(speeds), N_FRAMES))},
+        coords={"channel": names, "unit": ("channel", ["m/s2"] * n_channels), "speed": speeds, "frequency": FREQUENCY},
+        attrs={"resolution_hz": 0.5, "enbw_hz": 0.75, "speed_bin_rpm": 25.0, "amplitude_scaling": "peak"},
+    )
+
+
+def surface(n_channels=1, *, of=floor_of):
+    psd = np.tile(of(FREQUENCY), (n_channels, 1))
+    return {"frequency_hz": FREQUENCY, "floor_psd": np.tile(floor_of(FREQUENCY), (n_channels, 1)), "fitted_psd": psd}
+
+
+def causes(orders=(), known=(), tones=()):
+    words = {True: Cause("engine kinematics", "made"), False: Cause("unexplained", "")}
+    return Causes(
+        {(item.channel, o.order): words[k] for o, k in zip(orders, known, strict=True) for item in o.lines},
+        (),
+        tuple(words[k] for k in tones),
+    )
+
+
+def order(k):
+    return lambda rpm: k * rpm / 60
+
+
+def seen(k, amplitude, *, speeds=SPEEDS):
+    return agreed(k, line(k, amplitude, speed_rpm=speeds))
+
+
+def shares(made, orders=(), known=(), modal=None, tones=()):
+    modal = modal or fit(**surface(made.sizes["channel"]))
+    return energy_shares(made, made, tuple(orders), modal, causes(orders, known, tones), settings=SETTINGS)
+
+
+def total_of(record):
+    return sum(record[key] for key in ("orders", "tones", "modes_and_floor", "unexplained"))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_shares_add_up_to_one_and_none_is_negative(seed):
+    rng = np.random.default_rng(seed)
+    sizes = rng.uniform(0.0, 2.0, 6)
+    orders = [seen(k, a) for k, a in zip((0.5, 1.0, 2.0, 2.03, 5.5, 9.0), sizes, strict=True)]
+    tone = Tone(50.0, 0.01, "mains", {"A": (float(sizes[0]), 0.01)}, "")
+    made = campbell(
+        [(order(k.order), a / 2) for k, a in zip(orders, sizes, strict=True)], seed=seed, cells=[(3, 500, 9)]
+    )
+    modal = fit(tones=(tone,), **surface())
+    (record,) = shares(made, orders, rng.random(6) < 0.5, modal, (True,))["channels"]
+    assert total_of(record) == pytest.approx(1.0, abs=1e-9)
+    assert min(value for key, value in record.items() if key not in ("channel", "unit")) >= 0.0
+    assert record["unexplained"] == pytest.approx(record["unexplained_lines"] + record["unexplained_cells"])
+
+
+def test_a_line_has_half_its_amplitude_squared():
+    made = campbell([(order(2.0), 1.0), (order(5.5), 0.5)])
+    record = shares(made, [seen(2.0, 1.0), seen(5.5, 0.5)], (True, False))
+    (channel,) = record["channels"]
+    total = made["psd"].values.sum(axis=-1).mean() * 0.5
+    assert channel["total"] == pytest.approx(total, rel=0.02)  # the first cells, the mean, are left out
+    assert channel["orders"] * channel["total"] == pytest.approx(0.5, rel=0.02)
+    assert channel["unexplained"] * channel["total"] == pytest.approx(0.125, rel=0.02)
+    assert record["unexplained_energy_fraction"] == pytest.approx(0.2, rel=0.02)
+
+
+def test_noise_alone_is_broadband_but_for_the_stated_chance():
+    made = [shares(campbell(seed=seed)) for seed in range(100)]
+    assert all(item["cells_judged"] for item in made)
+    # 1 % is stated; 3 of 300 were measured, and 5 of 100 would have a chance of 0.3 %
+    assert sum(item["unexplained_energy_fraction"] > 0.0 for item in made) < 5
+    assert all(item["channels"][0]["modes_and_floor"] > 0.9999 for item in made)
+
+
+def test_a_line_that_nobody_found_counts_as_unexplained():
+    made = campbell([(order(2.0), 1.0), (order(7.3), 1.0)])
+    record = shares(made, [seen(2.0, 1.0)], (True,))
+    (channel,) = record["channels"]
+    # all but what hides in the floor at the skirts of its main lobe, and beside the resonance
+    assert channel["unexplained_cells"] * channel["total"] == pytest.approx(0.5, rel=0.1)
+    assert channel["unexplained_lines"] == 0.0
+    assert record["unexplained_energy_fraction"] == pytest.approx(0.5, rel=0.06)
+
+
+def test_a_hump_that_the_fit_leaves_out_counts_as_unexplained():
+    made = campbell()
+    without = fit(**surface(of=lambda f: np.where(f < 150.0, np.minimum(floor_of(f), 1e-3), floor_of(f))))
+    (channel,) = shares(made, modal=without)["channels"]
+    missing = np.maximum(0.0, floor_of(FREQUENCY) - 1e-3)[FREQUENCY < 150.0].sum() / floor_of(FREQUENCY).sum()
+    assert channel["unexplained_cells"] == pytest.approx(missing, rel=0.1)
+
+
+def test_where_a_line_is_not_seen_it_has_what_is_there():
+    loud = SPEEDS >= 1500.0
+    made = campbell()
+    quiet = campbell([(order(3.0), 1.0)])
+    made["psd"][:, loud] = quiet["psd"][:, loud]
+    (channel,) = shares(made, [seen(3.0, 1.0, speeds=SPEEDS[loud])], (True,))["channels"]
+    assert channel["orders"] * channel["total"] == pytest.approx(0.5 * loud.mean(), rel=0.02)
+
+
+def test_an_amplitude_beyond_what_the_map_holds_takes_no_more_than_that():
+    (channel,) = shares(campbell(), [seen(3.0, 100.0)], (True,))["channels"]
+    assert 0.0 < channel["orders"] < 0.1
+    assert total_of(channel) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("known", "where"), [(True, "tones"), (False, "unexplained_lines")])
+def test_a_tone_counts_by_its_cause(known, where):
+    tone = Tone(200.0, 0.01, "tone", {"A": (0.8, 0.01)}, "")
+    made = campbell([(lambda _: 200.0, 0.8)])
+    (channel,) = shares(made, modal=fit(tones=(tone,), **surface()), tones=(known,))["channels"]
+    assert channel[where] * channel["total"] == pytest.approx(0.32, rel=0.02)
+
+
+def test_a_speed_without_data_and_one_channel_without_lines_change_nothing_else():
+    whole = campbell([(order(2.0), 1.0)], n_channels=2)
+    orders = [seen(2.0, 1.0)]
+    holed = whole.copy(deep=True)
+    holed["psd"][0, 4] = np.nan
+    one, other = shares(whole, orders, (True,))["channels"], shares(holed, orders, (True,))["channels"]
+    assert other[1] == one[1]
+    assert other[0]["orders"] == pytest.approx(one[0]["orders"], rel=0.02)
+    assert total_of(other[0]) == pytest.approx(1.0)
+
+
+def test_without_a_fitted_surface_the_lines_alone_are_judged():
+    record = shares(campbell([(order(2.0), 1.0), (order(7.3), 1.0)]), [seen(2.0, 1.0)], (False,), fit())
+    assert not record["cells_judged"]
+    assert record["channels"][0]["unexplained_cells"] == 0.0
+    assert record["unexplained_energy_fraction"] == 1.0
+
+
+def test_a_test_without_speeds_is_judged_by_its_order_map():
+    axis = np.arange(0.0, 20.01, 1 / 16)
+    energy = 1e-4 * np.random.default_rng(4).gamma(40.0, 1 / 40.0, (1, 1, axis.size))
+    for k, amplitude in ((2.0, 1.0), (5.5, 0.5)):
+        at = round(16 * k)
+        energy[..., at - 1 : at + 2] += amplitude**2 * np.array([0.25, 1.0, 0.25])
+    order_map = xr.Dataset(
+        {"amplitude": (("channel", "speed", "order"), np.sqrt(energy)), "n_independent": ("speed", [40.0])},
+        coords={"channel": ["A"], "unit": ("channel", ["Pa"]), "speed": [np.nan], "order": axis},
+        attrs={"enbw_bins": 1.5, "amplitude_scaling": "peak", "revs_per_cycle": 2},
+    )
+    empty = campbell().isel(speed=slice(0, 0))
+    orders = [seen(k, a, speeds=[np.nan]) for k, a in ((2.0, 1.0), (5.5, 0.5))]
+    record = energy_shares(empty, order_map, tuple(orders), fit(), causes(orders, (True, False)), settings=SETTINGS)
+    (channel,) = record["channels"]
+    assert channel["orders"] * channel["total"] == pytest.approx(0.5, rel=0.02)
+    assert channel["unexplained_lines"] * channel["total"] == pytest.approx(0.125, rel=0.02)
+    assert record["unexplained_energy_fraction"] == pytest.approx(0.2, rel=0.02)
+    assert total_of(channel) == pytest.approx(1.0)
+
+
+def test_amplitudes_given_as_root_mean_square_make_the_same_shares():
+    made = campbell([(order(2.0), 1.0)])
+    as_rms = made.assign_attrs(amplitude_scaling="rms")
+    one = shares(made, [seen(2.0, 1.0)], (True,))["channels"]
+    other = shares(as_rms, [seen(2.0, np.sqrt(0.5))], (True,))["channels"]
+    assert one[0]["orders"] == pytest.approx(other[0]["orders"])
+
+
+def test_causes_decide_which_share_a_line_is_in():
+    made, orders = campbell([(order(2.0), 1.0)]), [seen(2.0, 1.0)]
+    known = shares(made, orders, (True,))
+    unknown = shares(made, orders, (False,))
+    assert known["unexplained_energy_fraction"] == 0.0 and unknown["unexplained_energy_fraction"] == 1.0
+    assert dataclasses.asdict(Cause("tone", "narrow")) and not Cause("tone", "narrow").known

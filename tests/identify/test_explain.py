@@ -1,0 +1,246 @@
+"""Every line has one cause, and only one that the evidence supports."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.identify.explain import Sources, explained
+from crankorder.identify.folds import ShownFold
+from crankorder.identify.found import Tone
+from crankorder.settings import load_settings
+from crankorder.shaft.folding import Fold
+from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
+
+SETTINGS = load_settings().identify
+FOUR_STROKE = Sources(revs_per_cycle=2)
+ROTOR = Sources(revs_per_cycle=1)
+ENGINE = Sources(revs_per_cycle=2, engine_orders=(1.0, 2.0, 4.0))
+JACK_SHAFT = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
+
+
+def causes(orders, sources, *, modal=None, bearings=(), quantity="acceleration", folds=()):
+    return explained(
+        tuple(orders),
+        modal or fit(),
+        list(bearings),
+        sources=sources,
+        quantity=dict.fromkeys("ABC", quantity),
+        settings=SETTINGS,
+        folds=folds,
+    )
+
+
+def texts(orders, sources, **given):
+    return {order: cause.text for (_, order), cause in causes(orders, sources, **given).orders.items()}
+
+
+def bearing_record(bearing, name, order, *, half=1e-3, seen_in="vibration"):
+    return {
+        "name": bearing.name,
+        "line": name,
+        "order": order,
+        "order_ci95": [order - half, order + half],
+        "seen_in": seen_in,
+    }
+
+
+def test_orders_of_the_moving_masses_are_engine_kinematics_and_others_are_not():
+    found = texts([agreed(k) for k in (1.0, 2.0, 4.0, 8.0)], ENGINE)
+    assert found == {
+        1.0: "engine kinematics",
+        2.0: "engine kinematics",
+        4.0: "engine kinematics",
+        8.0: "unexplained",
+    }
+
+
+def test_a_line_near_an_order_of_the_engine_that_slips_is_not_made_by_it():
+    assert texts([agreed(2.01, lock="slips")], ENGINE) == {2.01: "unexplained"}
+    assert texts([agreed(2.004, lock="undecided", error=0.002)], ENGINE) == {2.004: "engine kinematics"}
+    assert texts([agreed(2.004, lock="undecided", error=0.001)], ENGINE) == {2.004: "unexplained"}
+
+
+def test_an_order_that_is_hardly_known_is_no_multiple_of_the_cycle_for_that():
+    vague = [agreed(7.31, lock="undecided", error=0.2), agreed(6.98, lock="undecided", error=0.2)]
+    assert texts(vague, ROTOR) == {7.31: "unexplained", 6.98: "shaft harmonic"}
+
+
+@pytest.mark.parametrize(("exponent", "text"), [(2.0, "unbalance"), (0.0, "shaft harmonic")])
+def test_order_one_is_unbalance_only_if_it_grows_like_one(exponent, text):
+    noise = 1 + 0.01 * np.random.default_rng(2).standard_normal(SPEEDS_RPM.size)
+    found = causes([agreed(1.0, line(1.0, (SPEEDS_RPM / 1000) ** exponent * noise))], ROTOR)
+    cause = found.orders["A", 1.0]
+    assert cause.text == text
+    said = float(cause.evidence.split("speed to the ")[1].split(" ")[0])
+    assert said == pytest.approx(exponent, abs=0.03)
+
+
+def test_order_one_at_one_speed_is_unbalance_with_that_reservation():
+    cause = causes([agreed(1.0, line(1.0, speed_rpm=[1500.0]))], ROTOR).orders["A", 1.0]
+    assert cause.text == "unbalance" and "too few speeds" in cause.evidence
+
+
+def test_half_orders_in_a_cylinder_pressure_are_the_gas_cycle():
+    assert set(texts([agreed(k) for k in (0.5, 1.0, 1.5, 2.0)], ENGINE, quantity="pressure").values()) == {"gas cycle"}
+
+
+def test_half_orders_of_a_firing_engine_are_its_gas_cycle_and_of_a_motored_one_they_are_not():
+    orders = [agreed(k) for k in (0.5, 1.0, 1.5, 3.0)]
+    firing = texts(orders, dataclasses.replace(ENGINE, firing=True))
+    assert firing == {0.5: "gas cycle", 1.0: "engine kinematics", 1.5: "gas cycle", 3.0: "gas cycle"}
+    motored = texts(orders, ENGINE)
+    assert motored[0.5] == motored[1.5] == "half order of the four-stroke cycle"
+    assert motored[3.0] == "unexplained"
+
+
+def test_one_lone_half_order_of_a_motored_engine_proves_no_cycle():
+    assert texts([agreed(5.5), agreed(1.0)], ENGINE)[5.5] == "unexplained"
+    assert texts([agreed(5.5), agreed(1.0)], FOUR_STROKE)[5.5] == "half order of the four-stroke cycle"
+    assert texts([agreed(5.5), agreed(1.0)], ROTOR)[5.5] == "unexplained"
+
+
+def test_a_locked_line_at_balls_times_shaft_speed_may_as_well_be_an_eleven_fold_part():
+    sources = dataclasses.replace(ENGINE, bearings=(JACK_SHAFT,))
+    record = bearing_record(JACK_SHAFT, "N*fs", 5.5)
+    assert texts([agreed(5.5)], sources, bearings=[record]) == {
+        5.5: "bearing jack shaft N*fs or an 11-fold part of that shaft"
+    }
+    slipping = bearing_record(JACK_SHAFT, "N*fs", 5.46)
+    assert texts([agreed(5.46, lock="slips")], sources, bearings=[slipping]) == {5.46: "bearing jack shaft N*fs"}
+
+
+def test_a_race_is_matched_within_its_interval_and_never_by_a_locked_line():
+    sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT,))
+    outer = bearing_orders(JACK_SHAFT)["BPFO"] * 0.99
+    record = bearing_record(JACK_SHAFT, "BPFO", outer)
+    found = texts(
+        [agreed(outer, lock="slips"), agreed(2 * outer, lock="slips"), agreed(outer + 0.015, lock="slips")],
+        sources,
+        bearings=[record],
+    )
+    assert found[outer] == "bearing jack shaft BPFO"
+    assert found[2 * outer] == "bearing jack shaft BPFO, harmonic 2"
+    assert found[outer + 0.015] == "unexplained"
+    on_order_two = bearing_record(JACK_SHAFT, "BPFO", 2.0)
+    assert texts([agreed(2.0)], sources, bearings=[on_order_two]) == {2.0: "shaft harmonic"}
+
+
+def test_a_race_modulated_by_its_shaft_has_sidebands():
+    inner = 3.317
+    sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT,))
+    orders = [
+        agreed(inner - 0.5, line(inner - 0.5, 0.3), lock="slips"),
+        agreed(inner, line(inner, 1.0), lock="slips"),
+        agreed(inner + 0.5, line(inner + 0.5, 0.3), lock="slips"),
+    ]
+    found = texts(orders, sources, bearings=[bearing_record(JACK_SHAFT, "BPFI", inner)])
+    assert found[inner] == "bearing jack shaft BPFI"
+    assert found[inner - 0.5] == found[inner + 0.5] == "sideband of order 3.317 spaced by 0.5"
+
+
+def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
+    sizes = {1: 1.0, 22: 0.2, 23: 1.0, 24: 0.3}
+    orders = [agreed(float(k), line(float(k), a, speed_rpm=[2000.0])) for k, a in sizes.items()]
+    found = texts(orders, ROTOR)
+    assert found[23.0] == "gear mesh or blade passing: integer order with sidebands"
+    assert found[22.0] == found[24.0] == "sideband of order 23 spaced by 1"
+    assert found[1.0] == "unbalance"
+    stated = texts(orders, dataclasses.replace(ROTOR, gears=(("pinion", 23.0),)))
+    assert stated[23.0] == "gear mesh pinion" and stated[22.0] == "sideband of order 23 spaced by 1"
+
+
+@pytest.mark.parametrize("channel", [12, 14, 16])
+def test_the_mesh_of_a_real_gearbox_is_told_by_its_sidebands_alone(channel, shared_data):
+    path = shared_data / "gear0" / f"3027_217_Data_Chan{channel}.mat"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the file names its variables twice
+        signal = loadmat(path, squeeze_me=True)["Data1"].astype(np.float64)
+    frequency = np.fft.rfftfreq(signal.size, 1 / 25_600)
+    power = np.abs(np.fft.rfft(signal * np.hanning(signal.size))) ** 2
+    turn_hz = 33.3294  # 23 times that is the summit near 2000 rpm
+    sizes = {k: np.sqrt(power[np.abs(frequency - k * turn_hz) < 1.0].sum()) for k in range(1, 41)}
+    orders = [agreed(float(k), line(float(k), size, speed_rpm=[60 * turn_hz])) for k, size in sizes.items()]
+    found = texts(orders, ROTOR)
+    assert found[23.0] == "gear mesh or blade passing: integer order with sidebands"
+    assert sum(text.startswith("gear mesh") for text in found.values()) <= 2  # channel 14 has one at order 33 too
+    assert found[22.0] == found[24.0] == "sideband of order 23 spaced by 1"
+
+
+def test_a_harmonic_that_a_mode_lifts_is_no_mesh():
+    sizes = {22: 0.2, 23: 1.0, 24: 0.3}
+    orders = [agreed(float(k), line(float(k), a, speed_rpm=[2000.0])) for k, a in sizes.items()]
+    found = texts(orders, ROTOR, modal=fit(mode(23 * 2000 / 60)))
+    assert set(found.values()) == {"shaft harmonic"}
+
+
+def test_a_shaft_of_its_own_speed_is_told_by_its_multiples():
+    found = texts([agreed(k, lock="slips") for k in (1.005, 2.01, 3.015)], ROTOR)
+    assert found == {
+        1.005: "a second shaft at 1.005",
+        2.01: "harmonic 2 of a second shaft at 1.005",
+        3.015: "harmonic 3 of a second shaft at 1.005",
+    }
+
+
+def test_each_channel_has_its_own_cause():
+    order = agreed(1.0, line(1.0, channel="A", speed_rpm=[1500.0]), line(1.0, channel="B", speed_rpm=[1500.0]))
+    found = explained(
+        (order,),
+        fit(),
+        [],
+        sources=FOUR_STROKE,
+        quantity={"A": "acceleration", "B": "pressure"},
+        settings=SETTINGS,
+    ).orders
+    assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): "unbalance", ("B", 1.0): "gas cycle"}
+
+
+def test_an_order_that_is_a_fold_is_called_one():
+    fold = Fold("frequency", 7200.0, np.arange(3), 1e-4, True, "lines are one of 7200 Hz folded")
+    shown = ShownFold(fold, SPEEDS_RPM, np.full(SPEEDS_RPM.size, 7.31), 0.02)
+    orders = [agreed(7.31, lock="slips"), agreed(9.2, lock="slips")]
+    assert texts(orders, ROTOR, folds=(shown,)) == {7.31: "fold of 7200 Hz", 9.2: "unexplained"}
+
+
+def test_fixed_lines_are_modes_mains_sidebands_or_tones():
+    def tone(frequency, kind, size):
+        return Tone(frequency, 0.01, kind, {"A": (size, 0.01)}, "narrow")
+
+    modal = fit(
+        mode(115.0),
+        mode(60.0, undecided="may be mains"),
+        tones=(tone(50.0, "mains", 1.0), tone(137.0, "tone", 2.0), tone(87.0, "tone", 0.3), tone(187.0, "tone", 0.3)),
+    )
+    found = causes([], ROTOR, modal=modal)
+    assert [cause.text for cause in found.modes] == ["mode", "undecided"]
+    assert [cause.text for cause in found.tones] == [
+        "mains",
+        "tone",
+        "sideband of 137 Hz spaced by 50 Hz",
+        "sideband of 137 Hz spaced by 50 Hz",
+    ]
+    assert [cause.known for cause in found.modes] == [True, False]
+    assert not found.tones[1].known
+
+
+def test_every_line_has_exactly_one_cause_with_evidence():
+    rng = np.random.default_rng(9)
+    orders = [agreed(float(k), lock="slips") for k in rng.uniform(0.4, 20.0, 12)] + [agreed(k) for k in (0.5, 1.0, 7.0)]
+    found = causes(orders, ENGINE).orders
+    assert set(found) == {("A", item.order) for item in orders}
+    assert all(cause.text and cause.evidence for cause in found.values())
+
+
+def test_tones_that_are_all_multiples_of_one_frequency_are_no_sidebands_of_each_other():
+    """Three sines at 100, 120 and 150 Hz drive a beam, and their products fill a grid of 10 Hz."""
+    places = [50.0, 70.0, 80.0, 100.0, 110.0, 120.0, 150.0, 170.0, 180.0, 200.0]
+    sizes = [0.1, 0.1, 0.1, 0.8, 0.1, 0.7, 1.0, 0.1, 0.1, 0.1]
+    tones = [Tone(hz, 1e-3, "tone", {"A": (size, 1e-3)}, "a tone") for hz, size in zip(places, sizes, strict=True)]
+    found = causes([], ROTOR, modal=fit(tones=tones))
+    assert {cause.text for cause in found.tones} == {"tone"}

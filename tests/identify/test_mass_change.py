@@ -1,0 +1,87 @@
+"""The change of unbalance behind a change of order 1: its factor, its law with speed and its grams."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.identify.changes.mass_change import unbalance_change, weighed
+from crankorder.identify.changes.order_changes import change
+from crankorder.identify.changes.order_in_map import Line
+
+SPEED_RPM = np.array([900.0, 1200.0, 1500.0, 1800.0, 2100.0])
+BEFORE = 3.0 * np.exp(0.4j)  # grams at their radius
+ADDED = 2.4 * np.exp(2.9j)
+
+
+def path(rpm, *, natural_rpm):
+    """Response per gram of a mass that turns: speed² over one mode."""
+    x = rpm / natural_rpm
+    return 4e-6 * rpm**2 / (1 - x**2 + 0.06j * x)
+
+
+def measured(rng, true, error, *, freedom=12.0):
+    noise = rng.standard_normal((2, len(true)))
+    # an error that is itself estimated from so many degrees of freedom
+    said = error * np.sqrt(rng.chisquare(freedom, len(true)) / freedom)
+    vector = true + error * (noise[0] + 1j * noise[1])
+    return Line(np.abs(vector), said, np.full(len(true), freedom), vector, said)
+
+
+def made(rng, *, natural_rpm=2400.0, error=0.6, after=BEFORE + ADDED, moved=1.0):
+    response = path(SPEED_RPM, natural_rpm=natural_rpm)
+    other = path(SPEED_RPM, natural_rpm=natural_rpm * moved)
+    lines = measured(rng, response * BEFORE, error), measured(rng, other * after, error)
+    return change(*lines, SPEED_RPM, SPEED_RPM, order=1.0)
+
+
+def test_one_factor_fits_through_any_path_and_its_interval_covers():
+    rng, n, inside, fits = np.random.default_rng(1), 600, 0, 0
+    true = abs((BEFORE + ADDED) / BEFORE)
+    for _ in range(n):
+        found = unbalance_change(made(rng))
+        low, high = found.size_ci95
+        inside += low <= true <= high
+        fits += found.factor_fits > 0.05
+    assert inside / n == pytest.approx(0.95, abs=0.025)
+    assert fits / n == pytest.approx(0.95, abs=0.03)
+
+
+def test_grams_before_and_after_follow_from_the_mass_that_is_stated():
+    rng, n, inside = np.random.default_rng(2), 600, np.zeros(2)
+    for _ in range(n):
+        one = made(rng)
+        grams = weighed(one, unbalance_change(one), ADDED)
+        reach = 2.2 * grams.error
+        inside += [abs(abs(grams.before) - abs(BEFORE)) < reach, abs(abs(grams.after) - abs(BEFORE + ADDED)) < reach]
+    assert np.all(np.abs(inside / n - 0.95) < 0.04)
+    np.testing.assert_allclose(grams.per_unit, path(SPEED_RPM, natural_rpm=2400.0), atol=6 * 0.6 * 1.5 / abs(ADDED))
+
+
+def test_without_noise_grams_are_exact():
+    one = made(np.random.default_rng(3), error=1e-9)
+    grams = weighed(one, unbalance_change(one), ADDED)
+    assert grams.before == pytest.approx(BEFORE, rel=1e-6)
+    assert grams.after == pytest.approx(BEFORE + ADDED, rel=1e-6)
+
+
+def test_the_square_law_holds_on_a_stiff_path_and_not_beside_a_resonance():
+    stiff = unbalance_change(made(np.random.default_rng(4), natural_rpm=1e6))
+    assert stiff.square_law_fits > 1e-3
+    assert abs(stiff.square_law) == pytest.approx(abs(ADDED) * 4e-6 * 2100.0**2, rel=0.15)
+    near = unbalance_change(made(np.random.default_rng(5), natural_rpm=1600.0))
+    assert near.square_law_fits < 1e-6 and near.factor_fits > 1e-3
+
+
+def test_a_path_that_changed_is_not_taken_for_a_mass():
+    found = unbalance_change(made(np.random.default_rng(6), after=BEFORE, moved=1.15))
+    assert found.factor_fits < 1e-6 and not found.explains
+
+
+def test_the_same_unbalance_explains_nothing():
+    explains = [unbalance_change(made(np.random.default_rng(k), after=BEFORE)).explains for k in range(300)]
+    assert np.mean(explains) == pytest.approx(0.05, abs=0.035)
+
+
+def test_an_order_that_drowns_tells_no_factor():
+    assert unbalance_change(made(np.random.default_rng(7), error=1e3)) is None

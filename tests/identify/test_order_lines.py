@@ -1,0 +1,147 @@
+"""Order lines: none vanishes in silence, none of fixed frequency passes for an order, slipping ones are seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.identify.lines.line_evidence import is_steady, log_chance_of_kurtosis
+from crankorder.identify.lines.order_lines import order_lines
+from crankorder.orders.map import order_map
+from crankorder.settings import load_settings
+from made.line_frames import PER_REV, angle_of, frames_of, wave
+
+SETTINGS = load_settings()
+SPEEDS = np.arange(600.0, 1800.0, 50.0)
+
+
+def lines_of(signal, *, speeds=SPEEDS, revs: int = 120, with_frames: bool = True):
+    """Lines of a test whose signal at a speed is ``signal(angle, rpm)`` beside white noise of unit power."""
+    rng, frames, angle = np.random.default_rng(7), [], angle_of(revs)
+    for rpm in speeds:
+        frames.append(frames_of([signal(angle, rpm) + rng.standard_normal(len(angle))], speed_rpm=rpm))
+    made = order_map(frames, settings=SETTINGS.orders)
+    given = {"frames": frames} if with_frames else {}
+    return order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, **given)
+
+
+def test_a_line_at_one_speed_of_many_is_kept_with_its_reservation() -> None:
+    (line,) = lines_of(lambda angle, rpm: wave(angle, 4.0, 1.0 if rpm == 1200.0 else 0.0))
+    assert (len(line.seen), float(line.speed_rpm[0])) == (1, 1200.0)
+    assert line.reservation == "seen at 1 of 24 speeds only"
+
+
+def test_a_line_at_many_speeds_has_no_reservation() -> None:
+    (line,) = lines_of(lambda angle, rpm: wave(angle, 4.0, 0.5))
+    assert line.reservation == "" and line.evidence == "locked to the shaft"
+
+
+def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one() -> None:
+    # 60 Hz is order 3 at 1200 rpm exactly, where it is as steady as an order
+    assert lines_of(lambda angle, rpm: wave(angle, 3600.0 / rpm, 1.0)) == []
+
+
+def test_a_line_that_slips_is_seen_at_one_speed_by_the_turn_of_its_phase() -> None:
+    def slipping(angle, rpm):
+        return wave(angle, 4.013, 0.5)
+
+    (line,) = lines_of(slipping, speeds=[1500.0], revs=300)
+    assert line.evidence == "steady, not locked"
+    assert line.order == pytest.approx(4.013, abs=0.01)
+
+
+def test_the_order_of_one_channel_and_one_speed_has_an_honest_interval() -> None:
+    angle, misses = angle_of(18), 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        signal = wave(angle, 4.0, 1.0, rng.uniform(0, 6)) + 0.1 * rng.standard_normal(len(angle))
+        made = order_map([frames_of([signal])], settings=SETTINGS.orders)
+        (line,) = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
+        misses += abs(line.order - 4.0) > 1.96 * line.order_error
+    assert misses <= 8  # 3 expected of 60
+
+
+def test_amplitudes_are_those_put_in() -> None:
+    (line,) = lines_of(lambda angle, rpm: wave(angle, 5.5, (rpm / 1000.0) ** 2))
+    off = (line.amplitude - (line.speed_rpm / 1000.0) ** 2) / line.amplitude_error
+    assert np.sqrt(np.mean(off**2)) < 1.6
+
+
+def one_speed(signal, *, channels: int = 1, revs: int = 92):
+    """Lines of a test at 2000 rpm, ten frames of which are worth no more than that, in so many ``channels``."""
+    signals = [signal(angle_of(revs), k) for k in range(channels)]
+    frames = [frames_of(signals, speed_rpm=2000.0, pulses=False)]
+    made = order_map(frames, settings=SETTINGS.orders)
+    return made, order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
+
+
+def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_with_its_reservation() -> None:
+    """As in a gearbox whose speed is nominal: the phase turns by 72 degrees to and fro, over ten frames."""
+
+    def drifting(angle, channel):
+        slow = 0.2 * np.sin(2 * np.pi * angle / 70.0)
+        noise = np.random.default_rng(channel).standard_normal(len(angle))
+        return wave(angle, 19.0, 3.0, 2 * np.pi * slow) + noise
+
+    made, (line,) = one_speed(drifting)
+    assert made.sizes["speed"] == 1 and made["n_independent"].item() < 12.0
+    assert line.order == pytest.approx(19.0, abs=0.03)
+    assert line.evidence == "steady, not locked"
+    assert "at one speed a line of fixed frequency would look the same" in line.reservation
+
+
+@pytest.mark.parametrize("frames", [3, 5, 9, 20])
+def test_so_low_a_kurtosis_has_the_chance_that_is_stated(frames: int) -> None:
+    """Against a simulation of independent frames: exact while the ball lies in the simplex, an upper bound beyond."""
+    power = np.random.default_rng(frames).standard_exponential((400_000, frames))
+    ratio = np.mean(power**2, axis=1) / np.mean(power, axis=1) ** 2
+    kurtosis = ((frames + 1) * ratio - 2 * frames) / (frames - 1)
+    inside = -1.0 + (frames + 1) / (frames - 1) ** 2
+    for at in (inside, 0.5 * (inside - 1.0), inside + 0.1, -0.4):
+        stated = float(np.exp(log_chance_of_kurtosis(np.array([at]), np.array([float(frames)]))[0]))
+        found = float(np.mean(kurtosis <= at))
+        error = 4.0 * np.sqrt(stated / len(power)) + 1e-5
+        assert found <= stated + error
+        if at <= inside:
+            assert found >= stated - error
+
+
+@pytest.mark.parametrize("damping", [1e-4, 3e-4, 1e-3, 1e-2])
+def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(damping: float) -> None:
+    """A hundred channels of ten frames each, on order 15.06: a phasor that forgets itself as that damping makes it."""
+    rng = np.random.default_rng(int(1e5 * damping))
+    per_rev = np.exp(-2.0 * np.pi * damping * 15.06 / PER_REV)
+
+    def ringing(angle, channel):
+        steps = rng.standard_normal((2, len(angle)))
+        drive = (steps[0] + 1j * steps[1]) * np.sqrt(0.5 * (1.0 - per_rev**2))
+        drive[0] = complex(*rng.standard_normal(2)) * np.sqrt(0.5)
+        phasor = np.empty(len(angle), complex)
+        state = 0.0 + 0.0j
+        for k, step in enumerate(drive):
+            state = per_rev * state + step
+            phasor[k] = state
+        return (4.0 * phasor * np.exp(2j * np.pi * 15.06 * angle)).real + rng.standard_normal(len(angle))
+
+    made, _ = one_speed(ringing, channels=100)
+    peak = int(np.argmin(np.abs(made["order"].values - 15.0625)))
+    steady = sum(is_steady(made, k, peak, np.array([0]), 1e-3) for k in range(100))
+    assert steady <= 1
+
+
+def test_a_line_that_slips_by_less_than_a_percent_is_found_at_eight_speeds_of_eight_seconds() -> None:
+    """5.5 with a slip of 0.8 %: off every bin of its frames, never locked, and no resonance."""
+    speeds = np.arange(600.0, 2001.0, 200.0)
+    rng, frames = np.random.default_rng(3), []
+    for rpm in speeds:
+        angle = angle_of(int(8.0 * rpm / 60.0))
+        signal = wave(angle, 5.456, 0.5, rng.uniform(0, 6)) + wave(angle, 1.0, 2.0) + rng.standard_normal(len(angle))
+        frames.append(frames_of([signal], speed_rpm=rpm))
+    made = order_map(frames, settings=SETTINGS.orders)
+    found = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
+    first, slipping = found
+    assert first.evidence == "locked to the shaft"
+    assert slipping.evidence == "steady, not locked"
+    assert slipping.order == pytest.approx(5.456, abs=0.006)
+    assert slipping.amplitude == pytest.approx(0.5, rel=0.15)
+    assert len(slipping.seen) == len(speeds)

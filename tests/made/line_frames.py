@@ -1,0 +1,67 @@
+"""OrderFrames of lines and noise made by crank angle: what identification of orders is tried on, cheaply."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from crankorder.orders.spectra import spectra_by_angle
+from made.recordings import named
+
+PER_REV, REVS, HOP = 48, 16, 8
+
+
+def frames_of(
+    signals: Sequence[np.ndarray],
+    *,
+    speed_rpm: float | np.ndarray = 1500.0,
+    start_rev: float = 3.25,
+    pulses: bool = True,
+) -> xr.Dataset:
+    """OrderFrames, orders 0 to 20, of ``signals`` (samples,) of each channel, PER_REV samples per revolution."""
+    values = np.stack(signals)
+    count = (values.shape[1] // PER_REV - REVS) // HOP + 1
+    begin = start_rev + HOP * np.arange(count, dtype=np.float64)
+    spectrum = spectra_by_angle(values, None, PER_REV, REVS, HOP, begin, 20 * REVS + 1)
+    flag = {"recording": "made", "flag": "no_index", "severity": "suspect", "detail": "no encoder pulses: made so"}
+    return xr.Dataset(
+        {"spectrum": (("channel", "frame", "order"), spectrum)},
+        coords={
+            **named(len(values)),
+            "order": np.arange(spectrum.shape[2]) / REVS,
+            "speed": ("frame", np.broadcast_to(np.asarray(speed_rpm, dtype=float), (count,)).copy()),
+            "crank_angle": ("frame", begin),
+        },
+        attrs={
+            "recording": "made",
+            "window": "hann",
+            "enbw_bins": 1.5,
+            "revs_per_frame": REVS,
+            "overlap": 0.5,
+            "amplitude_scaling": "peak",
+            "phase_reference": "tdc",
+            "cycle_known": 1,
+            "revs_per_cycle": 2,
+            "quality": json.dumps([] if pulses else [flag]),
+        },
+    )
+
+
+def angle_of(revs: int, *, start_rev: float = 3.25) -> np.ndarray:
+    """Crank angle [rev] of the samples of ``revs`` revolutions."""
+    return start_rev + np.arange(revs * PER_REV) / PER_REV
+
+
+def wave(angle_rev: np.ndarray, order: float, amplitude: float, phase_rad: float = 0.0) -> np.ndarray:
+    """A line of ``order`` at ``angle_rev``."""
+    return amplitude * np.cos(2 * np.pi * order * angle_rev + phase_rad)
+
+
+def rung(noise: np.ndarray, order: float, damping: float, *, amount: float = 1.0) -> np.ndarray:
+    """``noise`` (samples,) and ``amount`` of it through the acceleration response of a mode at ``order``."""
+    at = np.fft.rfftfreq(len(noise), 1 / PER_REV)
+    response = -(at**2) / (order**2 - at**2 + 2j * damping * order * at)
+    return np.fft.irfft(np.fft.rfft(noise) * (1.0 + amount * response), len(noise))

@@ -1,0 +1,82 @@
+"""Frames of a scene whose shaft is known exactly: its sensors' signals without files, encoder and decimation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.campbell.frames import frequency_frames
+from crankorder.orders.frames import order_frames
+from crankorder.settings import Settings
+from crankorder.synth.crank import start_angle_rev
+from crankorder.synth.floor import floor_of
+from crankorder.synth.load import load_scene
+from crankorder.synth.parts import Speeds, TimeSampling
+from crankorder.synth.recording import sensed
+from crankorder.synth.scene import Scene
+from crankorder.synth.truth import truth_of
+from made.recordings import shaft
+
+
+@dataclass(frozen=True)
+class MadeScene:
+    """Frames by order and by frequency of all recordings of a scene, and what was put in."""
+
+    by_order: list[xr.Dataset]
+    by_frequency: list[xr.Dataset]
+    truth: dict[str, Any]
+
+
+def scene_named(name: str, *, seed: int, speeds_rpm: list[float], duration_s: float, rate_hz: float) -> Scene:
+    """The shipped scene ``name`` with another seed, speeds, length and rate, no encoder and no faults."""
+    scene = load_scene(name)
+    differences = {
+        "seed": seed,
+        "sampling": TimeSampling(domain="time", rate_hz=rate_hz, duration_s=duration_s),
+        "speeds": Speeds(list_rpm=tuple(speeds_rpm)),
+        "encoder": None,
+    }
+    return Scene.model_construct(**{**{key: getattr(scene, key) for key in Scene.model_fields}, **differences})
+
+
+def without_orders(scene: Scene) -> Scene:
+    """``scene`` with its structure and noise alone: no engine forces, no injected orders, no bearing lines."""
+    nothing = {"engine_forces": None, "injected_orders": (), "bearing_lines": ()}
+    return Scene.model_construct(**{**{key: getattr(scene, key) for key in Scene.model_fields}, **nothing})
+
+
+def made_scene(scene: Scene, settings: Settings) -> MadeScene:
+    """Frames of every recording of the steady ``scene``, as ``settings`` of orders and campbell ask."""
+    floor = floor_of(scene, scene.rate_hz(scene.runs[0].speed_rpm))
+    by_order, by_frequency = [], []
+    for run in scene.runs:
+        recording = _recording(scene, sensed(scene, run, floor))
+        knots = np.linspace(0.0, scene.n_samples / scene.rate_hz(run.speed_rpm), 50)
+        angle = start_angle_rev(scene, run) + knots * run.speed_rpm / 60.0
+        known = shaft(knots, angle, np.full(len(knots), run.speed_rpm))
+        by_order.append(order_frames(recording, known, settings=settings.orders))
+        by_frequency.append(frequency_frames(recording, known, settings=settings.campbell))
+    return MadeScene(by_order, by_frequency, dict(truth_of(scene)))
+
+
+def _recording(scene: Scene, signal: np.ndarray) -> xr.Dataset:
+    words = {"units": "1", "long_name": "name"}
+    names = list(scene.channel_names)
+    return xr.Dataset(
+        {"signal": (("channel", "time"), signal, {"units": "see unit"})},
+        coords={
+            "channel": ("channel", names, words),
+            "unit": ("channel", ["m/s2"] * len(names), words),
+            "quantity": ("channel", ["acceleration"] * len(names), words),
+        },
+        attrs={
+            "recording": "made",
+            "domain": "time",
+            "rate_hz": scene.rate_hz(scene.runs[0].speed_rpm),
+            "encoder_kind": "constant",
+            "revs_per_cycle": 2,
+        },
+    )

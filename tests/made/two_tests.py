@@ -1,0 +1,136 @@
+"""Results of made tests, as a run leaves them: maps from analytic recordings, findings that name what was put in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.batch.store import json_bytes, publish
+from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.map import campbell_map
+from crankorder.identify.changes.compared import Tested
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
+from crankorder.report.netcdf import results_bytes
+from crankorder.settings import load_settings
+from made.recordings import line, steady, total
+
+SETTINGS = load_settings(
+    asked={"campbell": {"max_frequency_hz": 300.0, "resolution_hz": 2.0}, "orders": {"max_order": 12.0}}
+)
+SPEEDS_RPM = (900.0, 1200.0, 1500.0, 1800.0)
+RATE_HZ = 1000.0
+
+Phasor = Callable[[float], complex]
+"""Complex amplitude of a line at a speed in rpm."""
+
+
+def made_test(
+    lines: Mapping[float, Phasor],
+    *,
+    name: str = "made",
+    seed: int = 0,
+    speeds: Sequence[float] = SPEEDS_RPM,
+    duration_s: float = 16.0,
+    noise: float = 0.3,
+    run: Mapping[str, Any] | None = None,
+    modes: Sequence[dict[str, Any]] = (),
+    channels: Sequence[str] = ("A",),
+) -> Tested:
+    """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states."""
+    orders, frequencies = [], []
+    for number, rpm in enumerate(speeds):
+        signals = [
+            total(*_lines(lines, rpm), _noise(noise, 1000 * seed + 10 * number + row)) for row in range(len(channels))
+        ]
+        recording = steady(signals, speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
+        orders.append(order_frames(*recording, settings=SETTINGS.orders))
+        frequencies.append(frequency_frames(*recording, settings=SETTINGS.campbell))
+    bin_rpm = SETTINGS.orders.speed_bin_rpm
+    maps = {
+        "order_map": order_map(orders, settings=SETTINGS.orders),
+        "campbell_map": campbell_map(frequencies, speed_bin_rpm=bin_rpm),
+        "shaft": _shaft(speeds),
+    }
+    maps = {
+        key: one.assign_coords(channel=list(channels)) if "channel" in one.sizes else one for key, one in maps.items()
+    }
+    return Tested(name, findings(lines, channels, name, modes), {**stated(name, channels), **(run or {})}, maps)
+
+
+def _shaft(speeds: Sequence[float]) -> xr.Dataset:
+    return xr.Dataset({"speed_mean": ("recording", np.array(speeds), {"units": "min-1"})})
+
+
+def _lines(lines: Mapping[float, Phasor], rpm: float) -> list[Any]:
+    made = []
+    for order, phasor in lines.items():
+        value = complex(phasor(rpm))
+        made.append(line(order, abs(value), float(np.angle(value))))
+    return made
+
+
+def _noise(size: float, seed: int) -> Any:
+    return lambda time_s, _: size * np.random.default_rng(seed).standard_normal(len(time_s))
+
+
+def findings(
+    lines: Mapping[float, Phasor], channels: Sequence[str], name: str, modes: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
+    """Findings that name the ``lines``, with the keys that a comparison reads."""
+    records = [
+        {
+            "channel": channel, "order": order, "order_ci95": [order - 0.003, order + 0.003], "amplitude": 1.0,
+            "amplitude_ci95": [0.9, 1.1], "locked": True, "explained_by": "shaft harmonic",
+        }
+        for channel in channels for order in lines
+    ]  # fmt: skip
+    return {
+        "schema_version": 1,
+        "test": name,
+        "channels": [{"name": channel, "unit": "m/s2", "quantity": "acceleration"} for channel in channels],
+        "orders": records,
+        "modes": list(modes),
+        "bearings": [],
+        "balance": None,
+        "quality": [],
+    }
+
+
+def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:
+    """What run.json states of a made test."""
+    columns = [{"name": c, "unit": "m/s2", "quantity": "acceleration", "sensitivity": None} for c in channels]
+    return {
+        "schema_version": 1,
+        "test": name,
+        "code_sha256": "0" * 64,
+        "versions": {"crankorder": "0.1.0", "numpy": "2.4.6"},
+        "inputs": [{"name": f"{name}.h5", "sha256": name.encode().hex().rjust(64, "0")[-64:], "bytes": 1}],
+        "manifest": {
+            "test": {"cycle": "rotor", "name": name, "engine": None},
+            "sampling": {"domain": "time", "rate_hz": RATE_HZ},
+            "channels": columns,
+            "encoder": {"kind": "square", "pulses_per_rev": 60},
+            "bearings": [],
+        },
+        "engine": None,
+        "settings": json.loads(SETTINGS.model_dump_json()),
+        "quality": [],
+    }
+
+
+def written(test: Tested, out: Path) -> Path:
+    """The folder of ``test`` below ``out``, with the files that a comparison reads and the done marker."""
+    folder = out / test.name.replace(" ", "-")
+    files = {
+        "results.nc": results_bytes(dict(test.maps), attrs={"title": test.name}),
+        "findings.json": json_bytes(dict(test.findings)),
+        "run.json": json_bytes({**test.run, "test": test.name}),
+    }
+    publish(folder, files, key="made")
+    return folder
