@@ -287,6 +287,37 @@ def report(results: tuple[Path, ...]) -> None:
 
 
 @main.command()
+@click.argument("base", type=FOLDER)
+@click.argument("new", nargs=-1, required=True, type=FOLDER, metavar="NEW...")
+@click.option("--out", required=True, type=FOLDER, help="Folder for comparison.json, page, pictures and comparison.nc.")
+@click.option(
+    "--fdr",
+    "q",
+    type=click.FloatRange(0, 0.5, min_open=True),
+    default=0.05,
+    show_default=True,
+    help="False-discovery rate: the share of the claimed changes that may be chance.",
+)
+@click.option("--any-dependence", "correlated", is_flag=True, help="Claim fewer map cells, however they depend.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Only faults.")
+def compare(
+    base: Path, new: tuple[Path, ...], out: Path, q: float, correlated: bool, as_json: bool, quiet: bool
+) -> None:
+    """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
+    from crankorder.batch.compare import compare_results, document_text, publish_comparison
+
+    made = compare_results(base, new, q=q, correlated=correlated)
+    for path in publish_comparison(made, out):
+        if not quiet:
+            click.echo(str(path), err=True)
+    if as_json:
+        click.echo(document_text(made), nl=False)
+    elif not quiet:
+        click.echo("\n".join(made.document["headline"]))
+
+
+@main.command()
 @click.argument("engine")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
 @click.option("--out", type=FOLDER, help="Folder for balance.json, pictures and balance.nc; made if missing.")

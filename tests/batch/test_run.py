@@ -87,6 +87,7 @@ class TestResults:
             "campbell_Y.png",
             "campbell_Z.png",
             "orders.png",
+            "envelope.png",
             "order_spectra.png",
             "spectra.png",
         }
@@ -300,8 +301,9 @@ class TestWhatIsLeftOut:
 
 class TestCrankAngleData:
     def test_orders_come_straight_from_the_samples(self, result):
+        truth = json.loads((result / "recordings" / "truth.json").read_bytes())
         found = {round(record["order"], 2) for record in findings_in(result / "out")["orders"]}
-        assert found == {1.0, 2.0, 5.5}
+        assert {1.0, 2.0, 5.5} <= found <= {record["order"] for record in truth["orders"] if record["speed_range_rpm"]}
 
     def test_natural_frequencies_come_through_the_stated_speed(self, result):
         truth = [

@@ -262,6 +262,7 @@ def hard_tests() -> dict[str, DrawnTest]:
         ),
         "hostile": drawn_test(steps, channels=(HOSTILE,), name="$\\frac{ </title><script>" + "x" * 10_000),
         "all zero": drawn_test(steps[:5], gains=(0.0,)),
+        "sixty orders": drawn_test(steps, orders=tuple(float(order) for order in np.arange(0.5, 30.1, 0.5))),
         "thirty orders": drawn_test(steps, orders=thirty),
         "eight channels": drawn_test(steps, channels=tuple(f"acc_{k}" for k in range(1, 9)), gains=(1.0, 0.3, 3.0)),
         "counts": drawn_test(steps, channels=("raw",), unit="counts", quantity="other", orders=(1.0,)),
@@ -290,3 +291,19 @@ def settings() -> ReportSettings:
 def make_test() -> Callable[..., DrawnTest]:
     """Maker of a drawn test from speeds, channels, orders, unit and gains."""
     return drawn_test
+
+
+@pytest.fixture
+def full(campaign: DrawnTest) -> dict[str, Any]:
+    """Findings of the campaign with every key that identification may give; a copy of its own."""
+    from made.full_findings import full_findings  # a test loads this file by itself, where the folder is not known
+
+    return full_findings(campaign.findings)
+
+
+@pytest.fixture(scope="session")
+def make_envelope() -> Callable[..., xr.Dataset]:
+    """Maker of an envelope map from channels, speeds and the order of a fault."""
+    from made.full_findings import envelope_map
+
+    return envelope_map

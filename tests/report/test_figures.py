@@ -30,7 +30,8 @@ from crankorder.report.speed_figure import changing_recordings
 from crankorder.report.speed_trace import speed_trace, trace_variables
 
 HARD = [
-    "one speed", "two speeds", "run-up", "hostile", "all zero", "thirty orders", "eight channels", "counts",
+    "one speed", "two speeds", "run-up", "hostile", "all zero", "thirty orders", "sixty orders", "eight channels",
+    "counts",
 ]  # fmt: skip
 
 
@@ -282,6 +283,22 @@ def test_pages_drawn_in_threads_have_the_same_bytes(campaign: Any, settings: Any
     alone = [picture.png() for picture in planned.values()]
     with ThreadPoolExecutor(4) as pool:
         assert list(pool.map(lambda picture: picture.png(), planned.values())) == alone
+
+
+def test_one_speed_has_spectra_and_no_campbell_diagram_and_says_why(hard: Any, settings: Any) -> None:
+    drawn = hard["one speed"]
+    planned = pictures_of({"campbell_map": drawn.campbell}, drawn.findings, settings=settings, name_of=str)
+    assert list(planned) == ["spectra.png"]
+    assert "a Campbell diagram needs several" in planned["spectra.png"].caption
+
+
+def test_two_close_orders_have_different_names_in_every_picture(make_test: Callable[..., Any], settings: Any) -> None:
+    drawn = make_test(np.arange(600.0, 1001.0, 100.0), channels=("Z",), gains=(1.0,), orders=(1.0, 1.005, 2.0))
+    for record in drawn.findings["orders"]:
+        record["order_ci95"] = [record["order"] - 1e-4, record["order"] + 1e-4]
+    for figure in _figures(drawn, settings):
+        labels = [words.text for words in figure.words if words.name.startswith("label-")]
+        assert {"1", "1.005", "2"} <= set(labels)
 
 
 def test_without_findings_no_claim_is_drawn_and_it_is_said(campaign: Any, settings: Any) -> None:

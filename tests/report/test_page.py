@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from crankorder.quantities import schema_of
 from crankorder.report.page import index_page, report_page
 from crankorder.report.sentences import headline, story_of
 
@@ -87,9 +88,71 @@ def test_every_order_mode_and_bearing_is_in_a_table_with_its_interval(page: str,
         "encoder_missing_pulse",
     ):
         assert word in text, word
-    # seven lists, the crossings outside the tested speeds, versions and the folded provenance
-    assert page.count("<table>") == 10
+    # seven lists and the tones, the crossings outside the tested speeds, versions and the folded provenance
+    assert page.count("<table>") == 11
     assert "ab" * 32 in text
+
+
+def test_everything_that_identification_finds_is_in_a_table(full: Any, settings: Any) -> None:
+    reader = _Reader(report_page(full, pictures=[], provenance={}, settings=settings))
+    text = " ".join(" ".join(reader.words).split())
+    for word in (
+        "Speeds to avoid", "1755–1850", "300–1690", "undecided: 420 revolutions needed, half order", "keeps its size",
+        "no order reaches it in the tested range", "Perhaps natural frequencies: not decided",
+        "order 10 lies on it at every speed", "Tones and mains: no natural frequencies", "58.300 (58.290…58.310)",
+        "5.00 (4.90…5.10) m/s²", "× 12 (10…14)", "× 42", "envelope, 2000–4000 Hz", "−0.80 (−0.90…−0.70)",
+        "9.3 (8.0…10.6) g", "not decided: the horizontal path is not stated", "Where the energy is", "70 %",
+    ):  # fmt: skip
+        assert word in text, word
+    assert {"svg", "rect", "details"} <= set(reader.tags)
+    assert "No bearing was named" not in text
+
+
+@pytest.mark.parametrize(
+    "table", ["orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "bearings", "lines"]
+)
+def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(table: str, full: Any, settings: Any) -> None:
+    needed = set(schema_of("findings")["properties"][table]["items"]["required"])
+    keys = {key for record in full[table] for key in record} - needed
+    for absent in [*({key} for key in sorted(keys)), keys]:
+        for made in (
+            [{key: value for key, value in record.items() if key not in absent} for record in full[table]],
+            [{key: None if key in absent else value for key, value in record.items()} for record in full[table]],
+        ):
+            if table == "lines" and {"order", "frequency_hz"} & absent:
+                continue
+            findings = {**full, table: made}
+            assert headline(findings)
+            assert "</html>" in report_page(findings, pictures=[], provenance={}, settings=settings)
+
+
+@pytest.mark.parametrize("key", ["speeds_to_avoid", "free_bands", "energy", "balance", "unexplained_energy_fraction"])
+@pytest.mark.parametrize("value", [None, "absent"])
+def test_a_list_that_is_absent_or_unknown_breaks_nothing(key: str, value: Any, full: Any, settings: Any) -> None:
+    findings = {**full, key: value} if value is None else {name: one for name, one in full.items() if name != key}
+    assert headline(findings)
+    assert "None" not in " ".join(_Reader(report_page(findings, pictures=[], provenance={}, settings=settings)).words)
+
+
+def test_the_bars_of_the_energy_are_the_shares_and_never_longer_than_the_whole(full: Any, settings: Any) -> None:
+    full["energy"]["channels"][0] |= {"orders": 0.9, "tones": 0.9, "modes_and_floor": 0.0, "unexplained": 0.2}
+    made = report_page(full, pictures=[], provenance={}, settings=settings)
+    bars = re.findall(r"<svg.*?</svg>", made)
+    widths = [[float(width) for width in re.findall(r' width="([\d.]+)"', bar)] for bar in bars]
+    assert widths[0] == [45.0, 45.0, 10.0]
+    assert widths[1] == [22.0, 5.0, 70.0, 3.0]
+
+
+def test_sixty_orders_in_three_channels_show_the_strongest_and_fold_the_others_away(hard: Any, settings: Any) -> None:
+    findings = hard["sixty orders"].findings
+    made = report_page(findings, pictures=[], provenance={}, settings=settings)
+    part = made[made.index('<h2 id="orders">') : made.index('<h2 id="modes">')]
+    shown, folded = part.split("<details>")
+    assert shown.count("<tr><td") == 40
+    assert folded.count("<tr><td") == len(findings["orders"]) == 180
+    assert "The 40 strongest of 180" in shown
+    strongest = max((one for one in findings["orders"] if one["channel"] == "X"), key=lambda one: one["amplitude"])
+    assert f"{strongest['amplitude']:.3f}" in shown
 
 
 def test_the_page_refers_to_nothing_but_its_pictures_and_runs_no_script(page: str) -> None:
@@ -116,7 +179,7 @@ def test_the_policy_allows_only_pictures_and_the_one_style_by_its_hash(page: str
 
 
 @pytest.mark.parametrize("text", HOSTILE)
-def test_text_from_files_is_text_wherever_it_stands(text: str, campaign: Any, settings: Any) -> None:
+def test_text_from_files_is_text_wherever_it_stands(text: str, full: Any, settings: Any) -> None:
     def poisoned(value: Any) -> Any:
         if isinstance(value, dict):
             return {key: poisoned(item) for key, item in value.items()}
@@ -124,7 +187,7 @@ def test_text_from_files_is_text_wherever_it_stands(text: str, campaign: Any, se
             return [poisoned(item) for item in value]
         return text if isinstance(value, str) else value
 
-    findings = poisoned(campaign.findings)
+    findings = poisoned(full)
     made = report_page(findings, pictures=[(text, text)], provenance={text: {text: [text]}}, settings=settings)
     reader = _Reader(made)
     assert "script" not in reader.tags

@@ -35,6 +35,13 @@ def test_the_findings_of_the_design_are_accepted_and_so_are_more_keys(campaign: 
     assert _faults(more, "findings") == []
 
 
+def test_everything_that_identification_may_give_is_accepted_and_wrong_values_are_refused(full: Any) -> None:
+    assert _faults(full, "findings") == []
+    assert _faults({**full, "free_bands": [{"low_rpm": 300.0}]}, "findings") != []
+    assert _faults({**full, "orders": [{**full["orders"][0], "lock": "perhaps"}]}, "findings") != []
+    assert _faults({**full, "energy": {"channels": [{"channel": "X", "orders": 1.5}]}}, "findings") != []
+
+
 @pytest.mark.parametrize(
     ("table", "key"),
     [

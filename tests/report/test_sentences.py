@@ -17,12 +17,18 @@ from crankorder.report.notation import (
     named,
     nominal_order,
     number_text,
+    order_name,
     order_text,
+    order_texts,
+    percent_text,
 )
 from crankorder.report.sentences import (
     ALL_CLEAR,
+    ALL_CLEAR_WITH_ENVELOPE,
+    TOO_SHORT,
     avoid_sentences,
     bearing_sentences,
+    energy_sentence,
     headline,
     story_of,
     strongest_sentence,
@@ -71,6 +77,34 @@ def test_a_measured_order_is_called_by_the_half_order_that_it_agrees_with() -> N
     assert nominal_order(61.2) == 61.2
 
 
+def test_an_order_is_not_called_by_a_half_order_outside_its_interval() -> None:
+    assert nominal_order({"order": 1.004, "order_ci95": [1.0039, 1.0041]}) == 1.004
+    assert nominal_order({"order": 1.004, "order_ci95": [1.0039, 1.0041], "lock": "locked"}) == 1.0
+    assert nominal_order(1.004) == 1.0
+
+
+def test_two_orders_are_never_written_alike() -> None:
+    assert order_texts([1.0, 1.005, 2.0]) == ["1", "1.005", "2"]
+    assert order_texts([1.0, 1.0004]) == ["1", "1.0004"]
+    assert order_texts([2.0, 2.0, 5.4998]) == ["2", "2", "5.5"]
+    records = [{"order": 1.0, "order_ci95": [0.999, 1.001]}, {"order": 1.0049, "order_ci95": [1.0044, 1.0054]}]
+    assert [order_name(record, {"orders": records}) for record in records] == ["1", "1.005"]
+
+
+@given(st.lists(st.integers(1, 20_000_000), min_size=1, max_size=12, unique=True))
+def test_different_orders_have_different_texts_that_are_their_values(millionths: list[int]) -> None:
+    orders = [number / 1e6 for number in millionths]
+    texts = order_texts(orders)
+    assert len(set(texts)) == len(orders)
+    assert [float(text) for text in texts] == pytest.approx(orders, abs=0.0051)
+
+
+def test_a_share_is_never_written_as_nothing_when_there_is_something() -> None:
+    assert [percent_text(share) for share in (0.0, 1e-9, 0.031, 0.7, 0.9999, 1.0)] == [
+        "0 %", "< 0.01 %", "3.1 %", "70 %", "100 %", "100 %",
+    ]  # fmt: skip
+
+
 def test_levels_refer_to_iso_1683_in_the_unit_of_the_channel(settings: Any) -> None:
     assert level_reference("acceleration", "m/s2", settings=settings) == (1e-6, "dB re 1e-6 m/s² (peak)")
     reference, text = level_reference("acceleration", "g", settings=settings)
@@ -86,17 +120,143 @@ def test_the_headline_names_the_strongest_order_its_interval_and_the_frequency_t
     record = next(one for one in findings["orders"] if (one["channel"], one["order"]) == ("Z", 2.0))
     record |= {"amplitude": 2.83, "amplitude_ci95": [2.81, 2.85], "speed_rpm_at_max": 1800.0}
     wanted = (
-        "Order 2 is the strongest in Z: 2.83 m/s² (2.81…2.85) at 1800 rpm, where it meets the 60 Hz natural frequency."
+        "Order 2 is the strongest line in Z: 2.83 m/s² (2.81…2.85) at 1800 rpm, "
+        "where it meets the 60 Hz natural frequency."
     )
     assert strongest_sentence(findings, "Z") == wanted
-    assert headline(findings)[0] == wanted
+    assert headline(findings)[0] == f"{wanted} Cause: engine order."
 
 
 def test_an_order_that_meets_a_mains_tone_is_not_said_to_meet_a_natural_frequency(campaign: Any) -> None:
     findings = copy.deepcopy(campaign.findings)
     findings["modes"] = [{**findings["modes"][0], "explained_by": "mains"}]
     assert "meets" not in strongest_sentence(findings, "Z")
-    assert "60 Hz (mains)" in " ".join(story_of(findings)["why"])
+    assert "60 Hz (mains" in " ".join(story_of(findings)["why"])
+
+
+def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
+    assert strongest_sentence(full, "Z") == (
+        "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10); the strongest order is 2: "
+        "1.90 m/s² (1.86…1.94) at 1800 rpm."
+    )
+    assert headline(full)[0].endswith("The tone does not follow the shaft: it has a source of its own.")
+    only = {"lines": full["lines"], "channels": full["channels"]}
+    assert strongest_sentence(only, "Z") == "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10)."
+    assert strongest_sentence(full, "Y").startswith("Order 2")
+
+
+def test_a_mode_in_the_list_of_lines_is_not_taken_for_a_tone(full: Any) -> None:
+    full["lines"] = [{"channel": "Z", "frequency_hz": 60.0, "explained_by": "mode", "amplitude": 99.0}]
+    assert strongest_sentence(full, "Z").startswith("Order 2")
+    assert not any("60 Hz (" in one for one in story_of(full)["why"])
+
+
+def test_tones_and_mains_are_told_with_their_amplitude_and_not_as_natural_frequencies(full: Any) -> None:
+    why = " ".join(story_of(full)["why"])
+    assert "58.3 Hz (tone, 5.00 m/s² (4.90…5.10) in Z) and 300 Hz (mains, 0.020 m/s² (0.018…0.022) in Z)" in why
+    assert "Natural frequencies: 60 Hz, 115 Hz, 172 Hz, 187 Hz, 230 Hz, 350 Hz, 457 Hz and 470 Hz." in why
+    assert "265 Hz may be a natural frequency: not decided; order 10 lies on it at every speed." in why
+
+
+def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full: Any) -> None:
+    line, bearing, speed, balance, energy = headline(full)
+    assert "58.3 Hz" in line
+    assert "outer-race (BPFO)" in bearing and "slip −0.80 (−0.90…−0.70) %" in bearing and "2000–4000 Hz" in bearing
+    assert speed == (
+        "Avoid steady running near 1800 rpm (1755 to 1850 rpm), where order 2 excites the 60 Hz natural frequency "
+        "(peak 3.70 m/s² in Z, amplified 12 times)."
+    )
+    assert balance == "Unbalanced reciprocating mass: 116 (110…122) g, from engine orders 1 and 2."
+    assert energy == "3.1 % of the energy that is not broadband has no known cause."
+
+
+def test_speeds_to_avoid_come_from_their_own_list_and_never_from_crossings_beside_it(full: Any) -> None:
+    two = avoid_sentences(full)
+    assert len(two) == 2
+    assert "1690 to 1760" in two[1] and "order 4" in two[1] and "order 8" in two[1]
+    full["speeds_to_avoid"] = []
+    assert avoid_sentences(full) == []
+    full["free_bands"] = [{"low_rpm": 300.0, "high_rpm": 2000.0}]
+    wanted = "No order was seen to excite a natural frequency between 300 and 2000 rpm."
+    assert wanted in story_of(full)["what_to_do"] and wanted in headline(full)
+
+
+def test_a_speed_that_stands_for_several_crossings_names_them_all(full: Any) -> None:
+    both = {**full["speeds_to_avoid"][1], "orders": [4.0, 8.0], "modes_hz": [115.0, 230.0]}
+    (said,) = avoid_sentences({**full, "speeds_to_avoid": [both]})
+    assert "order 4 excites the 115 Hz natural frequency and order 8 excites the 230 Hz natural frequency" in said
+
+
+def test_crossings_that_nobody_judged_are_not_passed_off_as_free(full: Any) -> None:
+    assert not any("could not be judged" in one for one in story_of(full)["what_to_do"])
+    doubtful = {**full["crossings"][0], "rpm": 900.0, "in_range": True, "verdict": "undecided mode"}
+    more = story_of({**full, "crossings": [doubtful]})["what_to_do"]
+    assert any(one.startswith("Free of") and "could not be judged" in one for one in more)
+    full["free_bands"][0]["remark"] = "not judged: order 3 with 60 Hz at 1200 rpm"
+    assert any(one.startswith("Free of") and "could not be judged" in one for one in story_of(full)["what_to_do"])
+
+
+def test_a_locked_line_that_raises_no_alarm_asks_for_no_re_run(full: Any) -> None:
+    full["bearings"] = [{**full["bearings"][0], "lock": "locked", "verdict": "A bearing would slip: no bearing alarm."}]
+    story = story_of(full)
+    assert not any("Re-run" in sentence for sentences in story.values() for sentence in sentences)
+    assert any("no bearing alarm" in one for one in story["why"])
+
+
+def test_free_bands_are_told(full: Any) -> None:
+    assert "Free of excited crossings: 300 to 1690 and 1850 to 2000 rpm." in story_of(full)["what_to_do"]
+
+
+def test_keeps_its_size_is_said_only_where_the_law_says_so(full: Any, campaign: Any) -> None:
+    assert any("Order 5.5 keeps its size at all tested speeds" in one for one in story_of(full)["why"])
+    for record in full["orders"]:
+        record["speed_law"] = "follows no power law"
+    assert not any("its size" in one or "square of the speed" in one for one in story_of(full)["why"])
+    assert not any("its size" in one for one in story_of(campaign.findings)["why"])  # an exponent alone does not tell
+
+
+def test_at_one_speed_nothing_is_said_of_all_speeds(full: Any) -> None:
+    full["speed_range_rpm"] = [1800.0, 1800.0]
+    said = " ".join(sentence for sentences in story_of(full).values() for sentence in sentences)
+    assert "all tested speeds" not in said and "at all speeds: not" not in said
+
+
+def test_whether_an_order_is_locked_is_said_with_the_record_that_would_tell(full: Any) -> None:
+    sure = story_of(full)["how_sure"]
+    assert (
+        "Order 5.5: whether it is locked to the shaft cannot be told yet; recordings of 420 revolutions would tell."
+        in sure
+    )
+    for record in full["orders"]:
+        if record["order"] == 5.5:
+            record |= {"order": 5.48, "order_ci95": [5.479, 5.481], "lock": "slips"}
+    (said,) = (one for one in story_of(full)["how_sure"] if "slips" in one)
+    assert said.startswith("Order 5.48") and said.endswith("slips: no exact multiple of the half revolution.")
+
+
+def test_all_is_explained_only_where_nothing_is_left_and_it_says_of_what(full: Any, campaign: Any) -> None:
+    assert energy_sentence({**full, "unexplained_energy_fraction": 1e-7}).startswith("< 0.01 %")
+    whole = energy_sentence({**full, "unexplained_energy_fraction": 0.0})
+    assert whole.startswith("All of the energy that is not broadband is explained by orders and tones")
+    lines = energy_sentence({**campaign.findings, "unexplained_energy_fraction": 0.0})
+    assert lines.startswith("All of the energy of the lines that were found")
+    assert energy_sentence({"unexplained_energy_fraction": 0.0, "lines": [], "orders": []}) == ""
+
+
+def test_what_is_not_decided_of_the_balance_is_said_with_its_reason(full: Any) -> None:
+    why = story_of(full)["why"]
+    assert "Not decided: at the crank radius, across the cylinder; the horizontal path is not stated." in why
+    full |= {"balance": None, "balance_reason": "no trial mass was run"}
+    assert "Residual unbalance in grams is not known: no trial mass was run." in headline(full)
+
+
+def test_channels_of_different_units_are_not_ranked_against_each_other(full: Any) -> None:
+    full["lines"] = []
+    full["channels"][0]["unit"] = "Pa"
+    for record in full["orders"]:
+        record["unit"] = "Pa" if record["channel"] == "X" else "m/s2"
+        record["amplitude"] *= 1e-3 if record["channel"] == "X" else 1.0
+    assert [one.split(" in ")[1][0] for one in story_of(full)["what"][:3]] == ["X", "Z", "Y"]
 
 
 def test_a_bearing_line_comes_with_the_rule_to_re_run_the_test(campaign: Any) -> None:
@@ -149,6 +309,13 @@ def test_nothing_found_is_said_and_never_an_empty_headline() -> None:
     assert headline(nothing) == ["No order stands above the noise."]
     assert story_of(nothing)["what_to_do"] == [ALL_CLEAR]
     assert "not looked for" in ALL_CLEAR  # an all-clear names what it does not cover
+
+
+def test_an_all_clear_covers_the_envelope_only_where_it_was_looked_for_and_needs_revolutions() -> None:
+    nothing: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
+    assert story_of({**nothing, "looked_for": ["envelope"]})["what_to_do"] == [ALL_CLEAR_WITH_ENVELOPE]
+    short = [{"recording": "a", "flag": "short_recording", "severity": "info", "detail": ""}]
+    assert story_of({**nothing, "quality": short})["what_to_do"] == [TOO_SHORT]
 
 
 def test_names_from_files_are_cut_and_control_characters_shown() -> None:

@@ -29,7 +29,7 @@ from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
-from crankorder.identify.explain import Sources
+from crankorder.identify.sources import Sources
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
@@ -234,7 +234,16 @@ def _sources(plan: TestPlan) -> Sources:
         orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(plan.settings.orders.max_order))
         named = {bearing.name for bearing in bearings}
         bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
-    return Sources(revs_per_cycle=plan.manifest.revs_per_cycle, engine_orders=orders, bearings=bearings)
+    return Sources(
+        revs_per_cycle=plan.manifest.revs_per_cycle,
+        engine_orders=orders,
+        bearings=bearings,
+        firing=engine is not None and engine.gas is not None,
+        gears=tuple((gear.name, gear.mesh_order) for gear in plan.manifest.gears),
+        engine=engine,
+        paths=plan.manifest.transfer_paths,
+        added=plan.manifest.added_masses,
+    )
 
 
 def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dict[Path, str]) -> dict[str, Any]:

@@ -9,21 +9,23 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
 from crankorder.report.colour_map import level_colours
 from crankorder.report.drawing import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
+from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.keys import Key, draw_keys
 from crankorder.report.labels import EdgeLabel, fitted, label_right, label_top
 from crankorder.report.notation import (
     frequency_text,
-    is_number,
     is_tone,
+    is_undecided,
     level_reference,
-    nominal_order,
-    order_text,
+    order_name,
     scaling_text,
 )
 from crankorder.report.palette import (
+    DOUBT_DASHES,
     FAINT,
     INK,
     LARGE,
@@ -43,6 +45,7 @@ from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
+_NOTE = 2.2  # inches at the right of the foot, where a note on quality may stand
 _LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
 _WHITE = "#ffffff"
 _MOST_GUIDES = 12
@@ -70,8 +73,9 @@ def campbell_figure(
 
     Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
     speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,
-    natural frequencies dashed lines labelled at the top, mains dotted, excited crossings circles. Where no findings
-    were asked for, some whole orders are drawn for orientation.
+    natural frequencies dashed lines labelled at the top (with a question mark and wider gaps where they are not
+    decided), mains dotted, excited crossings circles; a strip at the right holds speeds to avoid and free ones. Where
+    no findings were asked for, some whole orders are drawn for orientation.
 
     ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
     report. Raises KeyError for an unknown channel.
@@ -83,17 +87,17 @@ def campbell_figure(
     panel = Panel(drawing, box, ends, (float(one.cells[0, 0]), float(one.cells[-1, 1])))
     _draw_map(panel, one, settings=settings)
     orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
-    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    modes = fixed_frequencies(findings)
     guides = _guides(panel) if NOT_ASKED_FOR in findings else []
-    _draw_orders(panel, guides or orders)
-    _draw_modes(panel, modes)
+    _draw_orders(panel, guides or orders, findings)
+    _draw_modes(panel, modes, channel)
     circles = _draw_crossings(panel, findings, channel)
     _draw_notes(panel, one)
-    _label_edges(panel, guides or orders, modes)
+    _label_edges(panel, guides or orders, modes, findings)
     keys = (
         [Key("order, for orientation", FAINT)] if guides else _keys(orders=bool(orders), modes=modes, circles=circles)
     )
-    draw_keys(drawing, _LEFT, keys)
+    draw_keys(drawing, _LEFT, [*keys, *strip_keys(findings)], room_in=settings.width_in - _LEFT - _NOTE)
     _title(drawing, findings, channel, settings=settings)
     return drawing
 
@@ -132,7 +136,8 @@ def _level_limits(one: _Map, *, settings: ReportSettings) -> tuple[float, float]
 
 def _level(values: Any, one: _Map) -> Any:
     """Level in dB; 1e-300 and 1e300 survive."""
-    return 20 * (np.log10(np.maximum(values, 1e-300)) - np.log10(one.reference))
+    wide = np.asarray(values, dtype=np.float64)  # 1e-300 is zero in 32 bits
+    return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(one.reference))
 
 
 def shades(one: _Map, limits: tuple[float, float], rows: int, columns: int) -> NDArray[np.uint8]:
@@ -176,14 +181,14 @@ def _draw_notes(panel: Panel, one: _Map) -> None:
         panel.note("no signal: every value is zero" if len(one.speed) else "no speed is known")
 
 
-def _draw_orders(panel: Panel, orders: list[dict[str, Any]]) -> None:
+def _draw_orders(panel: Panel, orders: list[dict[str, Any]], findings: dict[str, Any]) -> None:
     low, high = panel.y
     everywhere = np.array([low, high])
     for record in orders:
         order = float(record["order"])
         span = record.get("speed_range_rpm") or [low, high]
         seen = np.clip(np.array([span[0], span[1]], dtype=float), low, high)
-        name = f"order-{order_text(nominal_order(record))}"
+        name = f"order-{order_name(record, findings)}"
         for speed, alpha in ((everywhere, 0.25), (seen, 0.5)) if "amplitude" in record else ((everywhere, 0.3),):
             panel.curve(order * speed / 60, speed, color=_WHITE, width=0.7, alpha=alpha, name=name)
 
@@ -196,12 +201,15 @@ def _guides(panel: Panel) -> list[dict[str, Any]]:
     return [{"order": order} for order in sorted(orders)]
 
 
-def _draw_modes(panel: Panel, modes: list[dict[str, Any]]) -> None:
+def _draw_modes(panel: Panel, modes: list[dict[str, Any]], channel: str) -> None:
+    """Lines of fixed frequency, fainter where another channel shows them."""
     for mode in modes:
-        mains = is_tone(mode)
+        mains, doubt = is_tone(mode), is_undecided(mode)
         panel.upright(
-            float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP, alpha=0.75,
-            dashes=TONE_DASHES if mains else MODE_DASHES, name="tone" if mains else "mode",
+            float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP,
+            alpha=0.75 if channel in (mode.get("channels") or [channel]) else 0.4,
+            dashes=TONE_DASHES if mains else DOUBT_DASHES if doubt else MODE_DASHES,
+            name="tone" if mains else "doubt" if doubt else "mode",
         )  # fmt: skip
 
 
@@ -209,7 +217,7 @@ def _draw_crossings(panel: Panel, findings: dict[str, Any], channel: str) -> boo
     places = [
         (float(crossing["mode_hz"]), float(crossing["rpm"]))
         for crossing in findings.get("crossings", [])
-        if crossing.get("excited") and crossing.get("in_range") and channel in crossing.get("channels", [channel])
+        if crossing.get("excited") and crossing.get("in_range") and channel in (crossing.get("channels") or [channel])
     ]
     if places:
         x, y = (np.array(values) for values in zip(*places, strict=True))
@@ -219,33 +227,39 @@ def _draw_crossings(panel: Panel, findings: dict[str, Any], channel: str) -> boo
     return bool(places)
 
 
-def _label_edges(panel: Panel, orders: list[dict[str, Any]], modes: list[dict[str, Any]]) -> None:
-    """Orders where their lines leave the diagram, natural frequencies and tones in a tier above them."""
+def _label_edges(
+    panel: Panel, orders: list[dict[str, Any]], modes: list[dict[str, Any]], findings: dict[str, Any]
+) -> None:
+    """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right."""
     drawing, box = panel.drawing, panel.box
     left, bottom, width, height = box
-    top, side = _order_labels(panel, orders)
+    top, side = _order_labels(panel, orders, findings)
     named = []
     for number, mode in enumerate(modes):
         frequency_hz = float(mode["frequency_hz"])
         if panel.x[0] <= frequency_hz <= panel.x[1]:
             place = float(panel.at(frequency_hz, panel.y[0])[0, 0])
-            text = f"{frequency_text(frequency_hz)} Hz"
+            text = f"{frequency_text(frequency_hz)}{'?' if is_undecided(mode) else ''} Hz"
             named.append(EdgeLabel(place, text, MAINS if is_tone(mode) else MODE, number))
     lines = label_top(drawing, box, [fitted(top, width), fitted(named, width)])
-    label_right(drawing, box, side)
+    avoid = draw_strip(panel, findings)
+    shift = STRIP_IN if has_strip(findings) else 0.0
+    label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
     if top:
         drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
     if side:
-        drawing.add(Words(left + width + 0.06, bottom + height + 0.135, "order", SMALL, INK))
+        drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
 
 
-def _order_labels(panel: Panel, orders: list[dict[str, Any]]) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
+def _order_labels(
+    panel: Panel, orders: list[dict[str, Any]], findings: dict[str, Any]
+) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
     """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
     (f_low, f_high), (low, high) = panel.x, panel.y
     loudest = max((float(record.get("amplitude") or 0) for record in orders), default=0.0)
     top, side = [], []
     for number, record in enumerate(orders):
-        order, text = float(record["order"]), order_text(nominal_order(record))
+        order, text = float(record["order"]), order_name(record, findings)
         bold = loudest > 0 and float(record.get("amplitude") or 0) == loudest
         if f_low <= order * high / 60 <= f_high:
             top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), text, INK, number, bold))
@@ -255,9 +269,11 @@ def _order_labels(panel: Panel, orders: list[dict[str, Any]]) -> tuple[list[Edge
 
 
 def _keys(*, orders: bool, modes: list[dict[str, Any]], circles: bool) -> list[Key]:
-    keys = [Key("order found (bold number: strongest)", INK)] if orders else []
-    if any(not is_tone(mode) for mode in modes):
+    keys = [Key("order found (bold: strongest)", INK)] if orders else []
+    if any(not is_tone(mode) and not is_undecided(mode) for mode in modes):
         keys.append(Key("natural frequency", MODE, MODE_DASHES))
+    if any(is_undecided(mode) for mode in modes):
+        keys.append(Key("not decided", MODE, DOUBT_DASHES))
     tones = {str(mode.get("explained_by")) for mode in modes if is_tone(mode)}
     if tones:
         label = "mains" if tones == {"mains"} else "fixed tone" if "mains" not in tones else "mains or fixed tone"

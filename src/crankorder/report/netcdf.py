@@ -42,9 +42,12 @@ _MAX_BYTES = 2_000_000_000  # of all variables of a results file that is read ba
 _UNIT_OF = {
     "_hz": "Hz", "_rpm": "min-1", "_deg": "degree", "_g": "g", "_gmm": "g mm", "_s": "s", "order": "1",
     "order_expected": "1", "damping_ratio": "1", "rpm": "min-1", "unexplained_energy_fraction": "1",
-    "speed_exponent": "1",
+    "speed_exponent": "1", "amplification": "1", "amplification_predicted": "1", "slip_percent": "percent",
+    "_mm": "mm",
 }  # fmt: skip
-_TABLES = ("channels", "orders", "modes", "crossings", "bearings", "lines", "quality")
+_TABLES = (
+    "channels", "orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "bearings", "lines", "quality",
+)  # fmt: skip
 
 
 def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any]) -> bytes:

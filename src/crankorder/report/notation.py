@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, TypeGuard
 
@@ -15,6 +16,12 @@ _TYPOGRAPHY = {
 }  # fmt: skip
 _SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
 _SI_PRESSURE = {"Pa": 1.0, "uPa": 1e-6, "mPa": 1e-3, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5}
+
+NAME_CHARACTERS = 60
+"""Of a name from a file in a sentence; what is longer is cut."""
+
+_LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
+_CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 
 
 def named(value: object, *, limit: int) -> str:
@@ -41,27 +48,73 @@ def order_text(order: float) -> str:
 
 
 def nominal_order(record: dict[str, Any] | float) -> float:
-    """Order by which a line is called: the half order that it agrees with, else its value to two decimals.
+    """Order by which a line is called: the half order that it agrees with, else its value to the decimals it earns.
 
-    ``record`` of the findings, or a measured order. It agrees with a half order within its 95 % interval, and
-    at least within 0.005.
+    ``record`` of the findings, or a measured order. With a 95 % interval it agrees with the half order inside of it
+    (and is not called so where that lies outside), without one with a half order within 0.005. Else it keeps two
+    decimals, or as many more, up to four, as its interval resolves.
     """
     order = float(record["order"] if isinstance(record, dict) else record)
     half = round(2 * order) / 2
     interval = interval_of(record, "order") if isinstance(record, dict) else None
-    within = interval is not None and interval[0] <= half <= interval[1] and abs(order - half) < 0.05
-    return half if within or abs(order - half) < 0.005 else round(order, 2)
+    if isinstance(record, dict) and record.get("lock") == "locked" and abs(order - half) < _LOCKED_WITHIN:
+        return half
+    if interval is None:
+        return half if abs(order - half) < 0.005 else round(order, 2)
+    if interval[0] <= half <= interval[1] and abs(order - half) < _LOCKED_WITHIN:
+        return half
+    return round(order, min(max(_decimals(interval[1] - interval[0], order), 2), 4))
+
+
+def order_texts(orders: Sequence[float]) -> list[str]:
+    """Texts of ``orders`` that tell different ones apart: as short as can be, up to nine decimals where they are close.
+
+    1 and 1.005 become ``"1"`` and ``"1.005"``, never twice ``"1"``.
+    """
+    texts = {float(order): order_text(nominal_order(float(order))) for order in orders}
+    for decimals in range(3, 10):
+        times = Counter(texts.values())
+        alike = [order for order, text in texts.items() if times[text] > 1]
+        if not alike:
+            break
+        texts |= {order: f"{order:.{decimals}f}".rstrip("0").rstrip(".") for order in alike}
+    return [texts[float(order)] for order in orders]
+
+
+def order_name(record: dict[str, Any], findings: dict[str, Any]) -> str:
+    """Short text of the order of a ``record`` that no other order of the ``findings`` has: ``"2"``, ``"1.005"``."""
+    own = nominal_order(record)
+    near = {own}
+    for other in findings.get("orders", []):
+        if is_number(other.get("order")) and abs(float(other["order"]) - own) < _CLOSE_ORDERS:
+            near.add(nominal_order(other))
+    ordered = sorted(near)
+    return order_texts(ordered)[ordered.index(own)]
+
+
+def order_estimate(record: dict[str, Any], findings: dict[str, Any]) -> str:
+    """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
+    if not is_number(record.get("order")):
+        return "–"
+    return estimate_text(record, "order") if record.get("order_ci95") else order_name(record, findings)
 
 
 def is_tone(mode: dict[str, Any]) -> bool:
     """True for a ``mode`` record of the findings that is no natural frequency: mains or another fixed tone."""
-    return str(mode.get("explained_by", "mode")) != "mode"
+    return str(mode.get("explained_by", "mode")) not in ("mode", "undecided")
+
+
+def is_undecided(mode: dict[str, Any]) -> bool:
+    """True for a ``mode`` record of the findings that may be a natural frequency or something else."""
+    return not is_tone(mode) and (mode.get("explained_by") == "undecided" or bool(mode.get("undecided")))
 
 
 def unit_of(findings: dict[str, Any], record: dict[str, Any]) -> str:
     """Typographic unit of a ``record``: its own, else that of its channel in ``findings``; empty where unknown."""
+    if record.get("unit"):
+        return unit_text(str(record["unit"]))
     units = {channel.get("name"): channel.get("unit", "") for channel in findings.get("channels", [])}
-    return unit_text(str(record.get("unit") or units.get(record.get("channel")) or ""))
+    return unit_text(str(units.get(record.get("channel")) or ""))
 
 
 def number_text(value: float, *, digits: int = 3) -> str:
@@ -75,6 +128,19 @@ def number_text(value: float, *, digits: int = 3) -> str:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         return f"{mantissa.replace('-', '−')}e{int(exponent)}"
     return f"{value:.{max(0, digits - 1 - size)}f}".replace("-", "−")
+
+
+def percent_text(share: float) -> str:
+    """``share`` (0…1) as ``"3.1 %"``; ``"< 0.01 %"`` for something, however little; ``"0 %"`` for nothing."""
+    percent = 100 * share
+    if 0 < percent < 0.01:
+        return "< 0.01 %"
+    return f"{percent:.0f} %" if percent >= 99.5 or percent == 0 else f"{number_text(percent, digits=2)} %"
+
+
+def speeds_text(ends: Sequence[float | None]) -> str:
+    """Range of speeds as ``"1690–1760"``, from its two ``ends`` in rpm; ``"–"`` for an end that is not known."""
+    return "–".join(f"{end:.0f}" if is_number(end) else "–" for end in ends)
 
 
 def _decimals(width: float, value: float) -> int:

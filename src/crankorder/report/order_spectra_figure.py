@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.report.drawing import Drawing, quality_note, title_lines
-from crankorder.report.notation import nominal_order, order_text
+from crankorder.report.notation import nominal_order, order_texts
 from crankorder.report.palette import LINES
 from crankorder.report.spectra_figure import column_boxes, column_panels, draw_spectra, label_column
 from crankorder.report.typeface import drawable
@@ -33,7 +33,9 @@ def order_spectra_figure(order_map: xr.Dataset, findings: dict[str, Any], *, set
         for order in found:
             panel.upright(order, color=LINES[1], width=0.7, alpha=0.5)
     draw_spectra(panels, order_map["order"].values, largest)
-    label_column(panels[0], [(order, order_text(order), LINES[1]) for order in found], "order")
+    label_column(
+        panels[0], [(order, text, LINES[1]) for order, text in zip(found, order_texts(found), strict=True)], "order"
+    )
     name = drawable(findings.get("test", ""), settings.max_name_characters)
     speeds = order_map.sizes["speed"]
     said = f"Largest amplitude at any of {speeds} speeds." if speeds > 1 else "Amplitude by order."

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from crankorder.report.cells import gaps_between, speed_cells
 from crankorder.report.drawing import Box, Drawing, Words, quality_note, title_lines
 from crankorder.report.labels import EdgeLabel, label_right
-from crankorder.report.notation import nominal_order, order_text, unit_text
+from crankorder.report.notation import nominal_order, order_texts, unit_text
 from crankorder.report.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
 from crankorder.report.panel import Panel
 from crankorder.report.typeface import drawable, shortened
@@ -47,6 +47,7 @@ class _Tracks:
     phase: NDArray[np.float64]
     units: list[str]
     reference: str
+    texts: list[str]
 
     @property
     def coloured(self) -> NDArray[np.bool_]:
@@ -81,7 +82,8 @@ def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: Rep
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
     title = f"{drawable(findings.get('test', ''), settings.max_name_characters)} · orders against speed"
-    title_lines(drawing, _LEFT, title, _subtitle(tracks.sizes["order"], len(shown.orders)))
+    clear = bool(np.isfinite(shown.amplitude).any())
+    title_lines(drawing, _LEFT, title, _subtitle(tracks.sizes["order"], len(shown.orders), clear=clear))
     quality_note(drawing, findings)
     return drawing
 
@@ -112,12 +114,15 @@ def _shown(tracks: xr.Dataset, *, limit: int) -> _Tracks:
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
         amplitude, low, high, phase,
         [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
+        order_texts(tracks["order"].values[kept].tolist()),
     )  # fmt: skip
 
 
-def _subtitle(n_orders: int, shown: int) -> str:
+def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
     if not shown:
         return "No order was found."
+    if not clear:
+        return "No order stands clear of the noise, or the recordings hold too few revolutions to tell."
     many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else ""
     light = f", {_COLOURED} of them in colour," if shown > _ALL_COLOURED else ""
     if light and not many:
@@ -193,7 +198,7 @@ def _draw_line(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
             np.insert(speed, breaks, np.nan), np.insert(low, breaks, np.nan), np.insert(high, breaks, np.nan),
             color=color, alpha=0.2,
         )  # fmt: skip
-    name = f"order-{order_text(nominal_order(float(shown.orders[number])))}"
+    name = f"order-{shown.texts[number]}"
     width = 1.3 if coloured else 0.9
     panel.curve(
         np.insert(speed, breaks, np.nan), np.insert(amplitude, breaks, np.nan), color=color, width=width, name=name
@@ -216,14 +221,14 @@ def _draw_phase(panel: Panel, shown: _Tracks, channel: int, number: int) -> None
 def _label_lines(panel: Panel, shown: _Tracks, channel: int) -> None:
     low, high = panel.y
     labels = []
-    for number, order in enumerate(shown.orders):
+    for number, text in enumerate(shown.texts):
         amplitude = shown.amplitude[channel, number]
         known = amplitude[np.isfinite(amplitude)]
         if not len(known):
             continue
         height = panel.box[1] + panel.box[3] * float(panel.share(float(np.clip(known[-1], low, high))))
         color = shown.color(number) if shown.coloured[number] else FAINT
-        labels.append(EdgeLabel(height, order_text(nominal_order(float(order))), color, number))
+        labels.append(EdgeLabel(height, text, color, number))
     label_right(panel.drawing, panel.box, labels)
     if not labels:
         panel.note("no order stands clear", up=0.53)

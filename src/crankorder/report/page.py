@@ -14,7 +14,8 @@ from markupsafe import Markup
 
 from crankorder.report.notation import named
 from crankorder.report.sentences import headline, story_of
-from crankorder.report.tables import provenance_table, tables_of
+from crankorder.report.tables import tables_of
+from crankorder.report.tables_of_sources import provenance_table
 from crankorder.settings import ReportSettings
 
 _NAME_CHARACTERS = 60
@@ -40,9 +41,9 @@ def report_page(
     limit = settings.max_name_characters
     lead = headline(findings)[0]
     said = story_of(findings)
-    return _template("report.html").render(
-        policy=_policy(),
-        style=Markup(_style()),  # our own file, never text from data
+    return page_template("report.html").render(
+        policy=page_policy(),
+        style=Markup(page_style()),  # our own file, never text from data
         test=named(findings.get("test", ""), limit=limit),
         lead=lead,
         story=[(title, [one for one in said[key] if one != lead]) for key, title in _ANSWERS],
@@ -80,8 +81,8 @@ def index_page(tests: list[dict[str, Any]]) -> str:
                 "failed": failed,
             }
         )
-    style = Markup(_style())  # our own file, never text from data
-    return _template("index.html").render(policy=_policy(), style=style, tests=shown)
+    style = Markup(page_style())  # our own file, never text from data
+    return page_template("index.html").render(policy=page_policy(), style=style, tests=shown)
 
 
 def _beside(path: str) -> str:
@@ -91,17 +92,20 @@ def _beside(path: str) -> str:
 
 
 @cache
-def _template(name: str) -> Template:
+def page_template(name: str) -> Template:
+    """Template ``name`` of this room, which escapes every text."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(files("crankorder.report").joinpath(name).read_text(encoding="utf-8"))
 
 
 @cache
-def _style() -> str:
+def page_style() -> str:
+    """Style sheet of the pages: our own file, never text from data."""
     return files("crankorder.report").joinpath("report.css").read_text(encoding="utf-8")
 
 
 @cache
-def _policy() -> str:
-    digest = base64.b64encode(hashlib.sha256(_style().encode("utf-8")).digest()).decode("ascii")
+def page_policy() -> str:
+    """Content security policy of a page: its pictures, its one style by hash, no script."""
+    digest = base64.b64encode(hashlib.sha256(page_style().encode("utf-8")).digest()).decode("ascii")
     return f"default-src 'none'; img-src 'self' file:; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"

@@ -67,7 +67,8 @@ def pictures_of(
         made[file] = Picture(caption, partial(figure, *given, findings, settings=settings), settings.dpi)
 
     campbell, tracks = groups.get("campbell_map"), groups.get("order_tracks")
-    if campbell is not None and campbell.sizes["speed"]:
+    speeds = 0 if campbell is None else int(np.isfinite(campbell["speed"].values).sum())
+    if campbell is not None and speeds > 1:
         for channel in campbell["channel"].values.tolist():
             plan(f"campbell_{name_of(channel)}.png", f"Campbell diagram, {channel}", campbell_figure, campbell, channel)
     if "shaft" in groups and changing_recordings(groups["shaft"]):
@@ -86,6 +87,13 @@ def pictures_of(
         from crankorder.report.shapes_figure import shapes_figure
 
         plan("shapes.png", "Operating shapes: amplitude and phase over the channels", shapes_figure, shapes)
+    envelope = groups.get("envelope_map")
+    if envelope is not None and envelope.sizes["order"] and envelope.sizes["speed"]:
+        from crankorder.report.envelope_figure import envelope_figure
+
+        plan("envelope.png", "Envelope spectra: strikes in bearings, order by order", envelope_figure, envelope)
     if campbell is not None and campbell.sizes["speed"]:
-        plan("spectra.png", "Spectra: what stays and what moves with speed", spectra_figure, campbell)
+        one = "Spectra at one speed; a Campbell diagram needs several"
+        caption = "Spectra: what stays and what moves with speed" if speeds > 1 else one
+        plan("spectra.png", caption, spectra_figure, campbell)
     return made

@@ -9,24 +9,25 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.report.drawing import Box, Drawing, Words, quality_note, title_lines
+from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.labels import EdgeLabel, fitted, label_top
 from crankorder.report.notation import (
     frequency_text,
-    is_number,
     is_tone,
+    is_undecided,
     nominal_order,
-    order_text,
+    order_texts,
     scaling_text,
     unit_text,
 )
-from crankorder.report.palette import INK, LINES, MAINS, MODE, MODE_DASHES, NORMAL, SMALL, TONE_DASHES
+from crankorder.report.palette import DOUBT_DASHES, INK, LINES, MAINS, MODE, MODE_DASHES, NORMAL, SMALL, TONE_DASHES
 from crankorder.report.panel import Panel
 from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches
 _LEAST_ROW = 1.2  # a row of panels is never lower than this
-_DECADES = 7.0  # shown below the strongest line
+_DECADES = 7.0  # shown below the strongest line, half as many again of a power
 _LABEL_AT = 0.6  # of the name of a channel from its panel, in inches
 
 Mark = tuple[float, str, str]
@@ -44,7 +45,7 @@ def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: 
     drawing, boxes = column_boxes(campbell.sizes["channel"], _LEFT, settings)
     width = (settings.width_in - _LEFT - _BETWEEN - _RIGHT) / 2
     second = _LEFT + width + _BETWEEN
-    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    modes = fixed_frequencies(findings)
     peak = campbell["amplitude"].transpose("channel", "speed", "frequency").values[:, fastest]
     scaling = scaling_text(campbell)
     median, frequency = _median(campbell), campbell["frequency"].values
@@ -54,8 +55,8 @@ def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: 
     for panel in left:
         for mode in modes:
             tone = is_tone(mode)
-            look: dict[str, Any] = {"color": MAINS, "dashes": TONE_DASHES} if tone else {"color": MODE}
-            panel.upright(float(mode["frequency_hz"]), alpha=0.7, **{"dashes": MODE_DASHES} | look)
+            dashes = TONE_DASHES if tone else DOUBT_DASHES if is_undecided(mode) else MODE_DASHES
+            panel.upright(float(mode["frequency_hz"]), color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
     orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
     draw_spectra(left, frequency, median)
     draw_spectra(right, frequency, peak)
@@ -66,7 +67,13 @@ def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: 
         drawing,
         _LEFT,
         f"{name} · spectra",
-        _subtitle(len(speed), float(speed[fastest]), "peak amplitude" if "peak" in scaling else "RMS"),
+        _subtitle(
+            len(speed),
+            float(speed[fastest]),
+            "peak amplitude" if "peak" in scaling else "RMS",
+            modes=bool(modes),
+            orders=bool(orders),
+        ),
     )
     quality_note(drawing, findings)
     return drawing
@@ -82,12 +89,12 @@ def column_boxes(n: int, left: float, settings: ReportSettings) -> tuple[Drawing
     return drawing, [(_BOTTOM + (n - 1 - k) * (row + _ROW_GAP), row) for k in range(n)]
 
 
-def _subtitle(n_speeds: int, rpm: float, kind: str) -> str:
+def _subtitle(n_speeds: int, rpm: float, kind: str, *, modes: bool, orders: bool) -> str:
     left = f"median over {n_speeds} speeds" if n_speeds > 1 else "the one speed"
     which = "highest speed" if n_speeds > 1 else "same speed"
-    left = f"Left: power spectral density, {left}, with natural frequencies."
     at = f"{which}, {rpm:.0f} rpm" if np.isfinite(rpm) else "speed unknown"
-    return f"{left} Right: {kind}, {at}, with orders."
+    left = f"Left: power spectral density, {left}{', with what stays at its frequency' if modes else ''}."
+    return f"{left} Right: {kind}, {at}{', with orders' if orders else ''}."
 
 
 def _median(campbell: xr.Dataset) -> NDArray[np.float64]:
@@ -114,7 +121,7 @@ def column_panels(
     title = "Frequency, Hz" if along == "frequency" else "Order (cycles per crank revolution)"
     panels = []
     for number, box in enumerate(boxes):
-        limits = _log_limits(values[units == units[number]])
+        limits = _log_limits(values[units == units[number]], _DECADES * (1.5 if "²/Hz" in unit_tail else 1.0))
         panel = Panel(drawing, box, (float(place[0]), float(place[-1])), limits or (0.0, 1.0), limits is not None)
         last = number == len(boxes) - 1
         panel.x_axis(title if last else "", most=10, named=last)
@@ -137,17 +144,18 @@ def draw_spectra(panels: list[Panel], place: NDArray[Any], values: NDArray[Any])
             panel.note("no signal")
 
 
-def _log_limits(values: NDArray[Any]) -> tuple[float, float] | None:
+def _log_limits(values: NDArray[Any], decades: float) -> tuple[float, float] | None:
     positive = values[np.isfinite(values) & (values > 0)]
     if not len(positive):
         return None
     top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
-    return max(quiet / 2, top * 10**-_DECADES), min(2.5 * top, 1e307)
+    return max(quiet / 2, top * 10**-decades), min(2.5 * top, 1e307)
 
 
 def _mode_mark(mode: dict[str, Any]) -> Mark:
     frequency_hz = float(mode["frequency_hz"])
-    return frequency_hz, f"{frequency_text(frequency_hz)} Hz", MAINS if is_tone(mode) else MODE
+    doubt = "?" if is_undecided(mode) else ""
+    return frequency_hz, f"{frequency_text(frequency_hz)}{doubt} Hz", MAINS if is_tone(mode) else MODE
 
 
 def _mark_orders(
@@ -162,11 +170,12 @@ def _mark_orders(
         strength[order] = max(strength.get(order, 0.0), float(record.get("amplitude") or 0))
         found.add((str(record.get("channel")), order))
     kept = sorted(sorted(strength, key=lambda order: -strength[order])[:limit])
+    texts = order_texts(kept)
     for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
-        for order in kept:
+        for order, text in zip(kept, texts, strict=True):
             alpha = 0.6 if (channel, order) in found else 0.25
-            panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{order_text(order)}")
-    return [(order * rpm / 60, order_text(order), LINES[1]) for order in kept]
+            panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{text}")
+    return [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, texts, strict=True)]
 
 
 def label_column(panel: Panel, marks: list[Mark], caption: str) -> None:

@@ -2,97 +2,132 @@
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import Any
 
-from crankorder.report.notation import estimate_text, is_number, named, number_text, order_text, unit_of
-from crankorder.report.sentences import NOT_ASKED_FOR
-
-_LINES = 60  # rows of a table that a page shows at once; the files hold all
-_PROVENANCE_ROWS = 400
-_BALANCE = {
-    "residual_reciprocating_g": ("Unbalanced reciprocating mass", "g"),
-    "residual_rotating_gmm": ("Rotating unbalance", "g·mm"),
-    "angle_deg": ("Angle of the rotating unbalance", "°"),
-}
-
-
-class Column(TypedDict):
-    """Head of a column and whether it holds numbers."""
-
-    title: str
-    number: bool
-
-
-class Table(TypedDict):
-    """One table of the page; ``more`` is folded away under it."""
-
-    title: str
-    note: str
-    empty: str
-    columns: list[Column]
-    rows: list[list[str]]
-    more: Table | None
-
-
-NO_BEARING = (
-    "No bearing was named in the manifest, or none of its lines was seen. Strikes that ring above the "
-    "frequencies analysed are not looked for."
+from crankorder.report.energy_shares import energy_table
+from crankorder.report.notation import (
+    estimate_text,
+    is_number,
+    is_tone,
+    is_undecided,
+    named,
+    nominal_order,
+    number_text,
+    order_estimate,
+    order_text,
+    order_texts,
+    speeds_text,
+    unit_of,
 )
+from crankorder.report.rows import Table, folded, table_of
+from crankorder.report.sentences import NOT_ASKED_FOR, energy_sentence
+from crankorder.report.tables_of_sources import balance_table, bearing_table, tone_table
 
-
-def _table(
-    title: str, heads: str, rows: list[list[str]], *, empty: str, note: str = "", more: Table | None = None
-) -> Table:
-    """Table with ``heads`` separated by ``|``; a head that ends in ``#`` is a column of numbers."""
-    columns = [
-        Column(title=head.strip().removesuffix("#"), number=head.strip().endswith("#")) for head in heads.split("|")
-    ]
-    if len(rows) > _LINES:
-        note = f"{note} The first {_LINES} of {len(rows)}; findings.json holds all.".strip()
-    return Table(title=title, note=note, empty=empty, columns=columns, rows=rows[:_LINES], more=more)
+__all__ = ["Table", "table_of", "tables_of"]
 
 
 def tables_of(findings: dict[str, Any], *, limit: int) -> list[tuple[str, Table]]:
     """Anchor and table of every list in ``findings``; texts from files are cut at ``limit`` characters.
 
     Of findings that were not asked for only the remarks on the recordings: an empty list of orders would deny them.
+    Tables that only some findings have (tones, doubts, speeds to avoid, energy) are left out where they are empty.
     """
     if NOT_ASKED_FOR in findings:
         return [("quality", _quality(findings, limit))]
-    return [
+    made = [
+        ("avoid", _avoid(findings, limit)),
         ("orders", _orders(findings, limit)),
         ("modes", _modes(findings, limit)),
-        ("crossings", _crossings(findings)),
-        ("bearings", _bearings(findings, limit)),
-        ("balance", _balance(findings, limit)),
+        ("undecided", _undecided(findings, limit)),
+        ("tones", tone_table(findings, limit)),
+        ("crossings", _crossings(findings, limit)),
+        ("bearings", bearing_table(findings, limit)),
+        ("balance", balance_table(findings, limit)),
+        ("energy", energy_table(findings, limit)),
         ("lines", _lines(findings, limit)),
         ("quality", _quality(findings, limit)),
     ]
+    return [(anchor, one) for anchor, one in made if one["rows"] or one["empty"]]
+
+
+def _avoid(findings: dict[str, Any], limit: int) -> Table:
+    """Speeds to avoid, ranked, and under them the bands that are free; empty where the findings have no such lists."""
+    free = [
+        [
+            speeds_text((band.get("low_rpm"), band.get("high_rpm"))),
+            _whole(_width(band)),
+            named(band.get("remark") or "–", limit=4 * limit),
+        ]
+        for band in findings.get("free_bands") or []
+    ]
+    rows = [
+        [
+            _whole(record.get("rank")),
+            _whole(record.get("rpm")),
+            speeds_text(record.get("rpm_range") or ()),
+            order_estimate(record, findings),
+            _hertz(record, "mode_hz"),
+            named(record.get("channel") or "", limit=limit),
+            estimate_text(record, "amplitude", unit=unit_of(findings, record)),
+            _times(record, "amplification"),
+            named(record.get("reason") or "", limit=4 * limit),
+        ]
+        for record in findings.get("speeds_to_avoid") or []
+    ]
+    heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
+    bands = table_of("Speed bands free of excited crossings", "Free, rpm#|Width, rpm#|Remark", free, empty="")
+    known = findings.get("speeds_to_avoid") is not None
+    empty = "No order was seen to excite a natural frequency inside the tested speeds." if known else ""
+    note = "The worst first." if len(rows) > 1 else ""
+    return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=bands if free else None)
+
+
+def _width(band: dict[str, Any]) -> float | None:
+    low, high = band.get("low_rpm"), band.get("high_rpm")
+    return float(high) - float(low) if is_number(low) and is_number(high) else None
 
 
 def _orders(findings: dict[str, Any], limit: int) -> Table:
-    rows = []
-    note = (
-        "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
-        if findings.get("orders")
-        else ""
+    records = [record for record in findings.get("orders", []) if is_number(record.get("order"))]
+    records.sort(key=lambda one: (str(one.get("channel")), float(one["order"])))
+    loudest: dict[str, float] = {}
+    for record in records:
+        channel = str(record.get("channel"))
+        loudest[channel] = max(loudest.get(channel, 0.0), float(record.get("amplitude") or 0))
+    rows = [_order_row(record, findings, limit) for record in records]
+    shares = [float(one.get("amplitude") or 0) / (loudest[str(one.get("channel"))] or 1.0) for one in records]
+    note = "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size." if rows else ""
+    heads = (
+        "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
+        "With speed|Meets, Hz#|Seen, rpm#"
     )
-    for record in sorted(findings.get("orders", []), key=lambda one: (str(one.get("channel")), float(one["order"]))):
-        span = record.get("speed_range_rpm") or []
-        rows.append(
-            [
-                named(record.get("channel", ""), limit=limit),
-                _order(record, "order"),
-                estimate_text(record, "amplitude", unit=unit_of(findings, record)),
-                _whole(record.get("speed_rpm_at_max")),
-                estimate_text(record, "phase_deg"),
-                estimate_text(record, "speed_exponent"),
-                "–".join(_whole(end) for end in span),
-                named(record.get("explained_by") or "", limit=2 * limit),
-            ]
-        )
-    heads = "Channel|Order#|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|Seen, rpm#|Explained by"
-    return _table("Orders", heads, rows, note=note, empty="No order stands above the noise.")
+    return folded("Orders", heads, rows, ranks=shares, note=note, empty="No order stands above the noise.")
+
+
+def _order_row(record: dict[str, Any], findings: dict[str, Any], limit: int) -> list[str]:
+    law = str(record.get("speed_law") or "–")
+    return [
+        named(record.get("channel", ""), limit=limit),
+        order_estimate(record, findings),
+        named(record.get("explained_by") or "", limit=2 * limit),
+        _lock(record),
+        estimate_text(record, "amplitude", unit=unit_of(findings, record)),
+        _whole(record.get("speed_rpm_at_max")),
+        estimate_text(record, "phase_deg"),
+        estimate_text(record, "speed_exponent"),
+        "grows" if law.startswith("grows with speed") else named(law, limit=limit),
+        _hertz(record, "meets_hz"),
+        speeds_text(record.get("speed_range_rpm") or ()),
+    ]
+
+
+def _lock(record: dict[str, Any]) -> str:
+    """``"locked"``, ``"slips"``, ``"undecided: 400 revolutions needed"``; half orders say so."""
+    said = str(record.get("lock") or ("locked" if record.get("locked") is True else ""))
+    if said == "undecided" and is_number(record.get("revs_to_decide")):
+        said = f"undecided: {record['revs_to_decide']:.0f} revolutions needed"
+    half = "half order" if record.get("half_order") is True else ""
+    return named(", ".join(part for part in (said, half) if part) or "–", limit=80)
 
 
 def _modes(findings: dict[str, Any], limit: int) -> Table:
@@ -101,13 +136,38 @@ def _modes(findings: dict[str, Any], limit: int) -> Table:
             estimate_text(record, "frequency_hz"),
             estimate_text(_in_percent(record), "damping_ratio"),
             named(", ".join(str(name) for name in record.get("channels") or []), limit=limit),
-            named(record.get("explained_by") or "", limit=limit),
+            _reached(record),
             named(record.get("evidence") or "", limit=4 * limit),
         ]
         for record in findings.get("modes", [])
+        if not is_tone(record) and not is_undecided(record)
     ]
-    heads = "Frequency, Hz#|Damping, %#|Channels|Explained by|Evidence"
-    return _table("Natural frequencies", heads, rows, empty="No natural frequency was found.")
+    heads = "Frequency, Hz#|Damping, %#|Channels|Reached by orders|Evidence"
+    return table_of("Natural frequencies", heads, rows, empty="No natural frequency was found.")
+
+
+def _reached(record: dict[str, Any]) -> str:
+    orders = record.get("reached_by_orders")
+    if orders is None:
+        return "–"
+    numbers = sorted(nominal_order(float(order)) for order in orders if is_number(order))
+    return ", ".join(order_texts(numbers)) if numbers else "no order reaches it in the tested range"
+
+
+def _undecided(findings: dict[str, Any], limit: int) -> Table:
+    rows = [
+        [
+            estimate_text(record, "frequency_hz"),
+            estimate_text(_in_percent(record), "damping_ratio"),
+            named(", ".join(str(name) for name in record.get("channels") or []), limit=limit),
+            named(record.get("undecided") or "", limit=4 * limit),
+            named(record.get("evidence") or "", limit=4 * limit),
+        ]
+        for record in findings.get("modes", [])
+        if is_undecided(record)
+    ]
+    heads = "Frequency, Hz#|Damping, %#|Channels|Why it is not decided|Evidence"
+    return table_of("Perhaps natural frequencies: not decided", heads, rows, empty="")
 
 
 def _in_percent(record: dict[str, Any]) -> dict[str, Any]:
@@ -118,60 +178,44 @@ def _in_percent(record: dict[str, Any]) -> dict[str, Any]:
     return percent
 
 
-def _crossings(findings: dict[str, Any]) -> Table:
+def _crossings(findings: dict[str, Any], limit: int) -> Table:
     records = sorted(
         findings.get("crossings", []), key=lambda one: (not one.get("excited"), float(one.get("rpm") or 0))
     )
-    inside = [record for record in records if record.get("in_range")]
-    outside = [record for record in records if not record.get("in_range")]
-    heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification#|Response"
+    inside = [_crossing(record, findings, limit) for record in records if record.get("in_range")]
+    outside = [_crossing(record, findings, limit) for record in records if not record.get("in_range")]
+    heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification measured#|Predicted#|Response|In channels|Evidence"
     more = None
     if outside:
         title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} outside the tested speeds"
-        more = _table(title, heads, [_crossing(record) for record in outside], empty="")
+        more = table_of(title, heads, outside, empty="")
     note = "Speeds at which an order meets a natural frequency; excited ones first." if inside else ""
     empty = "No order crosses a natural frequency inside the tested speeds."
-    return _table("Crossings", heads, [_crossing(record) for record in inside], note=note, empty=empty, more=more)
+    return table_of("Crossings", heads, inside, note=note, empty=empty, more=more)
 
 
-def _crossing(record: dict[str, Any]) -> list[str]:
+def _crossing(record: dict[str, Any], findings: dict[str, Any], limit: int) -> list[str]:
     response = "excited" if record.get("excited") else "not excited" if record.get("in_range") else "not measured"
-    speed = estimate_text(record, "rpm") if "rpm_ci95" in record else _whole(record.get("rpm"))
-    factor = record.get("amplification")
-    measured = record.get("in_range") and is_number(factor) and float(factor or 0.0) > 0.0
-    times = f"× {number_text(float(factor or 0.0), digits=2)}" if measured else "–"
-    return [_order(record, "order"), estimate_text(record, "mode_hz"), speed, times, response]
-
-
-def _bearings(findings: dict[str, Any], limit: int) -> Table:
-    rows = [
-        [
-            named(record.get("name") or "", limit=limit),
-            named(record.get("line") or "", limit=limit),
-            _order(record, "order"),
-            _order(record, "order_expected"),
-            estimate_text(record, "amplitude", unit=unit_of(findings, record)),
-            named(record.get("verdict") or "", limit=4 * limit),
-        ]
-        for record in findings.get("bearings", [])
+    evidence = "; ".join(str(part) for part in (record.get("evidence"), record.get("remark")) if part)
+    channels = record.get("channels") or ([record["channel"]] if record.get("channel") else [])
+    return [
+        order_estimate(record, findings),
+        estimate_text(record, "mode_hz"),
+        estimate_text(record, "rpm") if "rpm_ci95" in record else _whole(record.get("rpm")),
+        _times(record, "amplification") if record.get("in_range") else "–",
+        _times(record, "amplification_predicted"),
+        named(record.get("verdict") or response, limit=limit),
+        named(", ".join(str(name) for name in channels), limit=limit) or "–",
+        named(evidence or "–", limit=4 * limit),
     ]
-    heads = "Bearing|Line|Order found#|Order expected#|Amplitude (peak)#|Verdict"
-    return _table("Bearings", heads, rows, empty=NO_BEARING)
 
 
-def _balance(findings: dict[str, Any], limit: int) -> Table:
-    balance = findings.get("balance")
-    rows = []
-    reason = findings.get("balance_reason")
-    if isinstance(balance, dict):
-        reason = reason or balance.get("reason")
-        for key, value in balance.items():
-            if key.endswith("_ci95") or not is_number(value):
-                continue
-            title, unit = _BALANCE.get(key, (key.replace("_", " "), ""))
-            rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
-    why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
-    return _table("Balance", "Quantity|Value#", rows, empty=f"No residual unbalance was worked out.{why}")
+def _times(record: dict[str, Any], key: str) -> str:
+    """An amplification as ``"× 12 (10…14)"``; ``"–"`` where there is none."""
+    factor = record.get(key)
+    if not is_number(factor) or factor <= 0:
+        return "–"
+    return f"× {estimate_text(record, key) if record.get(f'{key}_ci95') else number_text(float(factor), digits=2)}"
 
 
 def _lines(findings: dict[str, Any], limit: int) -> Table:
@@ -179,18 +223,16 @@ def _lines(findings: dict[str, Any], limit: int) -> Table:
     rows = []
     for record in records:
         by_order = is_number(record.get("order"))
-        place = f"order {_order(record, 'order')}" if by_order else f"{estimate_text(record, 'frequency_hz')} Hz"
+        place = (
+            f"order {order_estimate(record, findings)}" if by_order else f"{estimate_text(record, 'frequency_hz')} Hz"
+        )
         level = estimate_text(record, "amplitude", unit=unit_of(findings, record))
         explained = named(record.get("explained_by") or "unexplained", limit=2 * limit)
         rows.append([named(record.get("channel", ""), limit=limit), place, level, explained])
-    fraction = findings.get("unexplained_energy_fraction")
-    note = ""
-    if is_number(fraction):
-        note = (
-            f"Share of the energy of the lines that nothing explains: {number_text(100 * float(fraction), digits=2)} %."
-        )
+    ranks = [-float(number) for number in range(len(rows))]
+    note = energy_sentence(findings) if rows else ""
     heads = "Channel|Line|Amplitude (peak)#|Explained by"
-    return _table("All lines", heads, rows, note=note, empty="No line stands above the false-alarm level.")
+    return folded("All lines", heads, rows, ranks=ranks, note=note, empty="No line stands above the false-alarm level.")
 
 
 def _quality(findings: dict[str, Any], limit: int) -> Table:
@@ -201,38 +243,14 @@ def _quality(findings: dict[str, Any], limit: int) -> Table:
         [named(record.get(key, ""), limit=4 * limit if key == "detail" else limit) for key in keys]
         for record in records
     ]
-    return _table("Quality", "Recording|Severity|Flag|Detail", rows, empty="No remark on any recording.")
+    return table_of("Quality", "Recording|Severity|Flag|Detail", rows, empty="No remark on any recording.")
 
 
-def provenance_table(provenance: dict[str, Any]) -> Table:
-    """Inputs, versions and settings of ``provenance`` (as in ``data_schema/run.json``), one row per value, folded."""
-    rows = [[named(key, limit=120), named(value, limit=200)] for key, value in _flat("", provenance)][:_PROVENANCE_ROWS]
-    everything = Table(
-        title="Inputs with hashes, versions and settings",
-        note="",
-        empty="Nothing was recorded.",
-        columns=[Column(title="Key", number=False), Column(title="Value", number=False)],
-        rows=rows,
-        more=None,
-    )
-    versions = provenance.get("versions") if isinstance(provenance.get("versions"), dict) else {}
-    short = [[named(key, limit=60), named(value, limit=60)] for key, value in (versions or {}).items()]
-    return _table("Provenance", "Program|Version", short, empty="No versions were recorded.", more=everything)
-
-
-def _flat(prefix: str, value: object) -> list[tuple[str, object]]:
-    if isinstance(value, dict):
-        return [pair for key, item in value.items() for pair in _flat(f"{prefix}.{key}" if prefix else str(key), item)]
-    if isinstance(value, list | tuple) and any(isinstance(item, dict | list | tuple) for item in value):
-        return [pair for number, item in enumerate(value, start=1) for pair in _flat(f"{prefix} {number}", item)]
-    return [(prefix, ", ".join(str(item) for item in value) if isinstance(value, list | tuple) else value)]
-
-
-def _order(record: dict[str, Any], key: str) -> str:
+def _hertz(record: dict[str, Any], key: str) -> str:
     value = record.get(key)
     if not is_number(value):
         return "–"
-    return estimate_text(record, key) if f"{key}_ci95" in record else order_text(float(value))
+    return estimate_text(record, key) if record.get(f"{key}_ci95") else order_text(round(float(value), 1))
 
 
 def _whole(value: object) -> str:

@@ -1,0 +1,200 @@
+"""The comparison of results: two builds, or one build over time, as one document with pictures, page and NetCDF."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from crankorder.batch.store import DONE, file_sha256, json_bytes, publish, text_sha256
+from crankorder.errors import InputError, RequestError
+from crankorder.identify.changes.compared import Compared, Tested, compared
+from crankorder.identify.changes.datasets import change_datasets
+from crankorder.report.comparison_sentences import comparison_headline
+from crankorder.report.netcdf import read_results
+from crankorder.settings import ReportSettings, load_settings
+
+NAME = "comparison.json"
+VERSION = 1
+"""Of findings.json and run.json, as this program writes them."""
+MAPS = ("order_map", "campbell_map", "envelope_map", "shaft")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was compared, as found: the tests' folders and all that their comparison gives."""
+
+    folders: tuple[Path, ...]
+    tests: tuple[Tested, ...]
+    made: Compared
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The document of ``data_schema/comparison.json``."""
+        return self.made.document
+
+
+def compare_results(base: Path, new: Sequence[Path], *, q: float, correlated: bool = False) -> Comparison:
+    """Comparison of the results in ``base`` with the last of ``new``; of several, in time order, the trend over all.
+
+    Each is a test's result folder, or the ``--out`` of a run of one test. ``q`` is the false-discovery rate of all
+    claims, ``correlated`` claims fewer map cells, for any dependence between them.
+    Raises RequestError where a folder is not one test's results, InputError where results are unfinished or damaged.
+    """
+    folders = tuple(_test_folder(folder) for folder in (base, *new))
+    _refuse_twice(folders)
+    found = [_tested(folder) for folder in folders]
+    names = _names([test.name for test in found])
+    tests = tuple(replace(test, name=name) for test, name in zip(found, names, strict=True))
+    made = compared(tests, q=q, correlated=correlated)
+    made.document["headline"] = comparison_headline(made.document)
+    return Comparison(folders, tests, made)
+
+
+def _refuse_twice(folders: Sequence[Path]) -> None:
+    """Refuse a test beside itself: nothing could differ, and a trend would count one run as two."""
+    known: set[Path] = set()
+    for folder in folders:
+        if folder.resolve() in known:
+            raise RequestError(
+                "the same results are named twice",
+                file=folder,
+                allowed="each test once, in time order",
+                remedy="Name the folder of the other test; results of two runs need two --out folders",
+            )
+        known.add(folder.resolve())
+
+
+def _names(names: Sequence[str]) -> list[str]:
+    """The tests' names; tests of one name get the number of their run."""
+    return [f"{name} (run {at + 1})" if names.count(name) > 1 else name for at, name in enumerate(names)]
+
+
+def _test_folder(folder: Path) -> Path:
+    """The folder with the results of the one test that ``folder`` holds."""
+    if not folder.is_dir():
+        raise RequestError("no such folder", file=folder, remedy="Give a folder that `crankorder run` made")
+    if (folder / DONE).is_file() and (folder / "results.nc").is_file():
+        return folder
+    inside = sorted(path.parent for path in folder.glob(f"*/{DONE}") if (path.parent / "results.nc").is_file())
+    if len(inside) == 1:
+        return inside[0]
+    if inside:
+        listed = ", ".join(path.name for path in inside)
+        remedy = f"Name one of them, as {folder / inside[0].name}"
+        raise RequestError(f"holds the results of {len(inside)} tests", file=folder, found=listed, remedy=remedy)
+    raise RequestError(
+        "no finished results here",
+        file=folder,
+        allowed="a folder that `crankorder run` made, or its --out of one test",
+        remedy="Run the analysis again; results without a done marker are never used",
+    )
+
+
+def _tested(folder: Path) -> Tested:
+    findings, run = (_document(folder / name) for name in ("findings.json", "run.json"))
+    if not isinstance(findings.get("channels"), list) or "orders" not in run.get("settings", {}) or "test" not in run:
+        raise InputError("not the results of a run", file=folder, remedy="Run the analysis again")
+    groups = read_results(folder / "results.nc")
+    if not {"order_map", "campbell_map"} & set(groups):
+        raise InputError(
+            "holds no map to compare",
+            file=folder / "results.nc",
+            found=", ".join(sorted(groups)) or "no group",
+            allowed="the group order_map or campbell_map",
+            remedy="Run the analysis again, with the stages that make a map",
+        )
+    return Tested(str(run["test"]), findings, run, {key: groups[key] for key in MAPS if key in groups})
+
+
+def _document(path: Path) -> dict[str, Any]:
+    """One JSON document of a run, of the version that this program reads."""
+    remedy = "Run the analysis again"
+    try:
+        made = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError("results that cannot be read", file=path, found=error, remedy=remedy) from error
+    stated = made.get("schema_version") if isinstance(made, dict) else None
+    if stated != VERSION or not isinstance(made, dict):
+        raise InputError(
+            "results of another version of the program",
+            file=path,
+            found=f"schema_version {stated}",
+            allowed=f"schema_version {VERSION}",
+            remedy=f"{remedy} with this version",
+        )
+    return made
+
+
+def document_text(comparison: Comparison) -> str:
+    """The document of ``comparison`` as JSON, as it is published."""
+    return json_bytes(comparison.document).decode("utf-8")
+
+
+def publish_comparison(comparison: Comparison, out: Path) -> list[Path]:
+    """Paths of the files written into ``out``: comparison.json, comparison.nc, pictures, page; whole or not at all.
+
+    ``comparison`` as :func:`compare_results` makes it.
+    Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
+    """
+    _refuse_results(out, comparison.folders)
+    files = _files(comparison, load_settings().report)
+    marks = [file_sha256(folder / name) for folder in comparison.folders for name in ("results.nc", "findings.json")]
+    publish(out, files, key=text_sha256(version("crankorder"), json.dumps(comparison.document, default=str), *marks))
+    return [out / name for name in files]
+
+
+def _refuse_results(out: Path, folders: Sequence[Path]) -> None:
+    """Refuse a folder of results, or one inside: results are never replaced by what was made of them."""
+    where = out.resolve()
+    if out.exists() and not out.is_dir():
+        raise RequestError("is a file, not a folder", file=out, remedy="Choose another --out")
+    held = [folder.resolve() for folder in folders]
+    held += [folder.parent for folder in held if (folder.parent / "batch.json").is_file()]
+    inside = any(folder in (where, *where.parents) for folder in held)
+    if inside or (out / "results.nc").exists() or (out / "batch.json").exists():
+        raise RequestError(
+            "the comparison would lie among the results of a run",
+            file=out,
+            allowed="a new folder, or that of an earlier comparison",
+            remedy="Choose another --out",
+        )
+
+
+def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]:
+    from crankorder.batch.plan import folder_name
+    from crankorder.report.comparison_figure import map_change_figure, order_change_figure
+    from crankorder.report.comparison_page import comparison_page
+    from crankorder.report.comparison_trend import trend_figure
+    from crankorder.report.figures import png_bytes
+    from crankorder.report.netcdf import as_stored, results_bytes
+
+    made, document = comparison.made, comparison.document
+    groups = change_datasets(made)
+    shown = as_stored(groups)
+    pictures: list[tuple[str, str]] = []
+    files: dict[str, bytes] = {NAME: json_bytes(document)}
+    taken: set[str] = set()
+    if document["trend"]:
+        files["trend.png"] = png_bytes(trend_figure(document, settings=settings), dpi=settings.dpi)
+        pictures.append(("trend.png", "How the lines went from run to run, with 95 % intervals and the fitted growth"))
+    if "order_change" in shown:
+        files["orders_change.png"] = png_bytes(
+            order_change_figure(shown["order_change"], document, settings=settings), dpi=settings.dpi
+        )
+        pictures.append(
+            ("orders_change.png", "What changed, order by order: second test over first, with 95 % intervals")
+        )
+    for channel in [one["channel"] for one in document["cells"] if one["changed"]]:
+        name = f"map_change_{folder_name(channel, taken)}.png"
+        drawing = map_change_figure(shown["map_change"], channel, document, settings=settings)
+        files[name] = png_bytes(drawing, dpi=settings.dpi)
+        pictures.append((name, f"Where the Campbell diagram of {channel} changed: claimed cells in colour"))
+    attrs = {"title": f"{document['base']} / {document['new']}", "source": f"crankorder {version('crankorder')}"}
+    files["comparison.nc"] = results_bytes(groups, attrs=attrs)
+    page = comparison_page(document, pictures=pictures, settings=settings)
+    files["comparison.html"] = page.encode("utf-8", "backslashreplace")
+    return files

@@ -1,0 +1,73 @@
+"""Strip beside a Campbell diagram: speeds to avoid and bands that are free, on the scale of its speeds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from crankorder.report.drawing import Stroke
+from crankorder.report.keys import Key
+from crankorder.report.labels import EdgeLabel
+from crankorder.report.palette import AVOID, FREE
+from crankorder.report.panel import Panel
+from crankorder.report.sentences_of_speeds import free_bands, is_range, speeds_together
+
+STRIP_IN = 0.13
+"""Room in inches that the strip takes right of the diagram."""
+
+_WIDTH_PT = 4.0
+_AT_IN = 0.07  # middle of the strip from the diagram
+_LABELS = 12  # speeds to avoid that are named, the worst
+_LEAST_IN = 0.05  # a range is drawn at least this high
+
+
+def has_strip(findings: dict[str, Any]) -> bool:
+    """True where the ``findings`` name ranges of speed to avoid or free ones."""
+    return bool(_ranges(findings)) or bool(free_bands(findings))
+
+
+def _ranges(findings: dict[str, Any]) -> list[tuple[float, float, float]]:
+    """Low end, high end and middle of each range to stay out of."""
+    groups = speeds_together(findings) if findings.get("speeds_to_avoid") else []
+    return [
+        (
+            min(float(one["rpm_range"][0]) for one in group),
+            max(float(one["rpm_range"][1]) for one in group),
+            sum(float(one["rpm"]) for one in group) / len(group),
+        )
+        for group in groups
+        if all(is_range(one.get("rpm_range")) for one in group)
+    ]
+
+
+def draw_strip(panel: Panel, findings: dict[str, Any]) -> list[EdgeLabel]:
+    """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
+    low, high = panel.y
+    for number, band in enumerate(free_bands(findings)):
+        _mark(panel, (max(band[0], low), min(band[1], high)), FREE, f"free-{number}")
+    labels = []
+    for number, (start, end, rpm) in enumerate(_ranges(findings)):
+        if end <= low or start >= high:
+            continue
+        _mark(panel, (max(start, low), min(end, high)), AVOID, f"avoid-{number}")
+        at = float(panel.at(panel.x[1], min(max(rpm, low), high))[0, 1])
+        labels.append(EdgeLabel(at, f"{rpm:.0f}", AVOID, 1000 + number))
+    return labels[:_LABELS]
+
+
+def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> None:
+    if speeds[1] <= speeds[0]:
+        return
+    x = panel.box[0] + panel.box[2] + _AT_IN
+    bottom, top = (float(panel.at(panel.x[1], speed)[0, 1]) for speed in speeds)
+    short = max(_LEAST_IN - (top - bottom), 0.0) / 2
+    ends = np.array([[x, bottom - short], [x, top + short]])
+    values = (np.array([np.nan, np.nan]), np.array(speeds))
+    panel.drawing.add(Stroke(ends, color, _WIDTH_PT, square=True, name=name, values=values))
+
+
+def strip_keys(findings: dict[str, Any]) -> list[Key]:
+    """What the colours of the strip of the ``findings`` mean."""
+    keys = [Key("speed to avoid", AVOID, width=_WIDTH_PT)] if _ranges(findings) else []
+    return [*keys, Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else keys

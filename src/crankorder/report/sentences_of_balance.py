@@ -1,0 +1,77 @@
+"""What is said of the residual unbalance: grams with their interval, what is not decided, or why there are none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from crankorder.report.notation import NAME_CHARACTERS, estimate_text, is_number, listed, named, order_texts
+
+QUANTITIES = {
+    "residual_reciprocating_g": ("Unbalanced reciprocating mass (first order)", "g"),
+    "residual_second_order_g": ("Unbalanced reciprocating mass (second order)", "g"),
+    "residual_rotating_gmm": ("Rotating unbalance", "g·mm"),
+    "angle_deg": ("Angle of the rotating unbalance from the crank", "°"),
+    "forward_gmm": ("Forward (rotating) part", "g·mm"),
+    "forward_angle_deg": ("Angle of the forward part from the crank", "°"),
+    "reverse_gmm": ("Reverse part", "g·mm"),
+    "reverse_angle_deg": ("Angle of the reverse part from the crank", "°"),
+    "along_g": ("At the crank radius, along the cylinder", "g"),
+    "along_quadrature_g": ("A quarter turn ahead of it", "g"),
+    "across_g": ("At the crank radius, across the cylinder", "g"),
+    "crank_radius_mm": ("Crank radius", "mm"),
+}
+"""Title and unit of each number of ``balance`` in the findings, in the order of the table."""
+
+_LETTERS = 4 * NAME_CHARACTERS
+
+
+def balance_sentences(findings: dict[str, Any]) -> list[str]:
+    """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known."""
+    balance = findings.get("balance")
+    if not isinstance(balance, dict):
+        reason = named(findings.get("balance_reason") or "", limit=_LETTERS).rstrip(".")
+        return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
+    sentences = []
+    if is_number(balance.get("residual_reciprocating_g")):
+        text = f"Unbalanced reciprocating mass: {estimate_text(balance, 'residual_reciprocating_g', unit='g')}"
+        sentences.append(f"{text}{source_text(balance)}.")
+    if is_number(balance.get("residual_rotating_gmm")):
+        text = f"Rotating unbalance: {estimate_text(balance, 'residual_rotating_gmm', unit='g·mm')}"
+        if is_number(balance.get("angle_deg")):
+            text += f" at {estimate_text(balance, 'angle_deg')}° from the crank"
+        sentences.append(f"{text}.")
+    sides = [
+        f"{estimate_text(balance, key, unit='g')} {side}"
+        for key, side in (("along_g", "along"), ("across_g", "across"))
+        if is_number(balance.get(key))
+    ]
+    if sides:
+        sentences.append(f"Residual unbalance at the crank radius: {listed(sides)} the cylinder.")
+    if not sentences:
+        sentences.append("Residual unbalance in grams is not decided.")
+    return [*sentences, *_open(balance)]
+
+
+def source_text(balance: dict[str, Any]) -> str:
+    """Where the numbers of ``balance`` come from: ``", from engine orders 1 and 2"``; empty where not stated."""
+    source = named(balance.get("source") or "", limit=NAME_CHARACTERS)
+    orders = [float(order) for order in balance.get("orders_used") or [] if is_number(order)]
+    which = f" {listed(order_texts(orders))}" if orders and source.endswith("orders") else ""
+    return f", from {source}{which}" if source else ""
+
+
+def undecided_quantities(balance: dict[str, Any]) -> list[tuple[str, str]]:
+    """Title and reason of every number of ``balance`` that is not decided."""
+    reasons = balance.get("not_decided")
+    if not isinstance(reasons, dict):
+        return []
+    titles = {key: QUANTITIES[key][0] if key in QUANTITIES else str(key).replace("_", " ") for key in reasons}
+    return [(named(titles[key], limit=_LETTERS), named(reason, limit=_LETTERS)) for key, reason in reasons.items()]
+
+
+def _open(balance: dict[str, Any]) -> list[str]:
+    """What is not decided, with its reason; quantities that share a reason share a sentence."""
+    by_reason: dict[str, list[str]] = {}
+    for title, reason in undecided_quantities(balance):
+        by_reason.setdefault(reason.rstrip("."), []).append(title[0].lower() + title[1:] if title else title)
+    return [f"Not decided: {listed(titles)}; {reason}." for reason, titles in by_reason.items()]

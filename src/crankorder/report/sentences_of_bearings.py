@@ -1,0 +1,88 @@
+"""What is said of bearings: which of their lines are seen, where, with what slip, and what that means."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from crankorder.report.notation import (
+    NAME_CHARACTERS,
+    estimate_text,
+    interval_of,
+    is_number,
+    listed,
+    named,
+    nominal_order,
+    number_text,
+    order_name,
+    unit_of,
+)
+
+RE_RUN_RULE = "Re-run the same test: a growing amplitude means a failing bearing."
+
+_LINE_NAMES = {
+    "N*fs": "rolling-element count (N·fs)",
+    "BPFO": "outer-race (BPFO)",
+    "BPFI": "inner-race (BPFI)",
+    "BSF": "ball-spin (BSF)",
+    "FTF": "cage (FTF)",
+}
+_LETTERS = 400  # of a verdict
+
+
+def bearing_sentences(findings: dict[str, Any], *, with_rule: bool = True) -> list[str]:
+    """One sentence per bearing line of ``findings`` that was seen; ``with_rule`` adds the rule of its verdict."""
+    groups: dict[tuple[float, str, str], list[dict[str, Any]]] = {}
+    for record in findings.get("bearings", []):
+        if is_number(record.get("amplitude")) and is_number(record.get("order")):
+            key = nominal_order(record), str(record.get("line", "")), str(record.get("seen_in", ""))
+            groups.setdefault(key, []).append(record)
+    sentences = []
+    # faults go first, those that strike before those that only sound
+    for (_, line, _), records in sorted(
+        groups.items(), key=lambda item: (item[0][1] == "N*fs", item[0][2] != "envelope")
+    ):
+        best = max(records, key=lambda record: float(record["amplitude"]))
+        names = list(dict.fromkeys(named(record.get("name", ""), limit=NAME_CHARACTERS) for record in records))
+        which = _LINE_NAMES.get(line, named(line, limit=NAME_CHARACTERS))
+        text = (
+            f"Order {order_name(best, findings)} fits the {which} line of the {listed(names)} "
+            f"bearing{'s' if len(names) > 1 else ''}: {_seen(findings, best)}."
+        )
+        sentences.append(text + _verdict(best) + (f" {RE_RUN_RULE}" if with_rule and asks_re_run(best) else ""))
+    return sentences
+
+
+def asks_re_run(record: dict[str, Any]) -> bool:
+    """True where the verdict of a bearing ``record`` asks to run the test again, or where none was worked out."""
+    return "lock" not in record or "re-run" in str(record.get("verdict", "")).lower()
+
+
+def _seen(findings: dict[str, Any], record: dict[str, Any]) -> str:
+    """Amplitude, place and slip of a line."""
+    value, _, interval = estimate_text(record, "amplitude").partition(" ")
+    text = " ".join(part for part in (value, unit_of(findings, record), interval) if part)
+    if record.get("channel"):
+        text += f" in {named(record['channel'], limit=NAME_CHARACTERS)}"
+    if record.get("seen_in") == "envelope":
+        band = band_text(record)
+        text += f", in the envelope of {band} Hz" if band else ", in the envelope"
+    if interval_of(record, "slip_percent") is not None and record.get("lock") != "locked":
+        text += f", slip {estimate_text(record, 'slip_percent')} %"
+    harmonics = record.get("harmonics")
+    if is_number(harmonics) and harmonics > 1:
+        text += f", {harmonics:.0f} multiples"
+    return text
+
+
+def band_text(record: dict[str, Any]) -> str:
+    """Band of the envelope of a bearing ``record`` in Hz, such as ``"2000–4000"``; empty where there is none."""
+    band = record.get("band_hz")
+    if not isinstance(band, list | tuple) or len(band) != 2 or not all(is_number(end) for end in band):
+        return ""
+    return "–".join(f"{end:.0f}" if end >= 100 else number_text(float(end)) for end in band)
+
+
+def _verdict(record: dict[str, Any]) -> str:
+    """Sentences of the verdict but the rule to re-run, which is said once."""
+    parts = [part.strip().rstrip(".") for part in named(record.get("verdict", ""), limit=_LETTERS).split(". ")]
+    return "".join(f" {part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower())

@@ -1,0 +1,182 @@
+"""The strongest lines of a test in plain sentences: orders of the shaft and tones of fixed frequency."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from crankorder.report.fixed_lines import fixed_tones, strongest_tone
+from crankorder.report.notation import (
+    NAME_CHARACTERS,
+    estimate_text,
+    frequency_text,
+    is_number,
+    is_tone,
+    listed,
+    named,
+    nominal_order,
+    order_name,
+    order_texts,
+    percent_text,
+    unit_of,
+)
+
+_MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
+_MANY = 3  # channels that a summary names one by one
+_SHOWN = 14  # orders or tones that a sentence lists
+_MOSTLY = 0.5  # share of the energy from which something is most of it
+
+
+def line_sentences(findings: dict[str, Any]) -> list[str]:
+    """What shakes: the strongest line of each channel of ``findings``, the strongest first, then what else there is."""
+    names = _channels(findings)
+    if not names:
+        return [_nothing(findings)]
+    sentences = [strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY]]
+    if len(names) > _MANY:
+        sentences.append("The tables hold the other channels.")
+    orders = sorted({nominal_order(record) for record in findings.get("orders", []) if is_number(record.get("order"))})
+    if orders:
+        texts = order_texts(orders)
+        end = " and more." if len(texts) > _SHOWN else "."
+        sentences.append(f"{len(orders)} order{'s' * (len(orders) > 1)} found: {', '.join(texts[:_SHOWN])}{end}")
+    return [*sentences, *_broadband(findings)]
+
+
+def nothing_proven(findings: dict[str, Any]) -> bool:
+    """True where ``findings`` hold no line because too few revolutions were recorded, not because there is none."""
+    short = any(flag.get("flag") == "short_recording" for flag in findings.get("quality", []))
+    return short and not _channels(findings)
+
+
+def _nothing(findings: dict[str, Any]) -> str:
+    if nothing_proven(findings):
+        return "No order could be proven: the recordings hold too few revolutions."
+    return "No order stands above the noise."
+
+
+def _channels(findings: dict[str, Any]) -> list[str]:
+    """Channels with a line, the strongest first among those of one unit; units in the order of the channels."""
+    top: dict[str, tuple[str, float]] = {}
+    for channel in dict.fromkeys(
+        str(record.get("channel", "")) for key in ("orders", "lines") for record in findings.get(key, [])
+    ):
+        records = [one for one in (_strongest_order(findings, channel), strongest_tone(findings, channel)) if one]
+        if records:
+            best = max(records, key=lambda one: float(one["amplitude"]))
+            top[channel] = unit_of(findings, best), float(best["amplitude"])
+    known = [str(one.get("name")) for one in findings.get("channels", [])]
+    ordered = sorted(top, key=lambda name: known.index(name) if name in known else len(known))
+    units = list(dict.fromkeys(top[name][0] for name in ordered))
+    return sorted(ordered, key=lambda name: (units.index(top[name][0]), -top[name][1]))
+
+
+def _strongest_order(findings: dict[str, Any], channel: str) -> dict[str, Any] | None:
+    records = [
+        record
+        for record in findings.get("orders", [])
+        if record.get("channel") == channel and is_number(record.get("amplitude")) and is_number(record.get("order"))
+    ]
+    record = max(records, key=lambda one: float(one["amplitude"]), default=None)
+    return record if record is not None and record["amplitude"] > 0 else None
+
+
+def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bool = False) -> str:
+    """``"Order 2 is the strongest line in Z: 0.83 m/s² (0.81…0.85) at 1800 rpm, where it meets the 60 Hz …"``
+
+    ``findings`` of the test; ``channel`` whose strongest line, order or fixed tone, is asked for; ``with_cause`` adds
+    what makes it. Empty where it has none.
+    """
+    order, tone = _strongest_order(findings, channel), strongest_tone(findings, channel)
+    where = named(channel, limit=NAME_CHARACTERS)
+    if tone is not None and (order is None or float(tone["amplitude"]) > float(order["amplitude"])):
+        text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
+        if order is not None:
+            text += f"; the strongest order is {order_name(order, findings)}: {_level(findings, order)}"
+            rpm = order.get("speed_rpm_at_max")
+            text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
+        return f"{text}.{_cause(tone) if with_cause else ''}"
+    if order is None:
+        return ""
+    text = f"Order {order_name(order, findings)} is the strongest line in {where}: {_at(findings, order)}"
+    return f"{text}.{_cause(order) if with_cause else ''}"
+
+
+def _tone_hz(tone: dict[str, Any]) -> str:
+    """Frequency of a tone to a tenth of a hertz: tones are sharp."""
+    return f"{float(tone['frequency_hz']):.1f}".removesuffix(".0")
+
+
+def _level(findings: dict[str, Any], record: dict[str, Any]) -> str:
+    value, _, interval = estimate_text(record, "amplitude").partition(" ")
+    return " ".join(part for part in (value, unit_of(findings, record), interval) if part)
+
+
+def _at(findings: dict[str, Any], record: dict[str, Any]) -> str:
+    text, rpm = _level(findings, record), record.get("speed_rpm_at_max")
+    if not is_number(rpm):
+        return text
+    text += f" at {rpm:.0f} rpm"
+    mode_hz = met_mode_hz(findings, record)
+    return text if mode_hz is None else f"{text}, where it meets the {frequency_text(mode_hz)} Hz natural frequency"
+
+
+def met_mode_hz(findings: dict[str, Any], record: dict[str, Any]) -> float | None:
+    """Natural frequency [Hz] that an order ``record`` of the ``findings`` meets where it is largest, or None.
+
+    As the record states it (``meets_hz``), else the one near its line at that speed.
+    """
+    rpm = record.get("speed_rpm_at_max")
+    if not is_number(rpm):
+        return None
+    line_hz = float(record["order"]) * float(rpm) / 60
+    modes = [
+        float(mode["frequency_hz"])
+        for mode in findings.get("modes", [])
+        if is_number(mode.get("frequency_hz")) and not is_tone(mode)
+    ]
+    if "meets_hz" in record:
+        modes = [float(record["meets_hz"])] if is_number(record["meets_hz"]) else []
+    near = [mode_hz for mode_hz in modes if abs(mode_hz - line_hz) <= _MEETING_SHARE * mode_hz]
+    return min(near, key=lambda mode_hz: abs(mode_hz - line_hz)) if near else None
+
+
+def _cause(record: dict[str, Any]) -> str:
+    cause = str(record.get("explained_by") or "unexplained")
+    if cause == "unexplained":
+        return " Its cause is not known."
+    if cause == "tone":
+        return " The tone does not follow the shaft: it has a source of its own."
+    return f" Cause: {named(cause, limit=2 * NAME_CHARACTERS)}."
+
+
+def tone_sentences(findings: dict[str, Any]) -> list[str]:
+    """Tones and mains of the ``findings`` with their amplitudes: they are no natural frequencies."""
+    texts = []
+    for tone in fixed_tones(findings)[:_SHOWN]:
+        kind = named(tone["kind"], limit=NAME_CHARACTERS)
+        text = f"{_tone_hz(tone['record'])} Hz ({kind}"
+        if tone["lines"] and is_number(tone["lines"][0].get("amplitude")):
+            line = tone["lines"][0]
+            text += f", {_level(findings, line)} in {named(line.get('channel', ''), limit=NAME_CHARACTERS)}"
+        texts.append(f"{text})")
+    if not texts:
+        return []
+    if len(texts) == 1:
+        return [f"A tone, no natural frequency: {texts[0]}."]
+    return [f"Tones, no natural frequencies: {listed(texts)}."]
+
+
+def _broadband(findings: dict[str, Any]) -> list[str]:
+    """Where most of the energy lies between the lines: a page that names lines alone would mislead."""
+    energy = findings.get("energy")
+    channels = energy.get("channels") if isinstance(energy, dict) else None
+    loud = [
+        (named(one.get("channel", ""), limit=NAME_CHARACTERS), float(one["modes_and_floor"]))
+        for one in channels or []
+        if is_number(one.get("modes_and_floor")) and float(one["modes_and_floor"]) > _MOSTLY
+    ]
+    if not loud:
+        return []
+    said = [f"{name} {percent_text(share)}" for name, share in loud[:_MANY]]
+    more = ", …" if len(loud) > _MANY else ""
+    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {', '.join(said)}{more}."]

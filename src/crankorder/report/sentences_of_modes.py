@@ -1,0 +1,36 @@
+"""What is said of natural frequencies: those that are decided, and those that may be something else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from crankorder.report.notation import (
+    NAME_CHARACTERS,
+    frequency_text,
+    is_number,
+    is_tone,
+    is_undecided,
+    listed,
+    named,
+)
+
+_SHOWN = 16  # natural frequencies that a sentence lists
+_DOUBTS = 3  # … and doubts, each with its reason
+
+
+def mode_sentences(findings: dict[str, Any]) -> list[str]:
+    """Natural frequencies of ``findings``, then those that are not decided, with the reason."""
+    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz")) and not is_tone(mode)]
+    own = [f"{frequency_text(mode['frequency_hz'])} Hz" for mode in modes if not is_undecided(mode)]
+    sentences = []
+    if own:
+        noun = "Natural frequencies" if len(own) > 1 else "Natural frequency"
+        sentences.append(f"{noun}: {listed(own[:_SHOWN])}{' and more' if len(own) > _SHOWN else ''}.")
+    doubts = [mode for mode in modes if is_undecided(mode)]
+    for mode in doubts[:_DOUBTS]:
+        reason = named(mode.get("undecided") or "", limit=4 * NAME_CHARACTERS).rstrip(".")
+        text = f"{frequency_text(mode['frequency_hz'])} Hz may be a natural frequency: not decided"
+        sentences.append(f"{text}; {reason}." if reason else f"{text}.")
+    if len(doubts) > _DOUBTS:
+        sentences.append(f"{len(doubts) - _DOUBTS} more lines are not decided: see their table.")
+    return sentences

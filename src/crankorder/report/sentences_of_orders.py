@@ -1,0 +1,112 @@
+"""What is said of the orders of a test: how they grow with speed, what shapes them, whether they are locked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from crankorder.report.notation import (
+    estimate_text,
+    frequency_text,
+    interval_of,
+    is_number,
+    listed,
+    nominal_order,
+    order_name,
+)
+
+_CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
+_SHOWN = 8  # orders that a sentence names
+
+
+def law_sentences(findings: dict[str, Any]) -> list[str]:
+    """How the orders of ``findings`` change with speed, each judged in the channel where it is strongest."""
+    strongest = _strongest(findings)
+    square: list[str] = []
+    steady: list[str] = []
+    met: dict[float, list[str]] = {}
+    for order, record in sorted(strongest.items()):
+        law, name = str(record.get("speed_law") or ""), order_name(record, findings)
+        if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or "speed_law" not in record):
+            square.append(name)
+        if law == "keeps its size":
+            steady.append(name)
+        if is_number(record.get("meets_hz")):
+            met.setdefault(float(record["meets_hz"]), []).append(name)
+    sentences = []
+    if square:
+        verb = "grow" if len(square) > 1 else "grows"
+        sentences.append(
+            f"{_orders(square)} {verb} with the square of the speed, as the force of an unbalanced mass does."
+        )
+    if steady:
+        verb = "keep their" if len(steady) > 1 else "keeps its"
+        where = "at all tested speeds" if _several_speeds(findings) else "where seen"
+        sentences.append(f"{_orders(steady)} {verb} size {where}: not an unbalance, rather a bearing or a gear.")
+    if met:
+        said = [f"{frequency_text(mode_hz)} Hz shapes order {listed(names)}" for mode_hz, names in sorted(met.items())]
+        more = " and others" if len(said) > _SHOWN else ""
+        sentences.append(f"Natural frequencies shape orders: {', '.join(said[:_SHOWN])}{more}.")
+    return [*sentences, *_half_orders(strongest, findings)]
+
+
+def _strongest(findings: dict[str, Any]) -> dict[float, dict[str, Any]]:
+    """Record of each order in the channel where it is strongest, by nominal order."""
+    found: dict[float, dict[str, Any]] = {}
+    for record in findings.get("orders", []):
+        if is_number(record.get("order")):
+            order = nominal_order(record)
+            if order not in found or float(record.get("amplitude") or 0) > float(found[order].get("amplitude") or 0):
+                found[order] = record
+    return found
+
+
+def _is_square(record: dict[str, Any]) -> bool:
+    ends = interval_of(record, "speed_exponent")
+    return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
+
+
+def _several_speeds(findings: dict[str, Any]) -> bool:
+    """True unless the tested range says that there was one speed."""
+    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
+    return not (is_number(low) and is_number(high) and high - low < 1e-6 * abs(high))
+
+
+def _half_orders(strongest: dict[float, dict[str, Any]], findings: dict[str, Any]) -> list[str]:
+    """Half orders that the findings explain by the engine's cycle: other sources may lie on them too."""
+    names = [
+        order_name(record, findings)
+        for _, record in sorted(strongest.items())
+        if "half order" in str(record.get("explained_by") or "").lower()
+    ]
+    if not names:
+        return []
+    more = " and more" if len(names) > _SHOWN else ""
+    verb = "repeat" if len(names) > 1 else "repeats"
+    return [f"{_orders(names[:_SHOWN])}{more} {verb} every second revolution, as a four-stroke cycle does."]
+
+
+def _orders(names: list[str]) -> str:
+    return f"Order{'s' if len(names) > 1 else ''} {listed(names)}"
+
+
+def lock_sentences(findings: dict[str, Any]) -> list[str]:
+    """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
+    slips, open_, longest = [], [], 0.0
+    for _, record in sorted(_strongest(findings).items()):
+        name = order_name(record, findings)
+        if record.get("lock") == "slips":
+            slips.append(f"{estimate_text(record, 'order')}")
+        elif record.get("lock") == "undecided":
+            open_.append(name)
+            needed = record.get("revs_to_decide")
+            longest = max(longest, float(needed)) if is_number(needed) else longest
+    sentences = []
+    if slips:
+        verb = "slip" if len(slips) > 1 else "slips"
+        sentences.append(f"{_orders(slips[:_SHOWN])} {verb}: no exact multiple of the half revolution.")
+    if open_:
+        which = "they are" if len(open_) > 1 else "it is"
+        more = " and more" if len(open_) > _SHOWN else ""
+        text = f"{_orders(open_[:_SHOWN])}{more}: whether {which} locked to the shaft cannot be told yet"
+        sentences.append(f"{text}; recordings of {longest:.0f} revolutions would tell." if longest else f"{text}.")
+    return sentences

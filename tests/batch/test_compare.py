@@ -1,0 +1,164 @@
+"""The command `compare`, end to end: one document, whole folders, clear faults, the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from crankorder.batch.store import DONE, finished_with, publish
+from crankorder.cli import main
+from crankorder.quantities import schema_of
+from crankorder.report.netcdf import read_results, results_bytes
+from made.two_tests import made_test, written
+
+LINES = {1.0: lambda rpm: 0.5 * (rpm / 1000) ** 2, 5.5: lambda rpm: 0.4}
+
+
+def compare(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["compare", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Result folders of a base test, one whose order 5.5 grew by half from run to run, and a balanced one."""
+    out = tmp_path_factory.mktemp("results")
+    made = {
+        f"run {k}": made_test({**LINES, 5.5: lambda rpm, k=k: 0.4 * 1.5**k}, name=f"run {k}", seed=k) for k in range(3)
+    }
+    less = {1.0: lambda rpm: 0.1 * (rpm / 1000) ** 2 * np.exp(0.5j), 5.5: lambda rpm: 0.4}
+    added = {"manifest": {**made["run 0"].run["manifest"], "added_masses": [ADDED]}}
+    made["balanced"] = made_test(less, name="balanced", seed=7, run=added)
+    return {name: written(test, out / name.replace(" ", "-")) for name, test in made.items()}
+
+
+ADDED = {"mass_g": 2.0, "on": "crank", "radius_mm": 40.0, "angle_deg": 180.0, "cylinder": 0}
+
+
+def document(out: Path) -> dict[str, Any]:
+    return json.loads((out / "comparison.json").read_bytes())
+
+
+def test_a_comparison_is_published_whole_and_says_its_headline(results: dict[str, Path], tmp_path: Path) -> None:
+    outcome = compare(results["run 0"], results["run 2"], "--out", tmp_path / "c")
+    assert outcome.exit_code == 0, outcome.output
+    made = document(tmp_path / "c")
+    assert outcome.stdout.splitlines() == made["headline"]
+    assert "5.5" in outcome.stdout and made["cause"]["orders"] == [5.5]
+    names = {path.name for path in (tmp_path / "c").iterdir()}
+    pictures = {"orders_change.png", "map_change_A.png"}
+    assert names == {"comparison.json", "comparison.nc", "comparison.html", DONE, *pictures}
+    assert finished_with(tmp_path / "c", json.loads((tmp_path / "c" / DONE).read_bytes())["key"])
+
+
+def test_the_document_is_that_of_the_schema_and_json_says_it_alone(results: dict[str, Path], tmp_path: Path) -> None:
+    outcome = compare(results["run 0"], results["balanced"], "--out", tmp_path / "c", "--json")
+    assert json.loads(outcome.stdout) == document(tmp_path / "c")
+    jsonschema.Draft202012Validator(schema_of("comparison")).validate(document(tmp_path / "c"))
+
+
+def test_a_balance_weight_is_recognised_and_weighed(results: dict[str, Path], tmp_path: Path) -> None:
+    compare(results["run 0"], results["balanced"], "--out", tmp_path / "c", "--fdr", 0.01)
+    made = document(tmp_path / "c")
+    assert made["cause"] == {"cause": "unbalance", "orders": [1.0]}
+    (record,) = [one for one in made["unbalance"] if one["explains"]]
+    assert record["factor_ci95"][0] < 0.2 < record["factor_ci95"][1]
+    (grams,) = made["masses"]
+    before = 2.0 / abs(1 - 0.2 * np.exp(0.5j))
+    assert grams["unit"] == "g" and grams["before_ci95"][0] < before < grams["before_ci95"][1]
+    assert grams["after_ci95"][0] < 0.2 * before < grams["after_ci95"][1]
+    assert "balance weight" in made["headline"][0]
+    trial = made["trial_mass"]
+    for key, size in (("residual_rotating_gmm", before), ("residual_after_gmm", 0.2 * before)):
+        low, high = (end / 40.0 for end in trial[f"{key}_ci95"])
+        assert low < size < high and high - low < 0.1
+
+
+def test_of_several_runs_the_growing_line_is_named(results: dict[str, Path], tmp_path: Path) -> None:
+    outcome = compare(*(results[f"run {k}"] for k in range(3)), "--out", tmp_path / "c")
+    made = document(tmp_path / "c")
+    grown = [one for one in made["trend"] if one["changed"]]
+    assert [one["order"] for one in grown] == [5.5]
+    low, high = grown[0]["growth_per_run_ci95"]
+    assert low < 0.5 < high and high - low < 0.12
+    assert "from run to run" in outcome.stdout
+    assert (tmp_path / "c" / "trend.png").stat().st_size > 10_000
+    jsonschema.Draft202012Validator(schema_of("comparison")).validate(made)
+
+
+def test_the_datasets_hold_what_the_document_claims(results: dict[str, Path], tmp_path: Path) -> None:
+    compare(results["run 0"], results["run 2"], "--out", tmp_path / "c")
+    groups = read_results(tmp_path / "c" / "comparison.nc")
+    orders = groups["order_change"]
+    claimed = {float(order) for order in orders["order"].values[orders["changed"].values.any(axis=1)]}
+    assert claimed == {5.5}
+    (cells,) = document(tmp_path / "c")["cells"]
+    assert int(groups["map_change"]["changed"].values.sum()) == cells["changed"] > 0
+
+
+def test_the_same_tests_give_the_same_bytes(results: dict[str, Path], tmp_path: Path) -> None:
+    digests = []
+    for name in ("one", "two"):
+        compare(results["run 0"], results["run 1"], "--out", tmp_path / name)
+        digests.append({p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in (tmp_path / name).iterdir()})
+    assert digests[0] == digests[1]
+
+
+def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copytree(results["run 0"], tmp_path / "again" / "run-0")
+    outcome = compare(results["run 0"].parent, tmp_path / "again", "--out", tmp_path / "c")
+    assert outcome.exit_code == 0 and "No difference" in outcome.stdout
+    (same,) = [one for one in document(tmp_path / "c")["confounds"] if one["what"] == "shared recordings"]
+    assert "cannot differ" in same["words"]
+
+
+def test_a_test_beside_itself_is_refused(results: dict[str, Path], tmp_path: Path) -> None:
+    for tests in (("run 0", "run 0"), ("run 0", "run 1", "run 1")):
+        outcome = compare(*(results[name] for name in tests), "--out", tmp_path / "c")
+        assert outcome.exit_code == 2 and "named twice" in outcome.stderr
+    assert not (tmp_path / "c").exists()
+
+
+def test_results_of_another_version_or_without_maps_are_named(results: dict[str, Path], tmp_path: Path) -> None:
+    stated = json.loads((results["run 1"] / "run.json").read_bytes())
+    files = {name: (results["run 1"] / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
+    publish(tmp_path / "old", files | {"run.json": json.dumps(stated | {"schema_version": 0}).encode()}, key="k")
+    shaft = read_results(results["run 1"] / "results.nc")["shaft"]
+    publish(tmp_path / "bare", files | {"results.nc": results_bytes({"shaft": shaft}, attrs={})}, key="k")
+    for folder, said in (("old", "schema_version 0"), ("bare", "order_map")):
+        outcome = compare(results["run 0"], tmp_path / folder, "--out", tmp_path / "c")
+        assert outcome.exit_code == 3 and said in outcome.stderr and folder in outcome.stderr
+    assert not (tmp_path / "c").exists()
+
+
+def test_faults_of_the_request_are_named_and_nothing_is_written(results: dict[str, Path], tmp_path: Path) -> None:
+    base, out = results["run 0"], tmp_path / "c"
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "two").mkdir()
+    for name in ("a", "b"):
+        publish(tmp_path / "two" / name, {"results.nc": b""}, key="k")
+    for wrong, said in ((tmp_path / "none", "no such folder"), (tmp_path / "empty", "no finished results")):
+        outcome = compare(base, wrong, "--out", out)
+        assert outcome.exit_code == 2 and said in outcome.stderr
+    outcome = compare(base, tmp_path / "two", "--out", out)
+    assert outcome.exit_code == 2 and "a, b" in outcome.stderr
+    assert compare(base, results["run 1"], "--out", base).exit_code == 2  # would replace the results
+    assert compare(base, results["run 1"], "--out", base / "inside").exit_code == 2
+    (tmp_path / "file").write_text("mine")
+    outcome = compare(base, results["run 1"], "--out", tmp_path / "file")
+    assert outcome.exit_code == 2 and "is a file" in outcome.stderr and (tmp_path / "file").read_text() == "mine"
+    assert compare(base, results["run 1"], "--out", out, "--fdr", "0").exit_code == 2
+    assert not out.exists() and not (base / "inside").exists()
+
+
+def test_damaged_results_are_named(results: dict[str, Path], tmp_path: Path) -> None:
+    publish(tmp_path / "t", {"results.nc": b"no", "findings.json": b"{}", "run.json": b'{"test": "t"}'}, key="k")
+    outcome = compare(results["run 0"], tmp_path / "t", "--out", tmp_path / "c")
+    assert outcome.exit_code == 3 and str(tmp_path / "t") in outcome.stderr

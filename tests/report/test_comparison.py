@@ -1,0 +1,82 @@
+"""Pictures, page and sentences of a comparison show what changed, and nothing that did not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.identify.changes.compared import compared
+from crankorder.identify.changes.datasets import change_datasets
+from crankorder.report.comparison_figure import change_colours, map_change_figure, order_change_figure
+from crankorder.report.comparison_page import comparison_page
+from crankorder.report.comparison_sentences import comparison_headline, comparison_story
+from crankorder.report.drawing import Field
+from crankorder.settings import load_settings
+from made.two_tests import made_test
+
+SETTINGS = load_settings().report
+LINES = {1.0: lambda rpm: 0.5, 5.5: lambda rpm: 0.4}
+
+
+def documented(*tests):
+    made = compared(tests, q=0.05)
+    made.document["headline"] = comparison_headline(made.document)
+    return made.document, change_datasets(made)
+
+
+@pytest.fixture(scope="module")
+def doubled():
+    base = made_test(LINES, name="base <b>", seed=1, channels=("A", "B"))
+    new = made_test({**LINES, 5.5: lambda rpm: 0.8}, name="new", seed=2, channels=("A", "B"))
+    return documented(base, new)
+
+
+@pytest.fixture(scope="module")
+def alike():
+    base = made_test(LINES, name="base", seed=1)
+    return documented(base, base)
+
+
+def test_the_order_that_changed_is_coloured_and_labelled_and_the_others_are_light(doubled):
+    document, groups = doubled
+    drawing = order_change_figure(groups["order_change"], document, settings=SETTINGS)
+    lines = drawing.strokes("order-")
+    assert {line.name for line in lines} == {"order-5.5"} and len(lines) == 2  # a panel per channel
+    for line in lines:
+        np.testing.assert_allclose(line.values[1], 6.02, atol=0.5)
+    assert any(word.text == "5.5" for word in drawing.words)
+
+
+def test_the_map_is_pale_where_nothing_is_claimed(doubled, alike):
+    pale = change_colours(np.zeros(1))[0]
+    coloured = []
+    for (one, changes), channel in ((doubled, "B"), (alike, "A")):
+        drawing = map_change_figure(changes["map_change"], channel, one, settings=SETTINGS)
+        field = next(part for part in drawing.parts if isinstance(part, Field))
+        coloured.append(int(np.count_nonzero(np.any(field.rgb != pale, axis=2))))
+    assert coloured[0] > 0 and coloured[1] == 0
+
+
+def test_rise_is_red_and_fall_is_blue():
+    fell, same, rose = change_colours(np.array([-1.0, 0.0, 1.0])).astype(int)
+    assert rose[0] > rose[2] and fell[2] > fell[0] and same.min() > 240
+
+
+def test_an_unknown_channel_is_an_error(doubled):
+    with pytest.raises(KeyError):
+        map_change_figure(doubled[1]["map_change"], "C", doubled[0], settings=SETTINGS)
+
+
+def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
+    page = comparison_page(doubled[0], pictures=[("a.png", "A")], settings=SETTINGS)
+    assert "base &lt;b&gt;" in page and "<b>" not in page
+    for said in ("What changed", "How sure", "Order 5.5", "confounds"):
+        assert said in page
+    assert "<script" not in page and "http" not in page.split("</head>")[1]
+
+
+def test_tests_that_are_alike_have_a_page_too(alike):
+    document, _ = alike
+    assert document["headline"][0].startswith("No difference")
+    assert comparison_story(document)["what"] == []
+    assert "No cell changed" in comparison_page(document, pictures=[], settings=SETTINGS)
