@@ -1,0 +1,55 @@
+"""What the tests on real recordings share: one analysis of each, as `crankorder run` makes it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from crankorder.cli import main
+
+MANIFESTS = Path(__file__).parent
+
+
+class Analysed:
+    """Results of one real test."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.findings: dict[str, Any] = json.loads((folder / "findings.json").read_bytes())
+
+    def group(self, name: str) -> xr.Dataset:
+        """Dataset of that name in the results."""
+        return xr.load_dataset(self.folder / "results.nc", group=name, engine="h5netcdf")
+
+    def modes_hz(self, said: str = "mode") -> list[float]:
+        """Frequencies of the lines that are said to be modes, or whatever else is ``said``."""
+        return [record["frequency_hz"] for record in self.findings["modes"] if record["explained_by"] == said]
+
+
+@pytest.fixture(scope="session")
+def analysed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Analysed]:
+    """Results of `crankorder run FOLDER --manifest tests/real/NAME.toml`, of the file ``only`` where one is named."""
+    made: dict[tuple[str, str], Analysed] = {}
+
+    def run(name: str, folder: str, only: str = "") -> Analysed:
+        if (name, only) not in made:
+            out = tmp_path_factory.mktemp(name)
+            manifest = MANIFESTS / f"{name}.toml"
+            if only:
+                text = re.sub(r"files = \[[^\]]*\]", f'files = ["{only}"]', manifest.read_text(encoding="utf-8"))
+                manifest = tmp_path_factory.mktemp(f"{name}_manifest") / manifest.name
+                manifest.write_text(text, encoding="utf-8")
+            arguments = ["run", str(shared_data / folder), "--manifest", str(manifest), "--out", str(out), "-q"]
+            outcome = CliRunner().invoke(main, arguments)
+            assert outcome.exit_code == 0, outcome.output
+            made[name, only] = Analysed(next(path.parent for path in out.glob("*/findings.json")))
+        return made[name, only]
+
+    return run

@@ -1,0 +1,73 @@
+"""A gearbox with 23 teeth at 2000 rpm: facts of one long spectrum by hand (Hann window over all 11 s)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+FOLDER = "gear0"
+MESH = 22.9986  # 766.62 Hz over 2000 rpm, good to 0.001
+
+
+@pytest.fixture(scope="module")
+def gear(analysed):
+    return analysed("gear0", FOLDER)
+
+
+def near(records, order, within=0.01):
+    return [record for record in records if abs(record["order"] - order) <= within]
+
+
+def test_the_mesh_is_the_strongest_order_and_is_called_one(gear):
+    orders = gear.findings["orders"]
+    (mesh,) = near(orders, MESH)
+    assert mesh["amplitude"] == max(record["amplitude"] for record in orders)
+    assert "gear mesh" in mesh["explained_by"]
+    assert mesh["order"] == pytest.approx(MESH, abs=0.003)
+
+
+def test_the_second_multiple_of_the_mesh_belongs_to_it(gear):
+    (second,) = near(gear.findings["orders"], 2 * MESH)
+    assert "gear mesh" in second["explained_by"]
+
+
+def test_lines_beside_the_mesh_are_its_sidebands_and_no_modes(gear):
+    """One order beside it stand 22 and 24, 16 to 18 dB below the mesh."""
+    for order in (MESH - 1.0, MESH + 1.0):
+        (side,) = near(gear.findings["orders"], order, within=0.02)
+        assert "sideband" in side["explained_by"] or "gear mesh" in side["explained_by"]
+    fixed = np.array(gear.modes_hz())
+    for order in (MESH - 1.0, MESH, MESH + 1.0, 2 * MESH):
+        assert not np.any(np.abs(fixed / (order * 2000 / 60) - 1.0) < 0.002)
+
+
+def test_at_one_speed_no_line_is_surely_a_mode(gear):
+    """A second shaft turns here too (171.6 Hz and multiples): at one speed nothing tells its lines from modes."""
+    spaced = 171.6 * np.arange(1, 12)
+    for frequency in gear.modes_hz():
+        assert np.min(np.abs(frequency / spaced - 1.0)) > 0.002
+
+
+def test_the_rate_comes_from_the_header_and_the_unit_from_nobody(gear):
+    assert gear.group("shaft")["trace_time"].max().item() == pytest.approx(282624 / 25600, rel=1e-6)
+
+
+def test_every_line_that_one_speed_cannot_prove_says_so(gear):
+    """Its speed is nominal: what is not proven to be locked could be of fixed frequency, and the evidence says it."""
+    for record in gear.findings["orders"]:
+        if record["evidence"].startswith("steady"):
+            assert "at one speed a line of fixed frequency would look the same" in record["evidence"]
+            assert record["lock"] != "locked"
+
+
+def test_lines_beside_the_mesh_tell_which_wheel_modulates_it(gear):
+    """By hand 21.81 and 24.19 stand 1.188 beside the mesh, and 28.15 stands 5.148 beside it: lines of their own too."""
+    for order, spacing in ((21.810, 1.188), (24.186, 1.188), (28.146, 5.148)):
+        (side,) = near(gear.findings["orders"], order, within=0.01)
+        assert side["explained_by"] == f"sideband of order 23 spaced by {spacing:.4g}"
+        assert near(gear.findings["orders"], spacing, within=0.003)
+
+
+def test_a_line_beside_the_second_multiple_is_its_sideband_and_no_harmonic_of_the_shaft(gear):
+    (side,) = near(gear.findings["orders"], 2 * MESH - 1.0, within=0.02)
+    assert side["explained_by"] == "sideband of order 46 spaced by 1"

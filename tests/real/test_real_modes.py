@@ -1,0 +1,184 @@
+"""Natural frequencies of real structures and machines; what a recording does not show is not made up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.settings import load_settings
+
+TOWER_HZ = (1.228, 1.436, 2.100, 4.018, 4.770, 6.682, 7.616, 9.665, 12.166, 12.598, 13.854)
+BEAM_HZ = (6.62, 41.4, 117.5)
+DRIVEN_HZ = (100.0, 120.0, 150.0)
+
+
+@pytest.mark.parametrize("known_hz", TOWER_HZ)
+def test_the_towers_natural_frequencies_are_found(analysed, known_hz):
+    found = np.array(analysed("oma_tower", "oma_tower").modes_hz())
+    assert found.size and np.min(np.abs(found / known_hz - 1.0)) <= 0.01
+
+
+def test_the_tower_has_no_other_mode(analysed):
+    """Above 16 Hz there are only images of a record of 32 Hz that somebody drew up to 256 Hz: zeros at 48, 80, 112."""
+    for frequency in analysed("oma_tower", "oma_tower").modes_hz():
+        assert np.min(np.abs(frequency / np.array(TOWER_HZ) - 1.0)) <= 0.01
+
+
+def test_the_tower_has_findings_without_any_speed(analysed):
+    findings = analysed("oma_tower", "oma_tower").findings
+    assert findings["orders"] == []
+    assert findings["crossings"] == []
+    assert findings["speed_range_rpm"] == [None, None]
+
+
+def test_the_hammer_tests_mode_is_found_to_a_thousandth(analysed):
+    """By a rational fit to the frequency response in the file: 212.091 Hz, damping ratio 0.00086.
+
+    One decay of 3.2 s tells 0.31 Hz apart, and the line is 0.37 Hz wide: whether it is damped may be left undecided.
+    """
+    result = analysed("hammer", "modal_vtb")
+    between = [
+        record
+        for record in result.findings["modes"]
+        if record["explained_by"] in ("mode", "undecided") and 156.25 <= record["frequency_hz"] <= 312.5
+    ]
+    (mode,) = between
+    assert mode["frequency_hz"] == pytest.approx(212.09, rel=1e-3)
+    low, high = mode["frequency_hz_ci95"]
+    assert low <= 212.09 * 1.0003 and high >= 212.09 * 0.9997
+
+
+def test_the_beams_drive_tones_are_tones_and_no_modes(analysed):
+    """The record holds the response to three sines, their differences and mains: by hand no line of the beam's own."""
+    result = analysed("beam", "beam_dropbear4")
+    fixed = {record["frequency_hz"]: record["explained_by"] for record in result.findings["modes"]}
+    for driven_hz in DRIVEN_HZ:
+        near = [said for frequency, said in fixed.items() if abs(frequency - driven_hz) < 0.1]
+        assert near and set(near) <= {"tone", "mains"}
+    for frequency in result.modes_hz():
+        assert abs(frequency / 10.0 - round(frequency / 10.0)) > 0.01  # products of the tones lie on tens
+
+
+def test_the_beams_stale_header_is_told(analysed):
+    flags = {flag["flag"]: flag for flag in analysed("beam", "beam_dropbear4").findings["quality"]}
+    assert "51200 Hz" in flags["header_rate_disagrees"]["detail"]
+    assert flags["header_rate_disagrees"]["severity"] == "info"  # the manifest agrees with the times
+
+
+def test_the_beams_natural_frequencies_are_found_in_its_measured_spectrum(analysed, shared_data):
+    """`FFT_data.lvm` holds a spectrum in dB, 0.085 Hz apart: peaks at 6.57, 41.47 and 117.93 Hz."""
+    frequency, level = np.loadtxt(
+        shared_data / "beam_dropbear4" / "FFT_data.lvm", skiprows=23, usecols=(0, 1), max_rows=1700
+    ).T
+    step_hz = float(frequency[1] - frequency[0])
+    power = 10.0 ** (level / 10.0)
+    beam = analysed("beam", "beam_dropbear4")
+    template = beam.group("campbell_map").isel(channel=[0], speed=[0])
+    known = {"frequency": ("frequency", frequency, template["frequency"].attrs)}
+    kept = {name: template[name] for name in ("channel", "unit", "quantity", "direction", "speed") if name in template}
+    shape = ("channel", "speed", "frequency")
+    campbell = xr.Dataset(
+        {
+            "amplitude": (shape, np.sqrt(2.0 * power)[None, None], template["amplitude"].attrs),
+            "psd": (shape, (power / (1.5 * step_hz))[None, None], template["psd"].attrs),
+            "n_frames": ("speed", np.array([4], dtype=np.int64), template["n_frames"].attrs),
+        },
+        coords=known | kept,
+        attrs=template.attrs | {"enbw_hz": 1.5 * step_hz, "resolution_hz": step_hz},
+    )
+    order_map = without_orders(campbell)
+    fit = modal_fit(campbell, order_map, (), settings=load_settings().identify)
+    found = np.array([mode.frequency_hz for mode in fit.modes if not mode.undecided])
+    for known_hz in BEAM_HZ:
+        assert found.size and np.min(np.abs(found / known_hz - 1.0)) <= 0.01
+
+
+def without_orders(campbell):
+    """An OrderMap in which nothing is known, as a structure has it."""
+    shape = ("channel", "speed", "order")
+    nothing = np.full((campbell.sizes["channel"], campbell.sizes["speed"], 3), np.nan)
+    names = ("amplitude", "coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
+    return xr.Dataset(
+        dict.fromkeys(names, (shape, nothing)) | {"n_frames": ("speed", np.zeros(campbell.sizes["speed"], int))},
+        coords={"order": ("order", np.arange(3.0))}
+        | {name: campbell[name] for name in ("channel", "unit", "quantity", "speed") if name in campbell.coords},
+        attrs={"revs_per_cycle": 1, "revs_per_frame": 16, "amplitude_scaling": "peak"},
+    )
+
+
+@pytest.fixture(scope="module")
+def coast_down(analysed):
+    return analysed("rotorbalancer", "rotorbalancer")
+
+
+@pytest.fixture(scope="module")
+def first_order(coast_down):
+    """Speed in Hz, amplitude and phase of order 1 of the rotor."""
+    track = coast_down.group("order_tracks").sel(order=1.0, channel="acc")
+    return track["speed"].values / 60, track["amplitude"].values, track["phase"].values
+
+
+def test_the_rotors_first_order_grows_with_the_square_of_speed_where_nothing_resonates(first_order):
+    hz, amplitude, _ = first_order
+    inside = (hz > 47) & (hz < 56)
+    slope = np.polyfit(np.log(hz[inside]), np.log(amplitude[inside]), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.2)
+
+
+def test_the_rotors_response_changes_at_78_to_83_hz_in_amplitude_and_phase(first_order):
+    """By a plain fit of sines: over the square of speed half of that at 60 Hz; the phase, steady at 10°, turns here."""
+    hz, amplitude, phase = first_order
+    at_60 = np.median((amplitude / hz**2)[(hz > 58) & (hz < 62)])
+    at_80 = np.median((amplitude / hz**2)[(hz > 78) & (hz < 83)])
+    assert at_80 / at_60 == pytest.approx(0.5, abs=0.04)
+    before, after = (np.median(phase[(hz > low) & (hz < low + 2)]) for low in (78, 86))
+    assert before == pytest.approx(10.0, abs=3.0)
+    assert before - after > 15.0
+
+
+def test_the_rotors_first_order_is_not_called_a_plain_square(coast_down):
+    (first,) = [record for record in coast_down.findings["orders"] if abs(record["order"] - 1.0) < 0.05]
+    assert first["speed_law"] in ("meets a mode", "follows no power law")
+
+
+def test_a_natural_frequency_that_shapes_the_rotors_first_order_is_reported_with_its_doubt(coast_down):
+    """By hand its phase turns by 45° about 61 Hz and by more than 90° about 90 Hz, at the end of the speeds."""
+    near = [
+        record
+        for record in coast_down.findings["modes"]
+        if 55.0 <= record["frequency_hz"] <= 97.0 and record["explained_by"] in ("mode", "undecided")
+    ]
+    assert near
+    assert any(any(abs(order - 1.0) < 0.05 for order in record["reached_by_orders"]) for record in near)
+    assert all(record["evidence"] for record in near)
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [("tue_genset", "tue_genset"), ("tue_training", "tue_genset"), ("auth_360ppr", "auth_360ppr")],
+)
+def test_cylinder_pressure_at_one_speed_shows_no_mode(analysed, name, folder):
+    assert analysed(name, folder).modes_hz() == []
+
+
+def test_the_gensets_half_orders_are_the_gas_cycle_of_four_strokes(analysed):
+    orders = analysed("tue_genset", "tue_genset").findings["orders"]
+    half = [record for record in orders if abs(2 * record["order"] - round(2 * record["order"])) < 0.02]
+    assert {0.5, 1.0, 1.5, 2.0} <= {round(2 * record["order"]) / 2 for record in half}
+    assert {record["explained_by"] for record in half} == {"gas cycle"}
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [("ansys_accel", "ansys_accel"), ("rotorbalancer", "rotorbalancer"), ("rotor_groups", "rotorbalancer")],
+)
+def test_what_is_called_a_mode_of_a_machine_is_narrow_certain_and_off_its_orders(analysed, name, folder):
+    result = analysed(name, folder)
+    for record in result.findings["modes"]:
+        if record["explained_by"] == "mode":
+            low, high = record["frequency_hz_ci95"]
+            assert record["undecided"] == ""
+            assert 0.5 * (high - low) < 0.02 * record["frequency_hz"]
+            assert record["damping_ratio_ci95"][0] > 0.0
