@@ -15,13 +15,13 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.balancing import frame_force
 from crankorder.engine.hinge_definition import load_hinged_engine
 from crankorder.engine.polar import unbalance_force_n
-from crankorder.report.balance_bars_figure import order_bars_figure
-from crankorder.report.balance_dataset import balance_dataset
-from crankorder.report.balance_figures import force_figure
-from crankorder.report.balance_look import alike, called
-from crankorder.report.balance_polar_figure import polar_figure
+from crankorder.report.balance.bars_figure import order_bars_figure
+from crankorder.report.balance.dataset import balance_dataset
+from crankorder.report.balance.figures import force_figure
+from crankorder.report.balance.hinge_figure import hinge_figure
+from crankorder.report.balance.look import alike, called
+from crankorder.report.balance.polar_figure import polar_figure
 from crankorder.report.figures import png_bytes
-from crankorder.report.hinge_figure import hinge_figure
 from crankorder.settings import shipped, toml_table
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.drawing import Drawing, Field
+from crankorder.report.drawing.drawn import Drawing, Field
 
 
 def _box(figure: Drawing) -> tuple[float, float, float, float]:

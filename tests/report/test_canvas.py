@@ -11,7 +11,7 @@ from hypothesis import settings as checked
 from hypothesis import strategies as st
 from PIL import Image
 
-from crankorder.report.canvas import Canvas
+from crankorder.report.drawing.canvas import Canvas
 
 BLACK = (0, 0, 0)
 

@@ -14,8 +14,9 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from crankorder.report.colour_map import level_colours
-from crankorder.report.drawing import Drawing, Field, Rings
+from crankorder.report.drawing.colour_map import level_colours
+from crankorder.report.drawing.drawn import Drawing, Field, Rings
+from crankorder.report.drawing.palette import LIGHT
 from crankorder.report.figures import (
     campbell_figure,
     order_spectra_figure,
@@ -24,7 +25,6 @@ from crankorder.report.figures import (
     spectra_figure,
     speed_figure,
 )
-from crankorder.report.palette import LIGHT
 from crankorder.report.pictures import pictures_of
 from crankorder.report.speed_figure import changing_recordings
 from crankorder.report.speed_trace import speed_trace, trace_variables

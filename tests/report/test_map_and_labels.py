@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
-from crankorder.report.labels import EdgeLabel, fitted, spread
-from crankorder.report.ticks import decade_text, linear_texts, linear_ticks
-from crankorder.report.typeface import drawable, text_width_in
+from crankorder.report.drawing.labels import EdgeLabel, fitted, spread
+from crankorder.report.drawing.ticks import decade_text, linear_texts, linear_ticks
+from crankorder.report.drawing.typeface import drawable, text_width_in
 
 
 def test_stepped_speeds_reach_half_way_to_their_neighbours() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from crankorder.quantities import schema_of
 from crankorder.report.page import index_page, report_page
-from crankorder.report.sentences import headline, story_of
+from crankorder.report.sentences.story import headline, story_of
 
 HOSTILE = (
     "</script><script>alert(1)</script>",

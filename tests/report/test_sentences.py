@@ -22,7 +22,7 @@ from crankorder.report.notation import (
     order_texts,
     percent_text,
 )
-from crankorder.report.sentences import (
+from crankorder.report.sentences.story import (
     ALL_CLEAR,
     ALL_CLEAR_WITH_ENVELOPE,
     TOO_SHORT,

@@ -11,20 +11,11 @@ from numpy.typing import NDArray
 
 from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
-from crankorder.report.colour_map import level_colours
-from crankorder.report.drawing import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
-from crankorder.report.fixed_lines import fixed_frequencies
-from crankorder.report.keys import Key, draw_keys
-from crankorder.report.labels import EdgeLabel, fitted, label_right, label_top
-from crankorder.report.notation import (
-    frequency_text,
-    is_tone,
-    is_undecided,
-    level_reference,
-    order_name,
-    scaling_text,
-)
-from crankorder.report.palette import (
+from crankorder.report.drawing.colour_map import level_colours
+from crankorder.report.drawing.drawn import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
+from crankorder.report.drawing.keys import Key, draw_keys
+from crankorder.report.drawing.labels import EdgeLabel, fitted, label_right, label_top
+from crankorder.report.drawing.palette import (
     DOUBT_DASHES,
     FAINT,
     INK,
@@ -39,9 +30,18 @@ from crankorder.report.palette import (
     TONE_DASHES,
     rgb_of,
 )
-from crankorder.report.panel import Panel
-from crankorder.report.sentences import NOT_ASKED_FOR, strongest_sentence
-from crankorder.report.typeface import drawable, shortened
+from crankorder.report.drawing.panel import Panel
+from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.report.fixed_lines import fixed_frequencies
+from crankorder.report.notation import (
+    frequency_text,
+    is_tone,
+    is_undecided,
+    level_reference,
+    order_name,
+    scaling_text,
+)
+from crankorder.report.sentences.story import NOT_ASKED_FOR, strongest_sentence
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches

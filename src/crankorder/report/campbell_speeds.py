@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.report.drawing import Stroke
-from crankorder.report.keys import Key
-from crankorder.report.labels import EdgeLabel
-from crankorder.report.palette import AVOID, FREE
-from crankorder.report.panel import Panel
-from crankorder.report.sentences_of_speeds import free_bands, is_range, speeds_together
+from crankorder.report.drawing.drawn import Stroke
+from crankorder.report.drawing.keys import Key
+from crankorder.report.drawing.labels import EdgeLabel
+from crankorder.report.drawing.palette import AVOID, FREE
+from crankorder.report.drawing.panel import Panel
+from crankorder.report.sentences.of_speeds import free_bands, is_range, speeds_together
 
 STRIP_IN = 0.13
 """Room in inches that the strip takes right of the diagram."""

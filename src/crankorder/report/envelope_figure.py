@@ -8,13 +8,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.report.drawing import Drawing, Rings, Words, quality_note, title_lines
-from crankorder.report.keys import Key, draw_keys
+from crankorder.report.drawing.drawn import Drawing, Rings, Words, quality_note, title_lines
+from crankorder.report.drawing.keys import Key, draw_keys
+from crankorder.report.drawing.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
+from crankorder.report.drawing.panel import Panel
+from crankorder.report.drawing.typeface import drawable, shortened
 from crankorder.report.notation import is_number, order_name, order_text
-from crankorder.report.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
-from crankorder.report.panel import Panel
 from crankorder.report.spectra_figure import Mark, column_boxes, column_panels, draw_spectra, label_column
-from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT = 1.0, 0.3  # inches

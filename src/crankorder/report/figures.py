@@ -6,7 +6,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.drawing import Drawing
+from crankorder.report.drawing.drawn import Drawing
 from crankorder.report.order_spectra_figure import order_spectra_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.spectra_figure import spectra_figure

@@ -9,11 +9,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.report.drawing import Drawing, quality_note, title_lines
+from crankorder.report.drawing.drawn import Drawing, quality_note, title_lines
+from crankorder.report.drawing.palette import LINES
+from crankorder.report.drawing.typeface import drawable
 from crankorder.report.notation import nominal_order, order_texts
-from crankorder.report.palette import LINES
 from crankorder.report.spectra_figure import column_boxes, column_panels, draw_spectra, label_column
-from crankorder.report.typeface import drawable
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT = 1.0, 0.3  # inches

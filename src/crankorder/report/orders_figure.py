@@ -10,12 +10,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.report.cells import gaps_between, speed_cells
-from crankorder.report.drawing import Box, Drawing, Words, quality_note, title_lines
-from crankorder.report.labels import EdgeLabel, label_right
+from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
+from crankorder.report.drawing.labels import EdgeLabel, label_right
+from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
+from crankorder.report.drawing.panel import Panel
+from crankorder.report.drawing.typeface import drawable, shortened
 from crankorder.report.notation import nominal_order, order_texts, unit_text
-from crankorder.report.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
-from crankorder.report.panel import Panel
-from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.7, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis

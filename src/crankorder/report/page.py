@@ -13,7 +13,7 @@ from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 
 from crankorder.report.notation import named
-from crankorder.report.sentences import headline, story_of
+from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
 from crankorder.report.tables_of_sources import provenance_table
 from crankorder.settings import ReportSettings

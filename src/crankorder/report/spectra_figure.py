@@ -8,9 +8,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.report.drawing import Box, Drawing, Words, quality_note, title_lines
+from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
+from crankorder.report.drawing.labels import EdgeLabel, fitted, label_top
+from crankorder.report.drawing.palette import (
+    DOUBT_DASHES,
+    INK,
+    LINES,
+    MAINS,
+    MODE,
+    MODE_DASHES,
+    NORMAL,
+    SMALL,
+    TONE_DASHES,
+)
+from crankorder.report.drawing.panel import Panel
+from crankorder.report.drawing.typeface import drawable, shortened
 from crankorder.report.fixed_lines import fixed_frequencies
-from crankorder.report.labels import EdgeLabel, fitted, label_top
 from crankorder.report.notation import (
     frequency_text,
     is_tone,
@@ -20,9 +33,6 @@ from crankorder.report.notation import (
     scaling_text,
     unit_text,
 )
-from crankorder.report.palette import DOUBT_DASHES, INK, LINES, MAINS, MODE, MODE_DASHES, NORMAL, SMALL, TONE_DASHES
-from crankorder.report.panel import Panel
-from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches

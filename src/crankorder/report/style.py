@@ -18,9 +18,9 @@ from matplotlib.font_manager import get_font
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from crankorder.report.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
-from crankorder.report.ticks import decade_text
-from crankorder.report.typeface import drawable
+from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
+from crankorder.report.drawing.ticks import decade_text
+from crankorder.report.drawing.typeface import drawable
 
 __all__ = [
     "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",

@@ -20,7 +20,7 @@ from crankorder.report.notation import (
     unit_of,
 )
 from crankorder.report.rows import Table, folded, table_of
-from crankorder.report.sentences import NOT_ASKED_FOR, energy_sentence
+from crankorder.report.sentences.story import NOT_ASKED_FOR, energy_sentence
 from crankorder.report.tables_of_sources import balance_table, bearing_table, tone_table
 
 __all__ = ["Table", "table_of", "tables_of"]

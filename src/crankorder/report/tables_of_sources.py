@@ -7,8 +7,8 @@ from typing import Any
 from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import estimate_text, is_number, named, order_estimate, order_text, unit_of
 from crankorder.report.rows import Table, table_of
-from crankorder.report.sentences_of_balance import QUANTITIES, source_text, undecided_quantities
-from crankorder.report.sentences_of_bearings import band_text
+from crankorder.report.sentences.of_balance import QUANTITIES, source_text, undecided_quantities
+from crankorder.report.sentences.of_bearings import band_text
 
 _PROVENANCE_ROWS = 400
 

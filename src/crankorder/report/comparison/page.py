@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from markupsafe import Markup
 
-from crankorder.report.comparison_sentences import comparison_story
+from crankorder.report.comparison.sentences import comparison_story
 from crankorder.report.notation import (
     estimate_text,
     frequency_text,

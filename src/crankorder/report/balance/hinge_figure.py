@@ -12,7 +12,7 @@ from crankorder.engine.crank_torque import CrankTorque, crank_torque, torque_ext
 from crankorder.engine.elastic_hinge import side_force_without_hinge
 from crankorder.engine.hinge_definition import HingedCrankData, HingedEngine
 from crankorder.engine.hinge_solutions import hinge_table
-from crankorder.report.balance_look import color_key
+from crankorder.report.balance.look import color_key
 from crankorder.report.notation import number_text
 from crankorder.report.style import (
     FAINT,

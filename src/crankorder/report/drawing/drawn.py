@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.report.canvas import Canvas, Clip
-from crankorder.report.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL, rgb_of
-from crankorder.report.typeface import CAP_HEIGHT, LAYOUT_DPI, shortened, text_width_in
+from crankorder.report.drawing.canvas import Canvas, Clip
+from crankorder.report.drawing.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL, rgb_of
+from crankorder.report.drawing.typeface import CAP_HEIGHT, LAYOUT_DPI, shortened, text_width_in
 
 Box = tuple[float, float, float, float]
 """Left, bottom, width and height in inches."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.engine.polar import unbalance_force_n
 from crankorder.engine.residual_tables import speed_key
-from crankorder.report.balance_look import MOMENT_TEXT, alike, axis_names, called, color_key, system_color
+from crankorder.report.balance.look import MOMENT_TEXT, alike, axis_names, called, color_key, system_color
 from crankorder.report.notation import number_text, order_text
 from crankorder.report.style import (
     LINES,
@@ -39,7 +39,7 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     """Amplitude of the force by order along and across the cylinder, and moments of several cylinders, as bars.
 
     Newtons (or N·m) at the highest speed at the left, the amount over squared crank speed at the right, both
-    logarithmic. ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the
+    logarithmic. ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the
     engine; ``settings`` of the report.
     """
     with house_style():

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.engine.polar import unbalance_force_n
 from crankorder.engine.residual_tables import speed_key
-from crankorder.report.balance_dataset import SYSTEMS, order_sum
-from crankorder.report.balance_look import COUNTERWEIGHTS, MEANING, NO_FORCE, SHAFT_SETS, axis_names, system_color
+from crankorder.report.balance.dataset import SYSTEMS, order_sum
+from crankorder.report.balance.look import COUNTERWEIGHTS, MEANING, NO_FORCE, SHAFT_SETS, axis_names, system_color
 from crankorder.report.notation import number_text
 from crankorder.report.style import (
     FAINT,
@@ -47,7 +47,7 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     """Curve that the force draws during a revolution at the highest speed, for each way of balancing, to one scale.
 
     Up is along the cylinder, right is across it, to the side that the crank turns to; the crank turns clockwise.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
     ``settings`` of the report.
     """
     with house_style():

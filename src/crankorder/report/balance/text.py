@@ -7,7 +7,7 @@ from typing import Any
 
 from crankorder.engine.balance_sentences import plain_state
 from crankorder.errors import printable
-from crankorder.report.balance_residuals import residual_rows
+from crankorder.report.balance.residuals import residual_rows
 from crankorder.report.text_table import WIDTH, Cell, closing, short_number, text_table
 
 Sheet = Mapping[str, Any]

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from crankorder.report.balance_dataset import SYSTEMS
+from crankorder.report.balance.dataset import SYSTEMS
 from crankorder.report.notation import listed
 from crankorder.report.style import INK, LINES, text_width_in, write
 

@@ -12,7 +12,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.report.typeface import text_mask
+from crankorder.report.drawing.typeface import text_mask
 
 Clip = tuple[int, int, int, int]
 """First column, first row, and the column and row after the last, within which is drawn."""

@@ -9,13 +9,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
-from crankorder.report.drawing import Box, Drawing, Field, Words, pixels_of, title_lines
-from crankorder.report.keys import Key, draw_keys
-from crankorder.report.labels import EdgeLabel, fitted, label_right, label_top
+from crankorder.report.drawing.drawn import Box, Drawing, Field, Words, pixels_of, title_lines
+from crankorder.report.drawing.keys import Key, draw_keys
+from crankorder.report.drawing.labels import EdgeLabel, fitted, label_right, label_top
+from crankorder.report.drawing.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, rgb_of
+from crankorder.report.drawing.panel import Panel
+from crankorder.report.drawing.typeface import drawable, shortened
 from crankorder.report.notation import order_text
-from crankorder.report.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, rgb_of
-from crankorder.report.panel import Panel
-from crankorder.report.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _GUTTER = 0.85, 0.78, 1.0, 0.75

@@ -14,7 +14,7 @@ from crankorder.report.notation import (
     order_text,
     unit_text,
 )
-from crankorder.report.sentences import Story
+from crankorder.report.sentences.story import Story
 
 _NAME = 60
 _MAKER = 120

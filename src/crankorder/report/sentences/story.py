@@ -6,17 +6,17 @@ from collections import Counter
 from typing import Any, TypedDict
 
 from crankorder.report.notation import NAME_CHARACTERS, is_number, named, percent_text
-from crankorder.report.sentences_of_balance import balance_sentences
-from crankorder.report.sentences_of_bearings import RE_RUN_RULE, bearing_sentences
-from crankorder.report.sentences_of_lines import (
+from crankorder.report.sentences.of_balance import balance_sentences
+from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
+from crankorder.report.sentences.of_lines import (
     line_sentences,
     nothing_proven,
     strongest_sentence,
     tone_sentences,
 )
-from crankorder.report.sentences_of_modes import mode_sentences
-from crankorder.report.sentences_of_orders import law_sentences, lock_sentences
-from crankorder.report.sentences_of_speeds import avoid_sentences, free_sentences
+from crankorder.report.sentences.of_modes import mode_sentences
+from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
+from crankorder.report.sentences.of_speeds import avoid_sentences, free_sentences
 
 __all__ = [
     "ALL_CLEAR", "NAME_CHARACTERS", "NOT_ASKED_FOR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.engine.polar import unbalance_force_n
 from crankorder.engine.residual_tables import speed_key
-from crankorder.report.balance_dataset import SYSTEMS, order_sum
-from crankorder.report.balance_look import (
+from crankorder.report.balance.dataset import SYSTEMS, order_sum
+from crankorder.report.balance.look import (
     COUNTERWEIGHTS,
     MOMENT_TEXT,
     NO_FORCE,
@@ -48,7 +48,7 @@ _GAP_X, _GAP_Y = 0.95, 0.62
 def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Figure:
     """Force along and across the cylinder against crank angle at the highest speed, before and after each balance.
 
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
     ``settings`` of the report.
     """
     with house_style():

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.report.drawing import Drawing, Words
-from crankorder.report.palette import SMALL
-from crankorder.report.typeface import text_width_in
+from crankorder.report.drawing.drawn import Drawing, Words
+from crankorder.report.drawing.palette import SMALL
+from crankorder.report.drawing.typeface import text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125

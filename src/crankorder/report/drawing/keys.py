@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crankorder.report.drawing import Drawing, Rings, Stroke, Words
-from crankorder.report.palette import INK, SMALL
-from crankorder.report.typeface import CAP_HEIGHT, text_width_in
+from crankorder.report.drawing.drawn import Drawing, Rings, Stroke, Words
+from crankorder.report.drawing.palette import INK, SMALL
+from crankorder.report.drawing.typeface import CAP_HEIGHT, text_width_in
 
 _SIZE = SMALL + 0.5
 _SAMPLE_IN, _GAP_IN, _BETWEEN_IN, _BASE_IN = 0.3, 0.08, 0.24, 0.16

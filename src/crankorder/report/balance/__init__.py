@@ -1,0 +1,1 @@
+"""Text, figures and dataset of `crankorder balance`: the engine alone."""

@@ -1,0 +1,1 @@
+"""Page, pictures and sentences of `crankorder compare`."""

@@ -1,0 +1,1 @@
+"""What pictures are made of: canvas, type, axes, keys and labels."""
