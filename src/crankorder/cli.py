@@ -195,7 +195,7 @@ def _exit_status(outcomes: list[Outcome]) -> int:
 
 
 def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
-    from crankorder.report.sentences import headline
+    from crankorder.report.sentences.story import headline
 
     plan = outcome.plan
     for fault in outcome.faults:

@@ -156,6 +156,40 @@ def test_what_is_to_be_done_meanwhile_is_done_once_while_tasks_wait_for_it(tmp_p
 
 
 @needs_fork
+@pytest.mark.parametrize("fault", [None, "error", "death"])
+def test_where_one_worker_begins_the_others_find_what_it_has_left(tmp_path, fault):
+    left = tmp_path / "kernels"
+
+    def task(number):
+        found = left.exists()
+        if number == 0 and fault == "error":
+            raise InputError("no samples", file="b.h5", remedy="Leave it out")
+        if number == 0 and fault == "death":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if not found:
+            time.sleep(0.05)
+            left.touch(exist_ok=False)  # twice is a fault
+        return os.getpid(), found
+
+    made = dict(each(task, 9, jobs=3, one_first=True))
+    assert sorted(made) == list(range(9))
+    answers = [made[number]() for number in range(0 if fault is None else 1, 9)]
+    assert [found for _, found in answers] == [False] + [True] * (len(answers) - 1)
+    assert len({pid for pid, _ in answers}) == 3
+
+
+@needs_fork
+def test_where_one_worker_begins_and_nothing_succeeds_every_fault_is_told():
+    def task(number):
+        raise InputError(f"no samples in {number}", file="b.h5", remedy="Leave it out")
+
+    made = dict(each(task, 4, jobs=2, one_first=True))
+    for number in range(4):
+        with pytest.raises(InputError, match=f"no samples in {number}"):
+            made[number]()
+
+
+@needs_fork
 def test_a_dead_worker_says_so_every_time_it_is_asked():
     worker = Worker(lambda request: os.kill(os.getpid(), signal.SIGKILL))
     for said in ("SIGKILL", "ended before"):

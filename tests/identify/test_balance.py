@@ -8,10 +8,8 @@ import pytest
 from crankorder.engine.definition import BalanceShafts, Cylinder, GasCurve
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.closure import closure
-from crankorder.settings import load_settings
 from made.order_amplitudes import Structure, engine_of, made_orders
 
-SETTINGS = load_settings().identify
 OFFSET_GAIN = 1.002325  # of the first order by an offset of 10 mm: truth sheet 2.6
 
 
@@ -21,7 +19,6 @@ def closed(made, **changes):
         changes.pop("orders", made.orders),
         changes.pop("modal", made.modal),
         engine=changes.pop("engine", made.engine),
-        settings=SETTINGS,
         **changes,
     )
 

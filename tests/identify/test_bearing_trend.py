@@ -48,6 +48,23 @@ def test_growth_is_found_in_ranks_where_no_error_is_known():
     assert trend([1.0]).change == "not decided"
 
 
+def test_what_the_ranks_say_and_their_interval_agree():
+    # one outlier: a straight line through the logarithms would be anywhere from falling to rising
+    found = trend([1.0, 1.01, 1.02, 1.03, 100.0])
+    assert found.change == "grows" and found.growth_ci95[0] > 0.0
+    chance = np.random.default_rng(5)
+    inside = 0
+    for _ in range(1000):
+        amplitudes = 1.2 ** np.arange(6) * np.exp(0.3 * chance.standard_normal(6))
+        found = trend(amplitudes)
+        low, high = found.growth_ci95
+        inside += low <= 0.2 <= high
+        assert (found.change == "grows") == (low > 0.0) and (found.change == "shrinks") == (high < 0.0)
+    assert inside / 1000 >= 0.95
+    few = trend([1.0, 2.0, 4.0])
+    assert few.growth_ci95 == (-1.0, math.inf) and "too few" in few.verdict
+
+
 def test_the_chance_of_a_rising_sequence_is_one_over_its_permutations():
     assert kendall_p_value(np.arange(5.0)) == pytest.approx(1.0 / 120.0)
     assert kendall_p_value(np.arange(5.0)[::-1]) == pytest.approx(1.0)

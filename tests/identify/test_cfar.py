@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.cfar import independent_bins, noise_chance, noise_floor, noise_level, reference_bins
+from crankorder.identify.lines.cfar import (
+    excess_over_noise,
+    independent_bins,
+    noise_chance,
+    noise_floor,
+    noise_level,
+    reference_bins,
+)
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -96,6 +103,14 @@ def test_noise_through_resonances_makes_no_line_in_forty_tests() -> None:
 @pytest.mark.accuracy
 def test_noise_through_resonances_makes_no_line_in_two_hundred_tests() -> None:
     assert sum(noise_only(seed) for seed in range(1000, 1200)) == 0
+
+
+def test_on_a_hump_the_floor_is_worth_fewer_bins_than_beside_it() -> None:
+    noise = np.random.default_rng(4).standard_normal(400 * PER_REV)
+    made = order_map([frames_of([rung(noise, 8.0, 0.02)], speed_rpm=1000.0)], settings=SETTINGS.orders)
+    over = excess_over_noise(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
+    on_hump, beside = (over.floor_worth[0, 0, np.abs(made["order"].values - order) < 0.1] for order in (8.0, 16.0))
+    assert on_hump.min() < 0.5 * beside.min()
 
 
 def test_a_line_is_found_where_it_stands() -> None:

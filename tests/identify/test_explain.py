@@ -81,6 +81,16 @@ def test_order_one_is_unbalance_only_if_it_grows_like_one(exponent, text):
     assert said == pytest.approx(exponent, abs=0.03)
 
 
+@pytest.mark.parametrize(("quantity", "exponent"), [("displacement", 0), ("velocity", 1), ("acceleration", 2)])
+def test_unbalance_above_a_resonance_is_known_in_every_quantity(quantity, exponent):
+    # a mass on a soft mount, far above its resonance, moves by its own eccentricity whatever the speed
+    noise = 1 + 0.01 * np.random.default_rng(3).standard_normal(SPEEDS_RPM.size)
+    orders = [agreed(1.0, line(1.0, (SPEEDS_RPM / 1000) ** exponent * noise))]
+    assert texts(orders, ROTOR, quantity=quantity) == {1.0: "unbalance"}
+    falls = [agreed(1.0, line(1.0, (SPEEDS_RPM / 1000) ** (exponent - 1.5) * noise))]
+    assert texts(falls, ROTOR, quantity=quantity) == {1.0: "shaft harmonic"}
+
+
 def test_order_one_at_one_speed_is_unbalance_with_that_reservation():
     cause = causes([agreed(1.0, line(1.0, speed_rpm=[1500.0]))], ROTOR).orders["A", 1.0]
     assert cause.text == "unbalance" and "too few speeds" in cause.evidence

@@ -75,5 +75,11 @@ def test_a_free_band_says_what_nobody_has_judged_in_it():
     assert free[0]["remark"] == "not judged: order 4 with 105 Hz at 1575 rpm"
 
 
+def test_a_free_band_names_the_crossings_of_a_mode_that_is_in_doubt():
+    orders = [agreed(4.0, line(4.0, (SPEEDS_RPM / 1000) ** 2))]
+    _, free = judged(orders, fit(mode(105.0, undecided="a tone or a mode")))
+    assert free[0]["remark"] == "not judged: order 4 with 105 Hz at 1575 rpm"
+
+
 def test_a_test_of_unknown_speed_has_neither():
     assert speeds_to_avoid([], (), fit(), speed_rpm=(np.nan, np.nan), settings=SETTINGS) == ([], [])

@@ -6,10 +6,8 @@ import pytest
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.trial_mass import trial_mass
-from crankorder.settings import load_settings
 from made.order_amplitudes import Structure, engine_of, made_orders
 
-SETTINGS = load_settings().identify
 ROTOR = engine_of(cycle="rotor", reciprocating_mass_kg=0.0, shafts=BalanceShafts(), offset_m=0.0)
 
 
@@ -36,7 +34,7 @@ def test_a_mass_on_the_rotor_tells_size_and_angle_of_the_residual():
     before, trial = 800 * np.exp(1j * np.radians(35)), 1000 * np.exp(1j * np.radians(100))
     base, new = two_maps(1, (before, before + trial))
     added = (AddedMass(mass_g=20.0, radius_mm=50.0, angle_deg=100.0),)
-    record, reason = trial_mass(base, new, added=added, engine=None, settings=SETTINGS)
+    record, reason = trial_mass(base, new, added=added, engine=None)
     assert record is not None, reason
     low, high = record["residual_rotating_gmm_ci95"]
     assert low <= 800 <= high and high - low < 200
@@ -49,7 +47,7 @@ def test_a_mass_taken_away_tells_the_same():
     before, trial = 800 * np.exp(1j * np.radians(35)), -1000 * np.exp(1j * np.radians(100))
     base, new = two_maps(1, (before, before + trial))
     added = (AddedMass(mass_g=-20.0, radius_mm=50.0, angle_deg=100.0),)
-    record, _ = trial_mass(base, new, added=added, engine=ROTOR, settings=SETTINGS)
+    record, _ = trial_mass(base, new, added=added, engine=ROTOR)
     assert record["residual_rotating_gmm"] == pytest.approx(800, rel=0.1)
     assert record["angle_deg"] == pytest.approx(35, abs=6)
 
@@ -58,7 +56,7 @@ def test_a_mass_on_the_piston_tells_grams_along_the_cylinder():
     engine = engine_of()
     base, new = two_maps(2, (0.0, 0.0), engine=engine, residuals=(0.116, 0.166), speeds=np.arange(500.0, 2001.0, 100.0))
     added = (AddedMass(mass_g=50.0, on="piston"),)
-    record, reason = trial_mass(base, new, added=added, engine=engine, settings=SETTINGS)
+    record, reason = trial_mass(base, new, added=added, engine=engine)
     assert record is not None, reason
     for key in ("residual_reciprocating_g", "residual_second_order_g"):
         low, high = record[f"{key}_ci95"]
@@ -70,10 +68,10 @@ def test_converter_counts_weigh_as_well_as_m_s2():
     before, trial = 800 * np.exp(1j * np.radians(35)), 1000 * np.exp(1j * np.radians(100))
     maps = two_maps(1, (before, before + trial))
     added = (AddedMass(mass_g=20.0, radius_mm=50.0, angle_deg=100.0),)
-    scaled, _ = trial_mass(*maps, added=added, engine=None, settings=SETTINGS)
+    scaled, _ = trial_mass(*maps, added=added, engine=None)
     n = maps[0].sizes["channel"]
     counts = [item.assign_coords(unit=("channel", ["counts"] * n)) for item in maps]
-    record, reason = trial_mass(*counts, added=added, engine=None, settings=SETTINGS)
+    record, reason = trial_mass(*counts, added=added, engine=None)
     assert record is not None, reason
     assert record["residual_rotating_gmm"] == pytest.approx(scaled["residual_rotating_gmm"], rel=1e-9)
     after = abs(before + trial)
@@ -85,7 +83,7 @@ def test_converter_counts_weigh_as_well_as_m_s2():
 def test_maps_without_a_vibration_channel_are_refused():
     maps = [item.isel(channel=slice(0, 0)) for item in two_maps(1, (500.0, 1500.0))]
     added = (AddedMass(mass_g=20.0, radius_mm=50.0),)
-    record, reason = trial_mass(*maps, added=added, engine=None, settings=SETTINGS)
+    record, reason = trial_mass(*maps, added=added, engine=None)
     assert record is None and "no vibration channel" in reason
 
 
@@ -93,7 +91,7 @@ def test_a_residual_that_acts_elsewhere_is_refused():
     engine = engine_of()
     base, new = two_maps(3, (0.0, 20_000.0), engine=engine, residuals=(0.3, 0.3))
     added = (AddedMass(mass_g=400.0, radius_mm=50.0),)
-    record, reason = trial_mass(base, new, added=added, engine=engine, settings=SETTINGS)
+    record, reason = trial_mass(base, new, added=added, engine=engine)
     assert record is None and "does not act where the mass was added" in reason
 
 
@@ -113,7 +111,7 @@ def test_what_tells_nothing_is_refused():
         ((base, elsewhere), heavy, "no speed in common"),
         ((base, unmarked), heavy, "mark of the shaft"),
     ):
-        record, reason = trial_mass(*maps, added=added, engine=None, settings=SETTINGS)
+        record, reason = trial_mass(*maps, added=added, engine=None)
         assert record is None and words in reason
 
 
@@ -125,7 +123,7 @@ def test_the_interval_of_the_unbalance_covers_it_in_95_of_100_scenes():
         before = rng.uniform(300, 2000) * np.exp(2j * np.pi * rng.random())
         base, new = two_maps(seed, (before, before + 1000), noise=10 ** rng.uniform(-2.5, -1.5))
         added = (AddedMass(mass_g=20.0, radius_mm=50.0),)
-        record, _ = trial_mass(base, new, added=added, engine=None, settings=SETTINGS)
+        record, _ = trial_mass(base, new, added=added, engine=None)
         if record is not None:
             low, high = record["residual_rotating_gmm_ci95"]
             held.append(low <= abs(before) <= high)

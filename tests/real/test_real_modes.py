@@ -68,7 +68,10 @@ def test_the_beams_stale_header_is_told(analysed):
 
 
 def test_the_beams_natural_frequencies_are_found_in_its_measured_spectrum(analysed, shared_data):
-    """`FFT_data.lvm` holds a spectrum in dB, 0.085 Hz apart: peaks at 6.57, 41.47 and 117.93 Hz."""
+    """`FFT_data.lvm` holds a spectrum in dB, 0.085 Hz apart: peaks at 6.57, 41.47 and 117.93 Hz.
+
+    One channel and four averages do not tell the damping of the first two: they may be left undecided, with a reason.
+    """
     frequency, level = np.loadtxt(
         shared_data / "beam_dropbear4" / "FFT_data.lvm", skiprows=23, usecols=(0, 1), max_rows=1700
     ).T
@@ -90,9 +93,13 @@ def test_the_beams_natural_frequencies_are_found_in_its_measured_spectrum(analys
     )
     order_map = without_orders(campbell)
     fit = modal_fit(campbell, order_map, (), settings=load_settings().identify)
-    found = np.array([mode.frequency_hz for mode in fit.modes if not mode.undecided])
     for known_hz in BEAM_HZ:
-        assert found.size and np.min(np.abs(found / known_hz - 1.0)) <= 0.01
+        near = [mode for mode in fit.modes if abs(mode.frequency_hz / known_hz - 1.0) <= 0.01]
+        assert near, f"{known_hz} Hz is not found"
+        if known_hz == BEAM_HZ[-1]:
+            assert any(not mode.undecided for mode in near)
+        else:
+            assert all(not mode.undecided or "its damping is not determined" in mode.undecided for mode in near)
 
 
 def without_orders(campbell):

@@ -28,6 +28,17 @@ def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: An
     assert {"1800", "1725", "speed to avoid", "free speeds"} <= words
 
 
+def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avoid(
+    campaign: Any, full: Any, settings: Any
+) -> None:
+    full["crossings"] = [{"order": 4.0, "mode_hz": 60.0, "rpm": 900.0, "in_range": True, "excited": False}]
+    full["crossings"][0]["verdict"] = "not decided"
+    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
+    (mark,) = figure.strokes("open-")
+    assert tuple(mark.values[1]) == pytest.approx((895.5, 904.5))
+    assert "crossing not judged" in {words.text for words in figure.words}
+
+
 def test_without_such_lists_there_is_no_strip(campaign: Any, settings: Any) -> None:
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     assert not [*figure.strokes("avoid-"), *figure.strokes("free-")]

@@ -139,7 +139,7 @@ def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
         "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10); the strongest order is 2: "
         "1.90 m/s² (1.86…1.94) at 1800 rpm."
     )
-    assert headline(full)[0].endswith("The tone does not follow the shaft: it has a source of its own.")
+    assert headline(full)[1].endswith("The tone does not follow the shaft: it has a source of its own.")
     only = {"lines": full["lines"], "channels": full["channels"]}
     assert strongest_sentence(only, "Z") == "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10)."
     assert strongest_sentence(full, "Y").startswith("Order 2")
@@ -159,7 +159,7 @@ def test_tones_and_mains_are_told_with_their_amplitude_and_not_as_natural_freque
 
 
 def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full: Any) -> None:
-    line, bearing, speed, balance, energy = headline(full)
+    bearing, line, speed, balance, energy = headline(full)  # what strikes goes first
     assert "58.3 Hz" in line
     assert "outer-race (BPFO)" in bearing and "slip −0.80 (−0.90…−0.70) %" in bearing and "2000–4000 Hz" in bearing
     assert speed == (
@@ -321,3 +321,16 @@ def test_an_all_clear_covers_the_envelope_only_where_it_was_looked_for_and_needs
 def test_names_from_files_are_cut_and_control_characters_shown() -> None:
     assert named("a\x1b[31mb\n", limit=60) == "a\\x1b[31mb\\x0a"
     assert named("x" * 10_000, limit=60) == "x" * 59 + "…"
+
+
+def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_said_of_shafts(full: Any) -> None:
+    still = {**full, "orders": [], "bearings": [], "crossings": [], "speed_range_rpm": [None, None]}
+    still |= {"speeds_to_avoid": [], "free_bands": [], "balance": None, "balance_reason": "no index pulse"}
+    assert headline(still)[0].startswith("Natural frequencies: 60 Hz, 115 Hz")
+    said = " ".join(sentence for answer in story_of(still).values() for sentence in answer)
+    assert not any(word in said for word in ("order stands", "index pulse", "rpm", "bearing"))
+
+
+def test_an_unbalance_that_leads_asks_for_balancing(full: Any) -> None:
+    full["orders"] = [{**full["orders"][0], "explained_by": "unbalance", "amplitude": 99.0}]
+    assert any(sentence.startswith("Balance it") for sentence in story_of(full)["what_to_do"])

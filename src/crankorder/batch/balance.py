@@ -20,8 +20,8 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.hinge_definition import HingedEngine, load_hinged_engine
 from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.errors import RequestError
-from crankorder.report.balance_text import balance_text
-from crankorder.report.hinge_text import hinge_text
+from crankorder.report.balance.hinge_text import hinge_text
+from crankorder.report.balance.text import balance_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
 if TYPE_CHECKING:
@@ -97,10 +97,10 @@ def publish_balance(balance: Balance, out: Path) -> list[Path]:
 
 
 def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
-    from crankorder.report.balance_bars_figure import order_bars_figure
-    from crankorder.report.balance_dataset import balance_dataset
-    from crankorder.report.balance_figures import force_figure
-    from crankorder.report.balance_polar_figure import polar_figure
+    from crankorder.report.balance.bars_figure import order_bars_figure
+    from crankorder.report.balance.dataset import balance_dataset
+    from crankorder.report.balance.figures import force_figure
+    from crankorder.report.balance.polar_figure import polar_figure
     from crankorder.report.figures import png_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
@@ -121,8 +121,8 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
 
 def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.batch.plan import folder_name
+    from crankorder.report.balance.hinge_figure import hinge_figure
     from crankorder.report.figures import png_bytes
-    from crankorder.report.hinge_figure import hinge_figure
     from crankorder.report.netcdf import results_bytes
 
     engine = balance.subject

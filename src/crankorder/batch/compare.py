@@ -13,7 +13,7 @@ from crankorder.batch.store import DONE, file_sha256, json_bytes, publish, text_
 from crankorder.errors import InputError, RequestError
 from crankorder.identify.changes.compared import Compared, Tested, compared
 from crankorder.identify.changes.datasets import change_datasets
-from crankorder.report.comparison_sentences import comparison_headline
+from crankorder.report.comparison.sentences import comparison_headline
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
 
@@ -166,9 +166,9 @@ def _refuse_results(out: Path, folders: Sequence[Path]) -> None:
 
 def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.batch.plan import folder_name
-    from crankorder.report.comparison_figure import map_change_figure, order_change_figure
-    from crankorder.report.comparison_page import comparison_page
-    from crankorder.report.comparison_trend import trend_figure
+    from crankorder.report.comparison.figure import map_change_figure, order_change_figure
+    from crankorder.report.comparison.page import comparison_page
+    from crankorder.report.comparison.trend import trend_figure
     from crankorder.report.figures import png_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 

@@ -84,8 +84,8 @@ def run_test(
             outcome.status = "unchanged"
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
-        load_kernels()
-        results = _analyse(plan, hashes, jobs, outcome, progress)
+        first_run = load_kernels()
+        results = _analyse(plan, hashes, jobs, outcome, progress, one_first=first_run)
         clock.lap("recordings")
         _leave_out(results, outcome, ("bad", "suspect") if strict else ("bad",))
         if not results:
@@ -152,9 +152,18 @@ class _Clock:
 
 
 def _analyse(
-    plan: TestPlan, hashes: dict[Path, str], jobs: int, outcome: Outcome, progress: Progress | None
+    plan: TestPlan,
+    hashes: dict[Path, str],
+    jobs: int,
+    outcome: Outcome,
+    progress: Progress | None,
+    *,
+    one_first: bool,
 ) -> dict[Path, RecordingResult]:
-    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome."""
+    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
+
+    With ``one_first`` the kernels are yet to be compiled: by one worker, not by all at once.
+    """
     results: dict[Path, RecordingResult] = {}
     first_of: dict[str, Path] = {}
     # what cannot be read, and empty files, are no copies of each other: each gets its own error
@@ -176,7 +185,7 @@ def _analyse(
     def analyse(number: int) -> RecordingResult:
         return analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
 
-    for count, (number, made) in enumerate(each(analyse, len(wanted), jobs=jobs), start=1):
+    for count, (number, made) in enumerate(each(analyse, len(wanted), jobs=jobs, one_first=one_first), start=1):
         _collect(made, wanted[number], results, outcome)
         if progress is not None:
             progress(plan.name, count, len(wanted))

@@ -9,7 +9,7 @@ from typing import Any
 from crankorder.batch.execute import Outcome
 from crankorder.batch.store import json_bytes, write_atomically
 from crankorder.errors import EnvironmentFailure, printable
-from crankorder.report.sentences import headline
+from crankorder.report.sentences.story import headline
 
 
 def summary(outcomes: list[Outcome], *, out: Path) -> dict[str, Any]:

@@ -25,19 +25,32 @@ def leave_out_unused() -> None:
     np.f2py = sys.modules["numpy.f2py"]  # numpy looks for it as an attribute
 
 
-def load_kernels() -> None:
-    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker."""
+def load_kernels() -> bool:
+    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker.
+
+    True where a kernel had to be compiled for it: then this is the first run, and the others must be compiled too.
+    """
     import numpy as np
 
     from crankorder.settings import load_settings
-    from crankorder.shaft.pulses import find_pulses
+    from crankorder.shaft import pulses
 
+    before = _compiled(pulses)
     absent = [name for name in UNUSED_BY_NUMBA if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: "cannot be imported", as documented
     try:
         trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
         shaft = load_settings().shaft
-        find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
+        pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
     finally:
         for name in absent:
             del sys.modules[name]
+    return _compiled(pulses) > before
+
+
+def _compiled(module: ModuleType) -> int:
+    """How many kernels of ``module`` were not found compiled."""
+    from numba.core.dispatcher import Dispatcher
+
+    kernels = [kernel for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+    return sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)

@@ -158,12 +158,18 @@ AHEAD = 2
 
 
 def each(
-    task: Callable[[int], Any], count: int, *, jobs: int, meanwhile: Callable[[], object] | None = None
+    task: Callable[[int], Any],
+    count: int,
+    *,
+    jobs: int,
+    meanwhile: Callable[[], object] | None = None,
+    one_first: bool = False,
 ) -> Iterator[tuple[int, Callable[[], Any]]]:
     """Number and answer of ``task(0)`` … ``task(count - 1)``, ``jobs`` at a time, as they are done.
 
     The answer is a call that gives the value or raises what the task raised; WorkerDiedError where its process died:
-    the others go on in a new one. ``meanwhile`` is done here once the workers have begun.
+    the others go on in a new one. ``meanwhile`` is done here once the workers have begun. With ``one_first`` a single
+    worker begins, and the others after its first value: they find what it has left on disk, such as compiled kernels.
     """
     if not FORKS:
         yield from _each_in_threads(task, count, jobs, meanwhile)
@@ -182,30 +188,35 @@ def each(
             worker.close()
 
     try:
-        for _ in range(min(jobs, count)):
+        for _ in range(min(1 if one_first else jobs, count)):
             go_on(Worker(task), deque())
         if meanwhile is not None:
             meanwhile()
         while busy:
             for line in wait(list(busy)):
                 worker, asked = busy.pop(line)
-                number, answer = asked.popleft(), _kept(worker)
+                number, (done, answer) = asked.popleft(), _kept(worker)
                 if worker.dead:
                     left.extendleft(reversed(asked))  # not begun, so not to blame
                     asked = deque()
                 go_on(Worker(task) if worker.dead and left else worker, asked)
+                if one_first and done:
+                    one_first = False
+                    for _ in range(min(jobs - 1, len(left))):
+                        go_on(Worker(task), deque())
                 yield number, answer
     finally:
         for worker, _ in busy.values():
             worker.close()
 
 
-def _kept(worker: Worker) -> Callable[[], Any]:
+def _kept(worker: Worker) -> tuple[bool, Callable[[], Any]]:
+    """Whether ``worker`` answers with a value, and a call that gives that value or raises what it raised."""
     try:
         value = worker.answer()
     except BaseException as error:
-        return _raising(error)
-    return lambda: value
+        return False, _raising(error)
+    return True, lambda: value
 
 
 def _raising(error: BaseException) -> Callable[[], Any]:

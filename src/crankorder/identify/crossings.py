@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, OrderResponse
+from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width
 from crankorder.identify.order_trend import PowerLaw, power_law
 from crankorder.settings import IdentifySettings
 
@@ -42,9 +43,6 @@ MOSTLY_SEEN = 0.8
 
 MEANINGLESS = 1e6
 """A trend that lets an amplification be as large as this is none."""
-
-ENDLESS_FREEDOM = 1e6
-"""Degrees of freedom from which on Student's t is a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +126,8 @@ def _crossing(
     freedom = ENDLESS_FREEDOM
     if relative[1] > 0.0 and agreed.degrees_of_freedom > 0.0:
         freedom = min(freedom, agreed.degrees_of_freedom * (error / relative[1]) ** 4)
-    half = rpm * error * float(stdtrit(max(freedom, 1.0), 0.975))
-    mode_half = 1.959964 * mode.frequency_error_hz
+    half = rpm * error * half_width(freedom)
+    mode_half = Z95 * mode.frequency_error_hz
     response = {item.channel: item for item in modal.responses if _same(item.order, agreed.order)}
     record = {
         "order": agreed.order,
@@ -159,14 +157,13 @@ def _same(one: float, other: float) -> bool:
 def _predicted(responses: dict[str, OrderResponse], number: int, modal: ModalFit) -> float:
     """Largest ratio, of all channels, of the response with the mode to that without it, at its natural frequency.
 
-    1 / (2 ζ) where nothing was fitted: what a mode makes of a force, seen against its own stiffness.
+    1 / (2 ζ) where nothing was fitted, and at most: what a mode makes of a force, seen against its own stiffness.
     """
     fitted = [item for item in responses.values() if item.fits]
     ratios = [amplification(item, number, modal) for item in fitted]
-    finite = [ratio for ratio in ratios if np.isfinite(ratio)]
-    if finite:
-        return float(max(finite))
-    return float(1.0 / (2.0 * max(modal.modes[number].damping_ratio, 1e-6)))
+    quality = float(1.0 / (2.0 * max(modal.modes[number].damping_ratio, 1e-6)))
+    # beyond that the fit says that hardly anything is left without the mode, which is no amplification
+    return min([max(ratios), quality]) if ratios else quality
 
 
 def amplification(response: OrderResponse, number: int, modal: ModalFit) -> float:
@@ -207,7 +204,7 @@ def _above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tupl
     excess, error = law.excess(speed[at], line.amplitude[at], line.amplitude_error[at])
     best = int(np.argmax(excess / error))
     chance = min(1.0, at.size * float(stdtr(law.freedom, -excess[best] / error[best])))
-    half = float(stdtrit(law.freedom, 1.0 - 0.025 / at.size)) * error[best]
+    half = half_width(law.freedom, level=1.0 - 0.05 / at.size) * error[best]
     ratio = float(np.exp(excess[best]))
     with np.errstate(over="ignore"):
         low, high = ratio * np.exp(-half), ratio * np.exp(half)

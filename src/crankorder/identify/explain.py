@@ -11,6 +11,7 @@ import numpy as np
 from crankorder.identify.explain_families import explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
+from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import growth
 from crankorder.identify.mains_orders import mains_orders
 from crankorder.identify.sidebands import sidebands
@@ -29,8 +30,12 @@ SIGMAS = 3.0
 VAGUE = 0.125
 """Distance from a multiple, in spacings of the multiples, beyond which an order of large error is none for certain."""
 
-GROWS = 1.0
-"""A force of unbalance grows with speed squared; one that surely grows more slowly than this is something else."""
+UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
+"""Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own
+eccentricity at any speed; 2 in acceleration, and in all other quantities that of the force."""
+
+SLOWER = 1.0
+"""A line that surely grows more slowly than that by this power of the speed is something else."""
 
 MOST_HARMONICS = 10
 """Multiples of a stated gear mesh or of a bearing line that are named after it."""
@@ -152,7 +157,7 @@ def _first_cause(
         lambda: _gas_in_pressure(of_cycle, quantity, proof, sources.revs_per_cycle),
         lambda: _kinematics(of_cycle, sources, proof),
         lambda: _stated_gear(agreed, sources, proof, settings),
-        lambda: _first_order(of_cycle, line, sources, proof),
+        lambda: _first_order(of_cycle, line, sources, quantity, proof),
         lambda: _combustion(of_cycle, sources, proof),
         lambda: _bearing(agreed, of_cycle, bearings, sources, settings),
         lambda: _fold(line, folds),
@@ -186,8 +191,8 @@ def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: Id
     return None
 
 
-def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, proof: str) -> Cause | None:
-    """Unbalance, where order 1 does not surely grow more slowly than a force that turns with the shaft."""
+def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, quantity: str, proof: str) -> Cause | None:
+    """Unbalance, where order 1 does not surely grow more slowly than one does in that ``quantity``."""
     if of_cycle != 1.0:
         return None
     grown = growth(line)
@@ -197,11 +202,12 @@ def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, proo
         return Cause("unbalance", f"order 1, {proof}; no power of the speed describes how it grows")
     low, high = grown.ci95
     grows = f"grows with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
-    if high < GROWS:
+    least = UNBALANCE_EXPONENT.get(quantity, 2.0)
+    if high < least - SLOWER:
         if sources.firing:
             return None
         text = "unexplained" if sources.engine_orders else "shaft harmonic"
-        return Cause(text, f"order 1, {proof}, but {grows}: unbalance alone would grow with speed squared")
+        return Cause(text, f"order 1, {proof}, but {grows}: unbalance alone would with {least:g} or more")
     return Cause("unbalance", f"order 1, {proof}, {grows}")
 
 
@@ -226,6 +232,7 @@ def _bearing(
     """
     names: list[str] = []
     parts: set[int] = set()
+    spare = half_width(agreed.degrees_of_freedom) * agreed.order_error
     for record in bearings:
         locked_line = record["line"] == "N*fs"
         if agreed.lock == "locked" and not locked_line:
@@ -233,7 +240,7 @@ def _bearing(
         half = 0.5 * abs(record["order_ci95"][1] - record["order_ci95"][0])
         alone = of_cycle is not None or record.get("seen_in") == "envelope"
         for multiple in range(1, (1 if alone else MOST_HARMONICS) + 1):
-            reach = float(np.hypot(multiple * half, 1.96 * agreed.order_error)) + 1e-9
+            reach = float(np.hypot(multiple * half, spare)) + 1e-9
             if multiple > 1:
                 reach = min(reach, settings.order_match)
             if abs(agreed.order - multiple * record["order"]) <= reach:

@@ -56,7 +56,7 @@ def find(
     meetings = crossings(orders, modal, speed_rpm=tested, settings=asked)
     avoid, free = speeds_to_avoid(meetings, orders, modal, speed_rpm=tested, settings=asked)
     balance, no_balance = closure(
-        order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added, settings=asked
+        order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
     shares = energy_shares(campbell, order_map, orders, modal, causes, settings=asked)
     records = order_records(orders, causes, meetings, unit=unit)
@@ -75,6 +75,7 @@ def find(
         "unexplained_energy_fraction": shares["unexplained_energy_fraction"],
         "energy": {key: value for key, value in shares.items() if key != "unexplained_energy_fraction"},
         "balance": balance,
+        "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
     }
@@ -84,6 +85,11 @@ def find(
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:
     """Coordinate ``name`` of the channels, by channel."""
     return dict(zip(order_map["channel"].values.tolist(), order_map[name].values.tolist(), strict=True))
+
+
+def _has_spectra(envelope: xr.Dataset | None) -> bool:
+    """Whether strikes in the envelope could be looked for."""
+    return envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
 
 
 def _tested_rpm(order_map: xr.Dataset, campbell: xr.Dataset) -> tuple[float, float]:

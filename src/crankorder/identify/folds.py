@@ -50,7 +50,7 @@ def shown_folds(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[f
     if samples_per_rev is None:
         return ()
     speed, axis = order_map["speed"].values, order_map["order"].values
-    excess, _, _ = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
+    excess = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders).excess
     at_speed, at_order = np.nonzero((excess > 1.0).any(axis=0))
     order_error = ORDER_ERROR_BINS * float(axis[1] - axis[0])
     folds = find_folds(

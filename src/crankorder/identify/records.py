@@ -6,25 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
-from crankorder.identify.lines.order_lines import Z95
 from crankorder.identify.lines.order_lock import is_half_order
-
-ENDLESS_FREEDOM = 1e6
-"""Degrees of freedom from which on Student's t is a normal distribution."""
 
 MET_SHARE = 0.05
 """An order that is largest within this share of the speed of an excited crossing is largest because of that mode."""
-
-
-def interval(value: float, error: float, *, freedom: float | None = None) -> list[float]:
-    """95 % interval of ``value`` with its standard ``error``; by Student's t where that has ``freedom`` of its own."""
-    half = error * (Z95 if freedom is None else float(stdtrit(np.clip(freedom, 1.0, ENDLESS_FREEDOM), 0.975)))
-    return [value - half, value + half]
 
 
 def order_records(

@@ -10,6 +10,9 @@ from crankorder.identify.crossings import amplitude_at, width_rpm
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode
 from crankorder.settings import IdentifySettings
 
+NOT_JUDGED = ("not measured", "not decided", "undecided mode")
+"""Verdicts on a crossing that leave open whether its order is excited there."""
+
 
 def speeds_to_avoid(
     records: list[dict[str, Any]],
@@ -25,12 +28,13 @@ def speeds_to_avoid(
     largest that was measured near), in each channel as a share of the largest amplitude that any order has in that
     channel, root mean square over the channels. It takes its half-power width, ± ζ of the speed, and the interval of
     its speed; crossings whose ranges overlap are one speed to avoid, named after the costliest, their costs added by
-    energy. A free band is at least ``crossing_band_rpm`` wide; crossings in it that no speed was near enough to judge
-    are named in its ``remark``.
+    energy. A free band is at least ``crossing_band_rpm`` wide; crossings in it of which it is open whether they are
+    excited are named in its ``remark``.
 
     Parameters
     ----------
-    records : those of :func:`crossings`; only excited ones inside the tested range are to be avoided
+    records : those of :func:`crankorder.identify.crossings.crossings`; only excited ones inside the tested range are to
+        be avoided
     orders : the orders of the test
     modal : the modes and the responses of the orders
     speed_rpm : slowest and fastest speed of the test, rpm
@@ -151,6 +155,6 @@ def _remark(low: float, high: float, records: list[dict[str, Any]]) -> str:
     unknown = [
         f"order {item['order']:.4g} with {item['mode_hz']:.4g} Hz at {item['rpm']:.4g} rpm"
         for item in records
-        if item["in_range"] and low <= item["rpm"] <= high and item["verdict"] in ("not measured", "not decided")
+        if item["in_range"] and low <= item["rpm"] <= high and item["verdict"] in NOT_JUDGED
     ]
     return f"not judged: {'; '.join(unknown)}" if unknown else ""

@@ -155,7 +155,8 @@ def envelopes_of(
             ratio = n_out / BLOCK_SAMPLES
             # FFTW's inverse is a plain sum; the analytic signal is twice the sum over the block's length
             weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
-            _gather(plan.output_array.view(np.float32), local * ratio + 0.5, weight, squared[rows, steps])
+            places = local * ratio + 0.5
+            _gather(plan.output_array.view(np.float32), places, weight, squared, rows.start, steps.start)
     made = (squared / np.diff(edges)).astype(np.float32)
     rates = np.concatenate([np.full(len(low), n_out * rate_hz / BLOCK_SAMPLES) for _, low, _, n_out in levels])
     return Envelopes(made, rates, blocks.unit, blocks.bad)
@@ -242,20 +243,21 @@ def _scale_of(block: NDArray[np.floating]) -> float:
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _gather(waves, edges, weight, out):  # type: ignore[no-untyped-def]
-    """Add to ``out`` (bands, steps) the integrals of |wave|² between ``edges`` (steps + 1,), times ``weight``.
+def _gather(waves, edges, weight, out, row, column):  # type: ignore[no-untyped-def]
+    """Add to ``out`` from ``row`` and ``column`` on the integrals of |wave|² between ``edges``, times ``weight``.
 
-    ``waves`` (bands, real and imaginary in turn); each sample holds from its place to the next.
+    ``waves`` (bands, real and imaginary in turn) fill a row each, the spaces of the edges a column each; a sample
+    holds from its place to the next. A slice of ``out`` would be compiled twice: contiguous and not.
     """
     for band in range(waves.shape[0]):
         wave = waves[band]
-        for step in range(out.shape[1]):
+        for step in range(len(edges) - 1):
             low, high = edges[step], edges[step + 1]
             first, last = int(low), int(high)
             inner = np.float32(0.0)
             for k in range(2 * first, 2 * last):
                 inner += wave[k] * wave[k]
-            left = wave[2 * first] ** 2 + wave[2 * first + 1] ** 2
-            right = wave[2 * last] ** 2 + wave[2 * last + 1] ** 2
+            left = wave[2 * first] * wave[2 * first] + wave[2 * first + 1] * wave[2 * first + 1]
+            right = wave[2 * last] * wave[2 * last] + wave[2 * last + 1] * wave[2 * last + 1]
             total = inner - (low - first) * left + (high - last) * right
-            out[band, step] += weight * total
+            out[row + band, column + step] += weight * total

@@ -9,9 +9,9 @@ import numpy as np
 from crankorder.report.drawing.drawn import Stroke
 from crankorder.report.drawing.keys import Key
 from crankorder.report.drawing.labels import EdgeLabel
-from crankorder.report.drawing.palette import AVOID, FREE
+from crankorder.report.drawing.palette import AVOID, FREE, NOT_JUDGED
 from crankorder.report.drawing.panel import Panel
-from crankorder.report.sentences.of_speeds import free_bands, is_range, speeds_together
+from crankorder.report.sentences.of_speeds import free_bands, is_range, not_judged_rpm, speeds_together
 
 STRIP_IN = 0.13
 """Room in inches that the strip takes right of the diagram."""
@@ -20,6 +20,7 @@ _WIDTH_PT = 4.0
 _AT_IN = 0.07  # middle of the strip from the diagram
 _LABELS = 12  # speeds to avoid that are named, the worst
 _LEAST_IN = 0.05  # a range is drawn at least this high
+_OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not judged
 
 
 def has_strip(findings: dict[str, Any]) -> bool:
@@ -46,6 +47,9 @@ def draw_strip(panel: Panel, findings: dict[str, Any]) -> list[EdgeLabel]:
     low, high = panel.y
     for number, band in enumerate(free_bands(findings)):
         _mark(panel, (max(band[0], low), min(band[1], high)), FREE, f"free-{number}")
+    for number, rpm in enumerate(_open_rpm(findings)):
+        if low <= rpm <= high:
+            _mark(panel, (rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE)), NOT_JUDGED, f"open-{number}")
     labels = []
     for number, (start, end, rpm) in enumerate(_ranges(findings)):
         if end <= low or start >= high:
@@ -54,6 +58,11 @@ def draw_strip(panel: Panel, findings: dict[str, Any]) -> list[EdgeLabel]:
         at = float(panel.at(panel.x[1], min(max(rpm, low), high))[0, 1])
         labels.append(EdgeLabel(at, f"{rpm:.0f}", AVOID, 1000 + number))
     return labels[:_LABELS]
+
+
+def _open_rpm(findings: dict[str, Any]) -> list[float]:
+    """Speeds in free bands at which a crossing could not be judged."""
+    return [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free_bands(findings))]
 
 
 def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> None:
@@ -70,4 +79,5 @@ def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> N
 def strip_keys(findings: dict[str, Any]) -> list[Key]:
     """What the colours of the strip of the ``findings`` mean."""
     keys = [Key("speed to avoid", AVOID, width=_WIDTH_PT)] if _ranges(findings) else []
-    return [*keys, Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else keys
+    keys += [Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else []
+    return [*keys, Key("crossing not judged", NOT_JUDGED, width=_WIDTH_PT)] if _open_rpm(findings) else keys

@@ -15,7 +15,6 @@ from crankorder.identify.balance.shaker_forces import EngineShaker, engine_shake
 from crankorder.identify.balance.stated_paths import by_stated_paths
 from crankorder.identify.balance.transfer_path import MeasuredOrders, measured_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.settings import IdentifySettings
 
 ORDER_MATCH = 0.02
 SINGLE_ANGLE, SEVERAL_ANGLE = 0.05, 0.1
@@ -50,7 +49,6 @@ def closure(
     engine: Engine | None,
     paths: tuple[StatedPath, ...] = (),
     added: tuple[AddedMass, ...] = (),
-    settings: IdentifySettings,
 ) -> Closure:
     """Record ``balance`` of the findings, or None with the reason in words.
 
@@ -58,12 +56,11 @@ def closure(
     ``engine``'s own higher orders show, whose forces are known: they act along the cylinder at the same frequencies as
     orders 1 and 2 do at higher speeds, and one joint fit with the natural frequencies of ``modal`` gives the masses
     that make orders 1 and 2. ``order_map``: the OrderMap, with phases from top dead centre. ``orders``: what was found
-    in it. ``added``: masses that this test has on purpose; they are part of the residual. ``settings``: of
-    identification. Intervals hold for noise, natural frequencies and dampings, and the misfit of the path.
+    in it. ``added``: masses that this test has on purpose; they are part of the residual. Intervals
+    hold for noise, natural frequencies and dampings, and the misfit of the path.
     Source: forces by :func:`crankorder.engine.forces.crankcase_forces`; forward and reverse parts as in direct and
     reverse cranks (seed 002; Thomson and Dahleh 1998).
     """
-    del settings  # its keys may come to hold the limits above
     try:
         _check_phases(order_map, engine)
         if paths:

@@ -11,8 +11,8 @@ import numpy as np
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.transfer_path import Complex, Real
+from crankorder.identify.intervals import half_width
 
-LEAST_T = 1.96
 AGREE_CHI_SQUARE = 5.991
 """95 % point of χ² with two degrees of freedom: one complex difference."""
 VAGUE_DEG = 60.0
@@ -56,13 +56,6 @@ class Split:
         return complex(shares @ self.mass_kg), turn @ self.covariance @ turn.T
 
 
-def t_of(freedom: float) -> float:
-    """Student's t for a 95 % interval with ``freedom`` degrees of freedom."""
-    from scipy.special import stdtrit
-
-    return max(LEAST_T, float(stdtrit(min(max(freedom, 1.0), 1e6), 0.975)))
-
-
 def with_interval(key: str, value: float, half: float) -> dict[str, Any]:
     """The record's entries ``key`` and ``key``_ci95 of ``value`` ± ``half``."""
     return {key: value, f"{key}_ci95": [value - half, value + half]}
@@ -76,7 +69,7 @@ def size_and_angle(
     ``size_key`` and ``angle_key`` name them. The interval of the size starts at 0 where the unbalance may be none; the
     angle (degrees) is then None.
     """
-    size, t = abs(value), t_of(freedom)
+    size, t = abs(value), half_width(freedom)
     inwards = np.array([value.real, value.imag]) / size if size else np.array([1.0, 0.0])
     along = float(np.sqrt(inwards @ covariance @ inwards))
     aside = np.array([-inwards[1], inwards[0]])
@@ -112,7 +105,7 @@ def split_record(split: Split, *, engine: Engine) -> dict[str, Any]:
         record |= _one_way(split, at, engine, undecided)
     if (2, "Z") in at:
         value, covariance = _in_kg(split, at[(2, "Z")], 1.0)
-        half = 1e3 * t_of(split.freedom) * float(np.sqrt(covariance[0, 0]))
+        half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
         record |= with_interval("residual_second_order_g", 1e3 * value.real, half)
     else:
         undecided["residual_second_order_g"] = (
@@ -134,7 +127,7 @@ def _along(split: Split, at: dict[tuple[int, str], int]) -> dict[str, Any]:
         return {}
     number = at[(1, "Z")]
     value, covariance = _in_kg(split, number, abs(split.per_kg[number]))
-    half = 1e3 * t_of(split.freedom) * np.sqrt(np.diag(covariance))
+    half = 1e3 * half_width(split.freedom) * np.sqrt(np.diag(covariance))
     return with_interval("along_g", 1e3 * value.real, float(half[0])) | with_interval(
         "along_quadrature_g", 1e3 * value.imag, float(half[1])
     )
@@ -160,7 +153,7 @@ def _one_way(split: Split, at: dict[tuple[int, str], int], engine: Engine, undec
             f"{1e3 * abs(split.mass_kg[second]):.3g} g: rotating unbalance, or shafts that miss one of the orders"
         )
         return {}
-    half = 1e3 * t_of(split.freedom) * float(np.sqrt(covariance[0, 0]))
+    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
     return with_interval("residual_reciprocating_g", 1e3 * value.real, half)
 
 
@@ -206,9 +199,9 @@ def _both_ways(
         record |= size_and_angle("residual_rotating_gmm", "angle_deg", value, covariance, freedom=freedom)
         piston = np.conj(split.per_kg[z]) / abs(split.per_kg[z]) ** 2
         value, covariance = sum_of(piston, -1j * piston)
-        half = 1e3 * t_of(freedom) * float(np.sqrt(covariance[0, 0]))
+        half = 1e3 * half_width(freedom) * float(np.sqrt(covariance[0, 0]))
         record |= with_interval("residual_reciprocating_g", 1e3 * value.real, half)
-        if abs(value.imag) > t_of(freedom) * float(np.sqrt(covariance[1, 1])):
+        if abs(value.imag) > half_width(freedom) * float(np.sqrt(covariance[1, 1])):
             undecided["reverse_angle_deg"] = "part of the reverse force is out of step with the piston: mistimed shafts"
     for key in ("angle_deg", "forward_angle_deg", "reverse_angle_deg"):
         if record.get(key, 0.0) is None:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import Z
 from crankorder.engine.transfer_paths import AddedMass
-from crankorder.identify.balance.record import AGREE_CHI_SQUARE, KEYS, added_words, size_and_angle, t_of, with_interval
+from crankorder.identify.balance.record import AGREE_CHI_SQUARE, KEYS, added_words, size_and_angle, with_interval
 from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import PER_M_S2, Complex, MeasuredOrders, Real, measured_orders
-from crankorder.settings import IdentifySettings
+from crankorder.identify.intervals import half_width
 
 SAME_SPEED = 0.005
 """Speeds of the two tests pair up where they differ by no more than this share."""
@@ -34,18 +34,16 @@ def trial_mass(
     *,
     added: tuple[AddedMass, ...],
     engine: Engine | None,
-    settings: IdentifySettings,
 ) -> TrialMass:
     """Record ``balance`` of the test ``base_map`` by what the masses ``added`` changed in ``new_map``; or None and why.
 
     Both are OrderMaps of the same machine with the same channels. All of ``added`` stands on the crank (the residual is
     then told as rotating unbalance in its plane, from where angles of ``added`` count) or all on the piston of the one
-    cylinder of ``engine`` (as grams along it, orders 1 and 2). ``settings``: of identification. What is sought is the
-    complex multiple of the added mass that explains the base at every channel and speed at once; both tests' noise
-    counts. Where no one multiple explains it, the residual does not act where the added mass does.
+    cylinder of ``engine`` (as grams along it, orders 1 and 2). What is sought is the complex multiple of the added mass
+    that explains the base at every channel and speed at once; both tests' noise counts. Where no one multiple explains
+    it, the residual does not act where the added mass does.
     Source: influence coefficients (Goodman 1964), here by total least squares over channels and speeds.
     """
-    del settings
     kinds = {mass.on for mass in added}
     if not added:
         return None, "no mass was added: state it under [[added_masses]] of the test that has it"
@@ -239,7 +237,7 @@ def _of_crank(found: _Multiple, total: complex) -> dict[str, Any]:
 def _of_piston(found: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str) -> dict[str, Any]:
     bare = engine.model_copy(update={"shafts": BalanceShafts(), "rotating_unbalance_kg_m": 0.0})
     per_g = abs(force_per_kg(bare, 1, Z, along_only=True))
-    half = np.abs(mass_g) * t_of(found.freedom) * np.sqrt(np.diag(found.covariance))
+    half = np.abs(mass_g) * half_width(found.freedom) * np.sqrt(np.diag(found.covariance))
     entries = with_interval("along_g", per_g * mass_g * found.value.real, per_g * float(half[0]))
     entries |= with_interval("along_after_g", per_g * mass_g * (found.value.real + 1.0), per_g * float(half[0]))
     entries |= with_interval("along_quadrature_g", per_g * mass_g * found.value.imag, per_g * float(half[1]))
@@ -249,7 +247,7 @@ def _of_piston(found: _Multiple, mass_g: float, engine: Engine, second: _Multipl
     undecided["residual_reciprocating_g"] = f"{alike}, and no residual of the second order tells them apart"
     if isinstance(second, str):
         return entries | {"not_decided": undecided | {"residual_second_order_g": second}}
-    wide = abs(mass_g) * t_of(second.freedom) * float(np.sqrt(second.covariance[0, 0]))
+    wide = abs(mass_g) * half_width(second.freedom) * float(np.sqrt(second.covariance[0, 0]))
     entries |= with_interval("residual_second_order_g", mass_g * second.value.real, wide)
     apart = np.array([(found.value - second.value).real, (found.value - second.value).imag])
     if apart @ np.linalg.pinv(found.covariance + second.covariance) @ apart <= AGREE_CHI_SQUARE:

@@ -6,18 +6,15 @@ import math
 from typing import Any
 
 import xarray as xr
-from scipy.special import stdtrit
 
 from crankorder.engine.bearings import Bearing
 from crankorder.identify.bearings.envelope_lines import EnvelopeLine, Spectra, envelope_lines, spectra_of
 from crankorder.identify.bearings.places import Place, bearing_places
-from crankorder.identify.bearings.verdicts import envelope_evidence, envelope_verdict, vibration_verdict
+from crankorder.identify.bearings.verdicts import envelope_evidence, envelope_verdict, races_words, vibration_verdict
 from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.lines.growth import growth, largest, mean_level
 from crankorder.settings import IdentifySettings
-
-NORMAL_FREEDOM = 1e6
-"""Degrees of freedom from which on Student's t is a normal distribution."""
 
 
 def bearing_records(
@@ -57,7 +54,15 @@ def bearing_records(
         level = settings.bearing_false_alarm_probability
         found = envelope_lines(spectra, places, false_alarm_probability=level)
         records += [_envelope_record(line, found, spectra, envelope, level=level) for line in found]
-    return records
+    return [_with_races(record, records) for record in records]
+
+
+def _with_races(record: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, Any]:
+    """``record`` of N*fs with a word on the races of the same bearing: they slip where their sum keeps step."""
+    if record["line"] != "N*fs" or record["seen_in"] != "vibration":
+        return record
+    races = sorted({one["line"] for one in records if one["name"] == record["name"]} & {"BPFO", "BPFI"})
+    return record | {"verdict": f"{record['verdict']} {races_words(races)}"}
 
 
 def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> dict[str, Any] | None:
@@ -99,7 +104,7 @@ def _height(line: OrderLine) -> float:
 
 
 def _within(order: AgreedOrder, place: Place) -> bool:
-    spare = 1.96 * order.order_error
+    spare = half_width(order.degrees_of_freedom) * order.order_error
     return place.low - spare <= order.order <= place.high + spare
 
 
@@ -111,13 +116,9 @@ def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
     )
 
 
-def _freedom(value: float) -> float:
-    return min(max(value, 1.0), NORMAL_FREEDOM)
-
-
 def _record(place: Place, order: float, error: float, freedom: float) -> dict[str, Any]:
     """What every record says of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``."""
-    half = error * float(stdtrit(_freedom(freedom), 0.975))
+    half = error * half_width(freedom)
     slip, half_slip = place.slip_percent(order), 100.0 * half / place.expected
     return {
         "name": place.name,
@@ -137,7 +138,7 @@ def _envelope_record(
     names = envelope["channel"].values.tolist()
     nominal = envelope.attrs["speed_basis"] == "nominal"
     band = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
-    half = 1.96 * line.amplitude_error
+    half = Z95 * line.amplitude_error
     return _record(line.place, line.order, line.order_error, line.freedom) | {
         "seen_in": "envelope",
         "amplitude": line.amplitude,

@@ -11,13 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from crankorder.errors import RequestError
 from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
-
-NORMAL_FREEDOM = 1e6
-"""Degrees of freedom from which on Student's t is a normal distribution."""
+from crankorder.identify.intervals import half_width, known_freedom
 
 LEAST_RATIO = 10.0
 """Power ratio to the floor, in the run where it is highest, that a channel and speed need to take part in a trend."""
@@ -27,6 +25,10 @@ BAND_CHANGE = 0.15
 
 LEVEL = 0.05
 """Chance of "grows" or "shrinks" where nothing changes, both together."""
+
+
+LEAST_GROWTH = 0.02
+"""Growth per run that load and temperature make as well: less than surely this says nothing of damage."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,8 @@ def trend(
 
     A straight line through the logarithms. With ``errors`` it is weighted by them; from three runs on they are widened
     where the runs scatter more than they say, and the interval is Student's. Without them the growth is tested by the
-    ranks alone (Kendall's tau, exact), and its interval is that of least squares.
+    ranks alone (Kendall's tau, exact); then the growth is the median of those between any two runs, and its interval
+    holds all that these ranks do not exclude (Sen 1968): unbounded for fewer than five runs.
 
     Parameters
     ----------
@@ -73,7 +76,8 @@ def trend(
     freedom : degrees of freedom of the errors
 
     Raises RequestError where the arrays do not fit, an amplitude is not positive or runs do not increase.
-    Sources: M. G. Kendall (1938), Biometrika 30, p. 81; MSU thesis: re-run the same test, growth means failing.
+    Sources: M. G. Kendall (1938), Biometrika 30, p. 81; P. K. Sen (1968), J. Am. Stat. Assoc. 63, p. 1379;
+    MSU thesis: re-run the same test, growth means failing.
     """
     size = np.atleast_1d(np.asarray(amplitudes, dtype=np.float64))
     run = np.arange(len(size), dtype=np.float64) if runs is None else np.atleast_1d(np.asarray(runs, dtype=np.float64))
@@ -83,15 +87,12 @@ def trend(
         what = "one run" if len(size) < 2 else "two runs of unknown error"
         return Trend(math.nan, (-1.0, math.inf), 0.5, "not decided", f"not decided: {what}; run it again")
     logs = np.log(size)
-    relative = None if error is None else np.maximum(error / size, 1e-9)
-    slope, spread, dof = _line(run, logs, relative, freedom)
-    half = spread * float(stdtrit(min(dof, NORMAL_FREEDOM), 1.0 - LEVEL / 2.0))
-    if relative is None:
-        p_value, p_fall = kendall_p_value(size), kendall_p_value(size[::-1])
-    else:
-        p_value = float(stdtr(min(dof, NORMAL_FREEDOM), -slope / spread))
-        p_fall = 1.0 - p_value
-    return _judged(slope, half, p_value, p_fall, len(size))
+    if error is None:
+        return _judged(*_by_ranks(run, logs), kendall_p_value(size), kendall_p_value(size[::-1]), len(size))
+    slope, spread, dof = _line(run, logs, np.maximum(error / size, 1e-9), freedom)
+    half = spread * half_width(dof, level=1.0 - LEVEL)
+    p_value = float(stdtr(known_freedom(dof), -slope / spread))
+    return _judged(slope, (slope - half, slope + half), p_value, 1.0 - p_value, len(size))
 
 
 def _check(size: NDArray[np.float64], run: NDArray[np.float64], error: NDArray[np.float64] | None) -> None:
@@ -105,11 +106,22 @@ def _check(size: NDArray[np.float64], run: NDArray[np.float64], error: NDArray[n
         raise RequestError("no such standard errors", found=str(error.tolist()), allowed="0 or more")
 
 
+def _by_ranks(run: NDArray[np.float64], logs: NDArray[np.float64]) -> tuple[float, tuple[float, float]]:
+    """Median of the slopes between any two runs, and the ends of the interval that Kendall's test leaves of them."""
+    one, two = np.triu_indices(len(run), k=1)
+    slopes = np.sort((logs[two] - logs[one]) / (run[two] - run[one]))
+    chance = np.cumsum(_chance_of_rises(len(run))[::-1])  # of the most rises, of one less or more, …
+    excluded = int(np.count_nonzero(chance <= LEVEL / 2.0))  # numbers of rises that would exclude a slope, from the top
+    if excluded == 0:
+        return float(np.median(slopes)), (-math.inf, math.inf)
+    return float(np.median(slopes)), (float(slopes[excluded - 1]), float(slopes[-excluded]))
+
+
 def _line(
-    run: NDArray[np.float64], logs: NDArray[np.float64], relative: NDArray[np.float64] | None, freedom: float
+    run: NDArray[np.float64], logs: NDArray[np.float64], relative: NDArray[np.float64], freedom: float
 ) -> tuple[float, float, float]:
     """Slope of the straight line through ``logs``, its standard error and the degrees of freedom of that."""
-    weight = np.ones(len(run)) if relative is None else relative**-2.0
+    weight = relative**-2.0
     beside = run - (weight * run).sum() / weight.sum()
     variance = 1.0 / float((weight * beside**2).sum())
     slope = float((weight * beside * logs).sum()) * variance
@@ -118,19 +130,24 @@ def _line(
         return slope, math.sqrt(variance), freedom
     rest = logs - (weight * logs).sum() / weight.sum() - slope * beside
     spread = float((weight * rest**2).sum()) / left
-    if relative is not None and spread <= 1.0:
+    if spread <= 1.0:
         return slope, math.sqrt(variance), freedom
-    return slope, math.sqrt(variance * max(spread, 1e-18)), float(left)
+    return slope, math.sqrt(variance * spread), float(left)
 
 
-def _judged(slope: float, half: float, p_value: float, p_fall: float, n_runs: int) -> Trend:
-    """Trend of a ``slope`` of logarithms known to ± ``half``, with the chances of such growth and of such fall."""
-    growth, low, high = (math.expm1(min(value, 700.0)) for value in (slope, slope - half, slope + half))
+def _judged(slope: float, ends: tuple[float, float], p_value: float, p_fall: float, n_runs: int) -> Trend:
+    """Trend of a ``slope`` of logarithms with its 95 % ``ends``, and with the chances of such growth and such fall."""
+    growth, low, high = (math.expm1(value) if value < 700.0 else math.inf for value in (slope, *ends))
     interval = f"{low:+.1%} to {high:+.1%} a run with 95 % certainty, {n_runs} runs"
+    if math.isinf(high):
+        interval = f"{n_runs} runs are too few for an interval"
     change: Literal["grows", "shrinks", "not decided"] = "not decided"
     verdict = f"not decided: {growth:+.1%} a run ({interval}); run it again"
     if p_value <= LEVEL / 2.0:
-        change, verdict = "grows", f"grows by {growth:.1%} a run ({interval}): the bearing is failing"
+        says = (
+            "the bearing is failing" if low >= LEAST_GROWTH else "too little to tell a damage from load or temperature"
+        )
+        change, verdict = "grows", f"grows by {growth:.1%} a run ({interval}): {says}"
     elif p_fall <= LEVEL / 2.0:
         change, verdict = "shrinks", f"shrinks by {-growth:.1%} a run ({interval}): no sign of a failing bearing"
     return Trend(growth, (low, high), p_value, change, verdict)
@@ -140,10 +157,15 @@ def kendall_p_value(values: NDArray[np.float64]) -> float:
     """Chance that independent ``values`` (runs,) rise at least as steadily as these; exact, ties count as no rise."""
     n = len(values)
     rises = sum(float(np.sum(values[k + 1 :] > values[k])) for k in range(n))
+    return float(min(1.0, _chance_of_rises(n)[round(rises) :].sum()))
+
+
+def _chance_of_rises(n: int) -> NDArray[np.float64]:
+    """Chance (0 … n (n - 1) / 2) of each number of rises among the pairs of ``n`` independent values."""
     ways = np.ones(1)
     for k in range(2, n + 1):
-        ways = np.convolve(ways, np.full(k, 1.0 / k))  # chance of each number of rises among k values
-    return float(min(1.0, ways[round(rises) :].sum()))
+        ways = np.convolve(ways, np.full(k, 1.0 / k))
+    return ways
 
 
 def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmplitudes:

@@ -41,8 +41,8 @@ def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> s
     whose = "the crankshaft" if shaft == 1.0 else f"the shaft that turns at {shaft:g} of the crank's speed"
     if order.lock == "locked":
         text = (
-            f"Exactly locked: {n} x of {whose} (a toothed or lobed part, or that shaft's {n}th harmonic). "
-            f"A rolling bearing of {n} elements would slip: no bearing alarm."
+            f"Exactly locked: {n} x of {whose}, such as a toothed or lobed part. BPFO + BPFI adds up to it too, "
+            "at any slip of the cage."
         )
         cycle = place.expected * revs_per_cycle
         if abs(cycle - round(cycle)) < 1e-9:
@@ -51,13 +51,20 @@ def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> s
     if order.lock == "slips":
         slip = place.slip_percent(order.order)
         return (
-            f"Slips ({_slip_words(slip)}), so no part that keeps step with {whose}: the {n} rolling elements of "
-            f"{place.name} passing (N*fs = BPFO + BPFI). {RE_RUN}"
+            f"Slips ({_slip_words(slip)}), so no part that keeps step with {whose}, nor BPFO + BPFI on it: "
+            f"the {n} rolling elements of {place.name}, passing more slowly or faster than it turns. {RE_RUN}"
         )
     return (
         f"Either the {n} rolling elements of {place.name} (N*fs = BPFO + BPFI) or a part with {n} teeth or lobes on "
         f"{whose}: not decided{_revs_words(order)}."
     )
+
+
+def races_words(races: list[str]) -> str:
+    """What the ``races`` (BPFO, BPFI) of a bearing that were found, in vibration or envelope, say of its N*fs."""
+    if not races:
+        return "Neither of its races was found: no bearing alarm."
+    return f"{' and '.join(races)} of the same bearing {'was' if len(races) == 1 else 'were'} found: see there."
 
 
 def _alike(line: EnvelopeLine, other: EnvelopeLine) -> bool:

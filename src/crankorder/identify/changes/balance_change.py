@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from crankorder.identify.changes.mass_change import Unbalance
+from crankorder.identify.intervals import Z95, error_of, half_width
 
-Z95 = 1.959964
 ONE_FACTOR = 13.8
 """99.9 % point of χ² with two degrees of freedom: beyond it two factors are not one."""
 
@@ -64,7 +63,7 @@ def _closed(balance: Any) -> dict[str, _Stated]:
     for key in _QUANTITIES if isinstance(balance, Mapping) else ():
         value, ends = balance.get(key), balance.get(f"{key}_ci95")
         if isinstance(value, int | float) and ends and None not in ends:
-            made[key] = _Stated(float(value), (float(ends[1]) - float(ends[0])) / (2.0 * Z95))
+            made[key] = _Stated(float(value), error_of(float(value), ends))
     return made
 
 
@@ -81,7 +80,7 @@ def factor_of(unbalances: Sequence[Unbalance], orders: Sequence[float]) -> Facto
     if max(apart) > ONE_FACTOR or mean.imag**2 > ONE_FACTOR * error**2 or mean.real <= 0:
         return None
     least = min(one.freedom for one in best)
-    return Factor(mean.real, error * float(stdtrit(least, 0.975)) / Z95, tuple(orders))
+    return Factor(mean.real, error * half_width(least) / Z95, tuple(orders))
 
 
 def _by_factor(known: Sequence[_Stated | None], factor: Factor) -> dict[str, Any] | None:

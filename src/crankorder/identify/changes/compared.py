@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
-from scipy.special import stdtrit
 
 from crankorder.identify.changes.balance_change import balance_changes
 from crankorder.identify.changes.confounds import Confound, confounds
@@ -27,6 +26,7 @@ from crankorder.identify.changes.order_changes import (
     orders_to_compare,
 )
 from crankorder.identify.changes.run_trends import run_trends
+from crankorder.identify.intervals import Z95, half_width
 
 SCHEMA_VERSION = 1
 Cause = Literal[
@@ -39,7 +39,6 @@ Cause = Literal[
     "map only",
     "not comparable",
 ]
-Z95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +250,7 @@ def _order_record(one: OrderChange, explained: str | None) -> dict[str, Any]:
 def _unbalance_record(one: OrderChange, found: Unbalance) -> dict[str, Any]:
     turned = float(np.degrees(cmath.phase(found.factor)))
     half = found.turned_deg_ci95
-    law_half = float(stdtrit(found.freedom, 0.975)) * found.square_law_error
+    law_half = half_width(found.freedom) * found.square_law_error
     return {
         "channel": found.channel,
         "order": found.order,
@@ -303,7 +302,7 @@ def _masses(base: Tested, new: Tested, unbalances: Sequence[tuple[OrderChange, U
 
 
 def _mass_record(one: OrderChange, made: Weighed, unit: str) -> dict[str, Any]:
-    half = float(stdtrit(made.freedom, 0.975)) * made.error
+    half = half_width(made.freedom) * made.error
     record: dict[str, Any] = {"channel": one.channel, "unit": unit, "response_unit": one.unit, "added": abs(made.added)}
     for name, value in (("before", made.before), ("after", made.after)):
         record |= {name: abs(value), f"{name}_ci95": [max(abs(value) - half, 0.0), abs(value) + half]}

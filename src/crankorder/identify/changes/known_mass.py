@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.trial_mass import trial_mass
-from crankorder.settings import Settings, load_settings
 
 
 def masses_between(base: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[AddedMass, ...]:
@@ -48,8 +47,7 @@ def known_mass(
         return None, ""
     if base_map is None or new_map is None:
         return None, "one of the tests has no order map"
-    settings: Settings = load_settings()
-    return trial_mass(base_map, new_map, added=added, engine=_engine(base), settings=settings.identify)
+    return trial_mass(base_map, new_map, added=added, engine=_engine(base))
 
 
 def _engine(run: Mapping[str, Any]) -> Engine | None:

@@ -31,8 +31,8 @@ class MarkTurn:
 def mark_turn(changes: Sequence[OrderChange]) -> MarkTurn | None:
     """Turn of the mark that the phases of all orders agree on; None where they do not, or there is none.
 
-    ``changes`` as of :func:`crankorder.identify.comparison.order_changes`. A mark that sits t revolutions later turns
-    the phase of order k by 2 pi k t. Weighted least squares about the best place of a search.
+    ``changes`` as of :func:`crankorder.identify.changes.order_changes.order_changes`. A mark that sits t revolutions
+    later turns the phase of order k by 2 pi k t. Weighted least squares about the best place of a search.
     """
     turned, order, error, freedom = [], [], [], []
     for one in changes:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc, stdtrit
+from scipy.special import fdtrc
 
 from crankorder.identify.changes.order_changes import OrderChange, welch
+from crankorder.identify.intervals import half_width
 
 FITS = 1e-3
 """A law whose chance of a worse fit is less than this does not hold."""
@@ -44,13 +45,13 @@ class Unbalance:
     @property
     def size_ci95(self) -> tuple[float, float]:
         """95 % interval of the factor's size, from 0."""
-        half = float(stdtrit(self.freedom, 0.975)) * self.factor_error
+        half = half_width(self.freedom) * self.factor_error
         return max(abs(self.factor) - half, 0.0), abs(self.factor) + half
 
     @property
     def turned_deg_ci95(self) -> float:
         """Half width of the 95 % interval of the factor's angle, degrees; 180 where it is unknown."""
-        half = float(stdtrit(self.freedom, 0.975)) * self.factor_error
+        half = half_width(self.freedom) * self.factor_error
         return float(np.degrees(np.arcsin(half / abs(self.factor)))) if half < abs(self.factor) else 180.0
 
     @property

@@ -10,8 +10,8 @@ from scipy.special import ndtr
 
 from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.false_discovery import claimed
+from crankorder.identify.intervals import error_of, interval
 
-Z95 = 1.959964
 _MODE_REACH = 3.0  # standard errors, or damping bandwidths, within which a natural frequency may have moved
 _LEAST_REACH = 0.05  # … and always this share of it
 
@@ -44,7 +44,7 @@ def mode_shifts(base: Mapping[str, Any], new: Mapping[str, Any], *, q: float) ->
 
 def _reach(mode: Mapping[str, Any]) -> float:
     frequency, ends = float(mode["frequency_hz"]), mode["frequency_hz_ci95"]
-    error = (float(ends[1]) - float(ends[0])) / (2 * Z95)
+    error = error_of(frequency, ends)
     return max(_MODE_REACH * error, _MODE_REACH * frequency * float(mode["damping_ratio"]), _LEAST_REACH * frequency)
 
 
@@ -52,11 +52,10 @@ def _mode_record(one: Mapping[str, Any], two: Mapping[str, Any]) -> dict[str, An
     record: dict[str, Any] = {"only_in": None, "frequency_hz": float(one["frequency_hz"])}
     chances = []
     for key, name in (("frequency_hz", "shift_hz"), ("damping_ratio", "damping_change")):
-        ends = [mode[f"{key}_ci95"] for mode in (one, two)]
-        errors = [(float(high) - float(low)) / (2 * Z95) for low, high in ends]
+        errors = [error_of(float(mode[key]), mode[f"{key}_ci95"]) for mode in (one, two)]
         error = float(np.hypot(errors[0], errors[1]))
         shift = float(two[key]) - float(one[key])
-        record |= {name: shift, f"{name}_ci95": [shift - Z95 * error, shift + Z95 * error]}
+        record |= {name: shift, f"{name}_ci95": interval(shift, error)}
         chances.append(1.0 if shift == 0 else 2 * float(ndtr(-abs(shift) / error)) if error > 0 else 0.0)
     record["new_frequency_hz"] = float(two["frequency_hz"])
     return {**record, "p_value": min(1.0, 2 * min(chances)), "changed": False}

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import fdtrc, stdtr, stdtrit
+from scipy.special import fdtrc, stdtr
 
 from crankorder.identify.changes.order_in_map import Line, line_of
 from crankorder.identify.false_discovery import claimed, simes
+from crankorder.identify.intervals import half_width, half_widths
 from crankorder.orders.phase_marks import LOCATED, WHOLE
 
 CLEAR = 3.0
@@ -249,7 +250,7 @@ def change(
     """
     error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
     difference = new.amplitude - base.amplitude
-    half = stdtrit(freedom, 0.975) * error
+    half = half_widths(freedom) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio_db = 20.0 * np.log10(new.amplitude / base.amplitude)
     p_value = _p_values(base, new, difference, error, freedom)
@@ -291,9 +292,9 @@ def _ratio_db_ci95(base: Line, new: Line) -> NDArray[np.float64]:
         one, two = base.error / base.amplitude, new.error / new.amplitude
         error, freedom = welch(one, base.freedom, two, new.freedom)
         middle = np.log(new.amplitude / base.amplitude)
-        half = stdtrit(freedom, 0.975) * error
+        half = half_widths(freedom) * error
         near = np.stack([middle - half, middle + half], axis=1)
-        reach = [stdtrit(line.freedom, 0.9875) * line.error for line in (base, new)]
+        reach = [half_widths(line.freedom, level=0.975) * line.error for line in (base, new)]
         low = np.maximum(new.amplitude - reach[1], 0.0) / (base.amplitude + reach[0])
         high = (new.amplitude + reach[1]) / np.maximum(base.amplitude - reach[0], 0.0)
         far = np.log(np.stack([low, high], axis=1))
@@ -319,7 +320,7 @@ def mean_ratio(base: Line, new: Line) -> MeanRatio:
     mean = float(np.sum(share * values))
     variance = (1.0 + 4.0 * float(np.sum(share * (1.0 - share) / freedom))) / float(weight.sum())
     degrees = 1.0 / float(np.sum(share**2 / freedom))
-    half = float(stdtrit(degrees, 0.975)) * np.sqrt(variance)
+    half = half_width(degrees) * np.sqrt(variance)
     p_value = float(2.0 * stdtr(degrees, -abs(mean) / np.sqrt(variance)))
     spare = len(values) - 1
     fair = np.maximum(freedom - 2.0, 0.5) / freedom  # an estimated variance makes a square over it larger on average

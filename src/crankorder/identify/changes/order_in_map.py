@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+
+from crankorder.identify.intervals import half_widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ def line_of(
     if not phases:
         return Line(amplitude, error, freedom, nothing.astype(np.complex128), nothing, error)
     half = np.radians(values("phase_ci95"))
-    across = np.where(half < np.pi / 2, amplitude * half / stdtrit(freedom, 0.975), 0.0)
+    across = np.where(half < np.pi / 2, amplitude * half / half_widths(freedom), 0.0)
     vector = np.asarray(amplitude * np.exp(1j * np.radians(values("phase"))), dtype=np.complex128)
     return Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error)
 

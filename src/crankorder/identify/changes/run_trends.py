@@ -14,8 +14,8 @@ from crankorder.identify.bearings.trend import run_amplitudes, trend
 from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.changes.order_in_map import line_of
 from crankorder.identify.false_discovery import claimed
+from crankorder.identify.intervals import error_of, interval
 
-Z95 = 1.959964
 LEAST_RUNS = 3
 """Two runs are a comparison; a trend needs one more."""
 
@@ -43,7 +43,7 @@ def run_trends(
     within_rpm: float,
     q: float,
 ) -> list[dict[str, Any]]:
-    """Records of how each line grows from run to run; empty for fewer than three runs.
+    """Records of how each line grows from run to run; of two runs the bearing lines alone.
 
     Parameters
     ----------
@@ -55,10 +55,9 @@ def run_trends(
     within_rpm : largest difference of speeds that are compared, min-1
     q : false-discovery rate over all lines, 0 to 1
     """
-    if len(order_maps) < LEAST_RUNS:
-        return []
-    series = [*_order_series(order_maps, orders, channels, within_rpm)]
-    series += _bearing_series(findings, envelopes, channels)
+    series = _bearing_series(findings, envelopes, channels)
+    if len(order_maps) >= LEAST_RUNS:
+        series = [*_order_series(order_maps, orders, channels, within_rpm), *series]
     records = [
         _record(one)
         for one in series
@@ -79,7 +78,7 @@ def _record(one: Series) -> dict[str, Any]:
         "order": one.order,
         "amplitude": one.amplitude.tolist(),
         "amplitude_ci95": [
-            [float(a - Z95 * e), float(a + Z95 * e)] for a, e in zip(one.amplitude, one.error, strict=True)
+            interval(float(a), float(e), freedom=one.freedom) for a, e in zip(one.amplitude, one.error, strict=True)
         ],
         "growth_per_run": float(found.growth_per_run),
         "growth_per_run_ci95": [float(end) for end in found.growth_ci95],
@@ -158,6 +157,6 @@ def _bearing_series(
 def _recorded(found: Mapping[str, Any], key: tuple[str, str, str, str]) -> tuple[float, float]:
     for record in found.get("bearings") or []:
         if (record["name"], record["line"], record.get("seen_in", "vibration"), record["channel"]) == key:
-            low, high = record["amplitude_ci95"]
-            return float(record["amplitude"]), (float(high) - float(low)) / (2.0 * 1.959964)
+            amplitude = float(record["amplitude"])
+            return amplitude, error_of(amplitude, record["amplitude_ci95"])
     return np.nan, np.nan

@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import stdtrit
 
 from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, recordings_of, zooms
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.zoom import Zoomed
@@ -26,8 +26,6 @@ STATED_SPEED_ERROR = 0.002
 
 WANDER_RATIO = 10.0
 """A line that changes slowly by so many times its fast noise swells and fades: noise does by chance once in 1e6."""
-
-LARGEST_FREEDOM = 1e6
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +73,7 @@ def orders_agreed(
 
     Without pulses the crank angle itself comes from a stated speed, a speed signal or the vibration: an order is only
     as good as that, 0.2 % is added to its standard error, and nothing is called locked.
-    ``settings``: ``order_match``, the distance below which two found orders are one.
+    ``settings``: ``order_match``, the distance below which two found orders may be one.
     """
     by_pulses = not any(_without_pulses(item) for item in (*frames, order_map))
     test = _Test(recordings_of(frames), order_map, by_pulses)
@@ -120,7 +118,7 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
     mean = float(np.average([line.order for line in group], weights=weights))
     spread = float(np.sqrt(np.average([(line.order - mean) ** 2 for line in group], weights=weights)))
     # channels share the noise and the skirts of other lines: none makes the others more certain
-    by_lobe = _Number(mean, max(float(1.0 / np.sqrt(weights.max())), spread), LARGEST_FREEDOM, False)
+    by_lobe = _Number(mean, max(float(1.0 / np.sqrt(weights.max())), spread), np.inf, False)
     bin_order = test.resolution * round(mean / test.resolution)
     seen = _zooms(group, test, bin_order, mean)
     if not seen:
@@ -218,7 +216,7 @@ def _named(number: _Number, lines: list[OrderLine], test: _Test, reservation: st
     if lock == "locked":
         order = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
         # the interval holds the multiple, as the proof of the lock says
-        within = sure_half_width(1.0, number.freedom) / float(stdtrit(max(min(number.freedom, 1e6), 1.0), 0.975))
+        within = sure_half_width(1.0, number.freedom) / half_width(number.freedom)
         error = max(error, abs(number.order - order) / within)
     elif lock == "undecided":
         needed = _needed_revs(order, lines, test)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -29,13 +30,23 @@ ALIKE = (1.0, 4.0 / 9.0, 1.0 / 36.0)
 Floats = NDArray[np.float64]
 
 
-def excess_over_noise(
-    order_map: xr.Dataset, *, settings: IdentifySettings, orders: OrderSettings
-) -> tuple[Floats, Floats, Floats]:
-    """Energy over the level that noise alone reaches, energy over its floor, and the floor: (channel, speed, order).
+class OverNoise(NamedTuple):
+    """Energy over the level that noise alone reaches, over its floor, and the floor: (channel, speed, order) each.
 
-    The first is over one with the chance ``settings.false_alarm_probability`` in noise that is level, or slopes, over
-    the bins beside; it allows for what the floor itself, a median of few bins, errs by. It is zero where a bin of
+    ``floor_worth`` of that shape: how many independent bins the floor is the median of.
+    """
+
+    excess: Floats
+    ratio: Floats
+    floor: Floats
+    floor_worth: Floats
+
+
+def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orders: OrderSettings) -> OverNoise:
+    """How far ``order_map`` stands over its noise, in each bin of each channel at each speed.
+
+    The ``excess`` is over one with the chance ``settings.false_alarm_probability`` in noise that is level, or slopes,
+    over the bins beside; it allows for what the floor itself, a median of few bins, errs by. It is zero where a bin of
     ``order_map`` is not the highest of three, by energy or by what agrees in phase, and at its first bins. A resonance
     narrower than the bins beside is above the level too: what tells it from a line is not energy. ``orders`` give the
     floor's width (``floor_bins``) and distance from possible lines (``guard_bins``).
@@ -59,7 +70,7 @@ def excess_over_noise(
     over = ratio / np.where(narrowed, level[None, :, 1:], level[None, :, :1])
     excess = np.where(highest_of_three(energy) | by_phase, over, 0.0)
     excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
-    return excess, ratio, floor
+    return OverNoise(excess, ratio, floor, np.where(narrowed, near, wide))
 
 
 def reference_bins(order: Floats, *, line_step: float, guard_bins: int, n_bins: int) -> NDArray[np.int64]:

@@ -8,9 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import gammaincc, stdtr, stdtrit
+from scipy.special import gammaincc, stdtr
 
 from crankorder.identify.found import OrderLine
+from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, known_freedom
 
 SpeedLaw = Literal["grows with speed^n", "keeps its size", "follows no power law"]
 
@@ -44,7 +45,6 @@ LAW_SCATTER = 0.1
 LARGEST_DEVIATING = 0.34
 """Share of speeds that may deviate from a law that is said to hold at the others."""
 
-LARGEST_FREEDOM = 1e6
 CHOSEN_BY = 2.0
 """The largest amplitude is chosen by what it surely is: less so many standard errors."""
 
@@ -77,7 +77,7 @@ class Growth:
     @property
     def ci95(self) -> tuple[float, float]:
         """95 % interval of the exponent."""
-        half = float(stdtrit(self.freedom, 0.975)) * self.exponent_error
+        half = half_width(self.freedom) * self.exponent_error
         return self.exponent - half, self.exponent + half
 
 
@@ -127,7 +127,7 @@ def growth(line: OrderLine) -> Growth | None:
     exponent, exponent_error, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
     freedom = _freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= LARGEST_DEVIATING * len(x))
-    half = float(stdtrit(freedom, 0.975)) * exponent_error
+    half = half_width(freedom) * exponent_error
     law = _law(exponent, half, fits=few_deviate and chance >= FIT_CHANCE, near=few_deviate and excess < LAW_SCATTER)
     return Growth(exponent, exponent_error, freedom, law, chance, excess, tuple(speed[~kept].tolist()))
 
@@ -146,13 +146,13 @@ def _freedom(error: Floats, excess: float, freedom: Floats) -> float:
     Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
     """
     own = float(np.exp(np.mean(np.log(error**2))))
-    held = float(np.clip(np.sum(np.where(np.isfinite(freedom), freedom, LARGEST_FREEDOM)), 1.0, LARGEST_FREEDOM))
+    held = float(np.clip(np.sum(np.where(np.isfinite(freedom), freedom, ENDLESS_FREEDOM)), 1.0, ENDLESS_FREEDOM))
     return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
 
 
 def _log_errors(relative: Floats, freedom: Floats) -> Floats:
     """Standard deviations of log amplitudes whose errors are themselves known with ``freedom`` only."""
-    held = np.clip(np.nan_to_num(freedom, nan=1.0, posinf=LARGEST_FREEDOM), 1.0, LARGEST_FREEDOM)
+    held = np.clip(np.nan_to_num(freedom, nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
     widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
     return np.hypot(relative * widened, LAW_TOLERANCE)
 
@@ -223,10 +223,10 @@ def largest(line: OrderLine) -> Largest:
     speed = float(line.speed_rpm[at])
     if one == 0.0 or not np.isfinite(one):
         return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
-    freedom = float(np.clip(np.nan_to_num(line.degrees_of_freedom[at], nan=1.0), 1.0, LARGEST_FREEDOM))
+    freedom = known_freedom(float(line.degrees_of_freedom[at]))
     others = np.delete(least, at)
     cut = (float(np.max(others)) - seen) / one + CHOSEN_BY if len(others) else -np.inf
-    wide = float(stdtrit(freedom, 1.0 - 0.5 * SIMULTANEOUS / len(least)))
+    wide = half_width(freedom, level=1.0 - SIMULTANEOUS / len(least))
     share = 0.5 * (0.05 - SIMULTANEOUS) / (1.0 - SIMULTANEOUS)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
     low, high = (seen + one * _not_surprising(cut, wide, freedom, part) for part in parts)
@@ -263,7 +263,7 @@ def mean_level(line: OrderLine) -> MeanLevel:
         weight = 1.0 / (error**2 + excess**2)
         mean = float(np.average(amplitude, weights=weight))
     freedom = _freedom(error, excess, line.degrees_of_freedom[known])
-    half = float(stdtrit(freedom, 0.975)) / float(np.sqrt(weight.sum()))
+    half = half_width(freedom) / float(np.sqrt(weight.sum()))
     return MeanLevel(mean, max(0.0, mean - half), mean + half)
 
 

@@ -165,8 +165,8 @@ def _steadier_than_a_resonance(
 
     Its phasor forgets itself with K = 2 pi damping f T over the time T. Its power over T, as long as that is short of
     the memory, is a random walk whose variance is below s with a chance of exp(-K / (2 s)) where the resonance stands
-    at its mean,, and exp(-K / (2 s e)) where it
-    stands e times over it, which has the chance exp(-e): together exp(-sqrt(2 K / s)) at most.
+    at its mean, and exp(-K / (2 s e)) where it stands e times over it, which has the chance exp(-e): together
+    exp(-sqrt(2 K / s)) at most.
     """
     hop = float(order_map.attrs["revs_per_frame"]) * (1.0 - float(order_map.attrs["overlap"]))
     turned = float(order_map["order"].values[peak]) * hop * max(float(order_map["n_frames"].values[at]) - 1.0, 0.0)

@@ -10,14 +10,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Evidence, OrderLine
-from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.cfar import excess_over_noise, independent_bins, noise_chance, reference_bins
+from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.settings import IdentifySettings, OrderSettings
-
-__all__ = ["NEIGHBOUR_ORDERS", "Z95", "OrderLine", "excess_over_noise", "order_lines", "orders_agreed"]
 
 NEIGHBOUR_ORDERS = 0.25
 """Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
@@ -44,9 +41,6 @@ LEFT_RATIO = 2.0
 FIXED_SHARE = 0.5
 """A line of few speeds whose frequency stands out at this share of the speeds beside is one of fixed frequency."""
 
-Z95 = 1.959964
-"""Half width of a 95 % interval in standard deviations."""
-
 Floats = NDArray[np.float64]
 
 
@@ -59,8 +53,8 @@ class _Search:
     excess: Floats
     ratio: Floats
     floor: Floats
+    floor_worth: Floats
     false_alarm_probability: float
-    floor_worth: float
 
     @property
     def axis(self) -> Floats:
@@ -87,21 +81,14 @@ def order_lines(
     one order, though no exact multiple of the shaft's, by the turn of its phase (a map alone shows that of long lines
     only); one that swells and fades slowly, as two do that are too close to be parted, is kept with that reservation.
     """
-    excess, ratio, floor = excess_over_noise(order_map, settings=settings, orders=orders)
-    bins = reference_bins(
-        order_map["order"].values,
-        line_step=1.0 / int(order_map.attrs["revs_per_cycle"]),
-        guard_bins=orders.guard_bins,
-        n_bins=orders.floor_bins,
-    )
-    chance = settings.false_alarm_probability
-    search = _Search(order_map, recordings_of(frames), excess, ratio, floor, chance, independent_bins(bins))
+    over = excess_over_noise(order_map, settings=settings, orders=orders)
+    search = _Search(order_map, recordings_of(frames), *over, settings.false_alarm_probability)
     n_speeds = len(search.speed)
     needed = min(n_speeds, max(settings.min_speeds, round(settings.min_speed_fraction * n_speeds)))
     lines = []
-    for channel in range(len(excess)):
-        for peak in _peaks(excess[channel], search.axis):
-            seen = np.flatnonzero(excess[channel, :, peak] > 1.0)
+    for channel in range(len(over.excess)):
+        for peak in _peaks(over.excess[channel], search.axis):
+            seen = np.flatnonzero(over.excess[channel, :, peak] > 1.0)
             line = _line_at(search, channel, int(peak), seen, needed)
             if line is not None:
                 lines.append(line)
@@ -172,7 +159,8 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: NDArray[np.in
     """
     n = search.order_map["n_independent"].values
     highest = max(
-        noise_chance(float(search.ratio[channel, s, peak]), float(n[s]), search.floor_worth) for s in seen.tolist()
+        noise_chance(float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak]))
+        for s in seen.tolist()
     )
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])

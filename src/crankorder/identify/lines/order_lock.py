@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import stdtrit
 
 from crankorder.identify.found import Lock
+from crankorder.identify.intervals import half_width
 
 SURE = 0.999
 """Level of the interval by which a multiple is excluded or proven: a test has many lines."""
@@ -44,7 +44,7 @@ def lock_of(order: float, order_error: float, freedom: float, *, revs_per_cycle:
 
 def sure_half_width(order_error: float, freedom: float) -> float:
     """Half width of the 99.9 % interval of an order with the standard ``order_error`` of ``freedom`` degrees."""
-    return float(stdtrit(max(min(freedom, 1e6), 1.0), 0.5 + 0.5 * SURE)) * order_error
+    return half_width(freedom, level=SURE) * order_error
 
 
 def revs_to_decide(order: float, *, relative_error: float, span_rev: float, revs_per_frame: float) -> float:
@@ -56,5 +56,5 @@ def revs_to_decide(order: float, *, relative_error: float, span_rev: float, revs
     ``revs_per_frame`` are needed anyway.
     """
     error = relative_error * np.sqrt(12.0) / (2.0 * np.pi * span_rev)
-    wanted = 0.5 * LEAST_SLIP * order / float(stdtrit(1e6, 0.5 + 0.5 * SURE))
+    wanted = 0.5 * LEAST_SLIP * order / half_width(np.inf, level=SURE)
     return float(max(span_rev * (error / wanted) ** (2.0 / 3.0), FEWEST_FRAMES * revs_per_frame))

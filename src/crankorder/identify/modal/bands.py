@@ -91,6 +91,7 @@ def _band(floor: Floor, first: int, last: int) -> Band:
         psd=floor.psd[:, at],
         averages=floor.averages[:, at],
         cells=floor.cells[:, :, at],
+        whole=floor.whole[:, at],
     )
     low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
     high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf

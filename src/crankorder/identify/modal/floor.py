@@ -38,7 +38,8 @@ class Floor:
 
     ``frequency_hz`` (F,) of the bins in use; ``psd`` (C, F) at unit gain; ``averages`` (C, F): independent power
     spectra behind each; ``gain`` (C, K) of each speed; ``cells`` (C, K, F): psd of each speed at unit gain, NaN where
-    masked; ``cell_averages`` (C, K). ``seen``: how the window sees power.
+    masked; ``cell_averages`` (C, K). ``seen``: how the window sees power. ``whole`` (C, F): mean psd with all lines.
+    ``quantity`` (C,): what each channel measures, "" where unknown.
     """
 
     frequency_hz: Array
@@ -50,6 +51,8 @@ class Floor:
     channels: tuple[str, ...]
     speed_rpm: Array
     seen: Sight
+    whole: Array
+    quantity: tuple[str, ...]
 
     @property
     def step_hz(self) -> float:
@@ -99,6 +102,7 @@ def quiet_floor(
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
+    whole = _mean(psd, averages)[0]
     moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
@@ -108,12 +112,18 @@ def quiet_floor(
     psd, gain = _at_unit_gain(psd, averages)
     if psd.shape[1] > 2:
         _clip(psd, averages)
-    weight = np.where(np.isnan(psd), 0.0, (averages * 1.0)[:, :, None])
+    mean, total = _mean(psd, averages)
+    names = tuple(str(name) for name in campbell["channel"].values)
+    quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
+    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity)
+
+
+def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
+    """Mean of ``psd`` over the speeds, weighted by ``averages``, and the sum of those; NaN takes no part."""
+    weight = np.where(np.isnan(psd), 0.0, averages[:, :, None])
     total = weight.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.nansum(weight * np.nan_to_num(psd), axis=1) / total
-    names = tuple(str(name) for name in campbell["channel"].values)
-    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen)
+        return np.nansum(weight * np.nan_to_num(psd), axis=1) / total, total
 
 
 def _independent(campbell: xr.Dataset) -> Array:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.modal.bands import Band, bands_of
 from crankorder.identify.modal.covariance import pole_covariance
-from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted
+from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_responses import Block, Blocks, blocks_of, fitting, responses_of
+from crankorder.identify.modal.order_search import with_modes_of_first_order
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
 from crankorder.identify.modal.strong_tones import without_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
@@ -55,7 +56,8 @@ def modal_fit(
         fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks) for item in fitted]
-    return _found(fitted, floor, strong, blocks, settings)
+    found = _found(fitted, floor, strong, blocks, settings)
+    return with_modes_of_first_order(found, order_map, orders, settings=settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +224,7 @@ def _mode(
     )
     if not doubt and narrower_than_fitted(problem, fit, number):
         doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
+    doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or of_the_air(names, floor)
     return Mode(f, error, zeta, zeta_error, names, prominence, words, by, doubt)
 
 

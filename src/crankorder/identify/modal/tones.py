@@ -156,12 +156,21 @@ def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Id
 
     ``error_hz``: standard error of the frequency; ``floor``: in all channels; ``settings``: those in use.
     """
-    speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
-    if not len(speed) or speed.max() >= settings.mode_speed_ratio * speed.min():
+    if not at_one_speed(floor, settings=settings):
         return ""
+    speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
     step = float(np.median(speed)) / 60.0 / 2.0
     spread = (0.5 * np.ptp(speed) / np.median(speed) + SPEED_SPREAD) * frequency_hz + 2.0 * error_hz + floor.seen.bin_hz
     half = max(1, round(frequency_hz / step))
     if abs(frequency_hz - step * half) <= spread and step > 2.0 * spread:
         return f"lies on order {0.5 * half:g}, and the tested speeds are too alike to tell an order from a fixed line"
     return ""
+
+
+def at_one_speed(floor: Floor, *, settings: IdentifySettings) -> bool:
+    """Whether the speeds of a shaft are too alike to tell an order from a line of fixed frequency.
+
+    ``floor``: the floor in all channels; ``settings``: ``mode_speed_ratio`` says how alike.
+    """
+    speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
+    return len(speed) > 0 and bool(speed.max() < settings.mode_speed_ratio * speed.min())

@@ -14,6 +14,7 @@ MAINS = "#a03c78"
 MAINS_ON_MAP = "#ff9ad5"
 AVOID = "#c4314b"
 FREE = "#8fc79a"
+NOT_JUDGED = "#9aa5b1"
 LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
 SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
 BAND_FACTOR = 1.959964

@@ -106,12 +106,16 @@ def _open(findings: dict[str, Any]) -> bool:
     """True where a free band holds crossings that were not judged, or with what may be no natural frequency."""
     if any(band.get("remark") for band in findings.get("free_bands") or []):
         return True
-    doubtful = [
+    return any(low <= rpm <= high for low, high in free_bands(findings) for rpm in not_judged_rpm(findings))
+
+
+def not_judged_rpm(findings: dict[str, Any]) -> list[float]:
+    """Speeds [rpm] of the crossings of ``findings`` inside the tested range of which nothing could be decided."""
+    return [
         float(record["rpm"])
         for record in findings.get("crossings", [])
         if record.get("in_range") and record.get("verdict", "excited") not in _JUDGED and is_number(record.get("rpm"))
     ]
-    return any(low <= rpm <= high for low, high in free_bands(findings) for rpm in doubtful)
 
 
 def free_sentences(findings: dict[str, Any]) -> list[str]:

@@ -34,6 +34,9 @@ ALL_CLEAR_WITH_ENVELOPE = (
     "Nothing that was looked for asks for action: orders, natural frequencies, their crossings, and the lines of the "
     "bearings that were named, in the vibration and in its envelope."
 )
+STILL_CLEAR = "Nothing asks for action: natural frequencies are no fault by themselves."
+INTERVALS = "Numbers in brackets are 95 % intervals."
+BALANCE = "Balance it: the strongest order is that of an unbalanced mass."
 TOO_SHORT = "Record more revolutions at each speed: what was recorded proves neither a fault nor that there is none."
 _MANY = 3  # speeds to avoid that a summary names one by one
 _MUCH_UNKNOWN = 0.05  # of the energy: more than this asks for a look
@@ -51,16 +54,18 @@ class Story(TypedDict):
 def headline(findings: dict[str, Any]) -> list[str]:
     """The few sentences that matter most, the strongest line first; for the command line and the head of the page.
 
-    The strongest line with its cause, the first bearing's verdict, the worst speed, the residual unbalance (or why it
-    is not known), the share of energy that nothing explains. ``findings`` as in ``data_schema/findings.json``. Never
-    empty.
+    The strongest line with its cause, the first bearing's verdict (first where a bearing strikes), the worst speed, the
+    residual unbalance (or why it is not known), the share of energy that nothing explains; of what does not turn its
+    natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
     if NOT_ASKED_FOR in findings:
         return [f"Findings were {named(findings[NOT_ASKED_FOR], limit=400)}."]
     energy = energy_sentence(findings)
+    if stands_still(findings):
+        return [*mode_sentences(findings)[:1], *([energy] if energy else [])]
+    lines, bearings = line_sentences(findings)[:1], bearing_sentences(findings)[:1]
     return [
-        *line_sentences(findings)[:1],
-        *bearing_sentences(findings)[:1],
+        *(bearings + lines if strikes(findings) else lines + bearings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
         *([energy] if energy else []),
@@ -72,6 +77,13 @@ def story_of(findings: dict[str, Any]) -> Story:
     if NOT_ASKED_FOR in findings:
         return Story(what=[], why=[], how_sure=_quality_sentences(findings), what_to_do=_repeat_sentences(findings))
     energy = energy_sentence(findings)
+    if stands_still(findings):
+        return Story(
+            what=mode_sentences(findings),
+            why=tone_sentences(findings),
+            how_sure=[INTERVALS, *([energy] if energy else []), *_quality_sentences(findings)],
+            what_to_do=[*_repeat_sentences(findings)] or [STILL_CLEAR],
+        )
     return Story(
         what=line_sentences(findings),
         why=[
@@ -82,13 +94,25 @@ def story_of(findings: dict[str, Any]) -> Story:
             *balance_sentences(findings),
         ],
         how_sure=[
-            "Numbers in brackets are 95 % intervals.",
+            INTERVALS,
             *([energy] if energy else []),
             *lock_sentences(findings),
             *_quality_sentences(findings),
         ],
         what_to_do=_what_to_do(findings),
     )
+
+
+def stands_still(findings: dict[str, Any]) -> bool:
+    """Whether nothing turned, as far as ``findings`` tell: no speed, no order, but natural frequencies."""
+    speeds = findings.get("speed_range_rpm") or []
+    return bool(findings.get("modes")) and not findings.get("orders") and not any(is_number(one) for one in speeds)
+
+
+def strikes(findings: dict[str, Any]) -> bool:
+    """Whether a bearing of ``findings`` strikes: a line of its envelope is called damage."""
+    said = [str(record.get("verdict", "")) for record in findings.get("bearings", [])]
+    return any(verdict.startswith("Damage") for verdict in said)
 
 
 def energy_sentence(findings: dict[str, Any]) -> str:
@@ -135,6 +159,8 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     asks = [*sentences]
     if any(RE_RUN_RULE in one for one in bearing_sentences(findings)):
         asks.append(RE_RUN_RULE)
+    if _unbalance_leads(findings):
+        asks.append(BALANCE)
     fraction = findings.get("unexplained_energy_fraction")
     if is_number(fraction) and fraction > _MUCH_UNKNOWN:
         asks.append("Look for the cause of the lines that the tables call unexplained.")
@@ -145,6 +171,15 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
         sought = findings.get("looked_for") or []
         asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in sought else ALL_CLEAR]
     return [*asks[: len(sentences)], *free_sentences(findings), *asks[len(sentences) :]]
+
+
+def _unbalance_leads(findings: dict[str, Any]) -> bool:
+    """Whether the strongest order of any channel is unbalance."""
+    records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude"))]
+    names = {str(record.get("channel")) for record in records}
+    of = {name: [one for one in records if str(one.get("channel")) == name] for name in names}
+    strongest = [max(group, key=lambda one: float(one["amplitude"])) for group in of.values()]
+    return any(str(record.get("explained_by")) == "unbalance" for record in strongest)
 
 
 def _repeat_sentences(findings: dict[str, Any]) -> list[str]:

@@ -1,0 +1,48 @@
+"""95 % intervals of what was found: Student's t wherever a standard error has degrees of freedom of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
+
+Z95 = float(ndtri(0.975))
+"""Half width of a 95 % interval in standard deviations of a normal distribution."""
+
+ENDLESS_FREEDOM = 1e6
+"""Degrees of freedom from which on Student's t is a normal distribution."""
+
+
+def known_freedom(freedom: float) -> float:
+    """Degrees of ``freedom`` of a standard error as Student's t takes them: from 1 to ENDLESS_FREEDOM; NaN is 1."""
+    return ENDLESS_FREEDOM if freedom > ENDLESS_FREEDOM else freedom if freedom > 1.0 else 1.0
+
+
+def half_width(freedom: float, *, level: float = 0.95) -> float:
+    """Half width, in standard errors with ``freedom`` degrees of freedom, of the two-sided interval of a ``level``.
+
+    ``freedom`` may be infinite and counts as 1 at least; ``level`` is 0 to 1.
+    """
+    return float(stdtrit(known_freedom(freedom), 0.5 + 0.5 * level))
+
+
+def half_widths(freedom: NDArray[np.float64], *, level: float = 0.95) -> NDArray[np.float64]:
+    """Half widths as of :func:`half_width`, of the shape of ``freedom``, at one ``level``."""
+    held = np.where(freedom > 1.0, np.minimum(freedom, ENDLESS_FREEDOM), 1.0)
+    return np.asarray(stdtrit(held, 0.5 + 0.5 * level))
+
+
+def error_of(value: float, ends: Sequence[float]) -> float:
+    """Standard error of a stated ``value`` by the wider side of its 95 % interval, of which ``ends`` are the ends.
+
+    The other side may be cut off at 0, as of sizes and damping ratios.
+    """
+    return max(float(ends[1]) - value, value - float(ends[0])) / Z95
+
+
+def interval(value: float, error: float, *, freedom: float = np.inf) -> list[float]:
+    """95 % interval of ``value`` with its standard ``error`` of so many degrees of ``freedom``."""
+    half = error * half_width(freedom)
+    return [value - half, value + half]
