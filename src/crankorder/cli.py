@@ -315,6 +315,10 @@ def compare(
         click.echo(document_text(made), nl=False)
     elif not quiet:
         click.echo("\n".join(made.document["headline"]))
+    if made.document["cause"]["cause"] == "not comparable":
+        for found in (one for one in made.document["confounds"] if one["severity"] == "invalid"):
+            click.echo(f"crankorder: not comparable: {found['what']}: {found['words']}", err=True)
+        sys.exit(4)
 
 
 @main.command()

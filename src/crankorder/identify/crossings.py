@@ -13,6 +13,7 @@ from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, OrderResponse
 from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width
 from crankorder.identify.order_trend import PowerLaw, power_law
+from crankorder.identify.resonance import resonance
 from crankorder.settings import IdentifySettings
 
 Floats = NDArray[np.float64]
@@ -189,8 +190,7 @@ def shapes(frequency_hz: Floats, modal: ModalFit) -> NDArray[np.complex128]:
     """Response (frequencies, modes) of each mode of ``modal`` at ``frequency_hz``: −x² / (1 − x² + 2iζx), x = f/f_j."""
     natural = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
-    x = frequency_hz[:, None] / natural
-    return np.asarray(-(x**2) / (1.0 - x**2 + 2j * damping * x))
+    return resonance(frequency_hz, natural, damping)
 
 
 def _above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> list[_Seen]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from crankorder.identify.found import AgreedOrder
+from crankorder.identify.mains import nearest_multiple
 from crankorder.settings import IdentifySettings
 
 ALIKE_SPEEDS = 1.005
@@ -15,6 +16,9 @@ FEWEST = 3
 
 OVER_CHANCE = 3.0
 """… and at least so many times as many as lines anywhere would hit by chance."""
+
+SAME_HZ = 0.1
+"""Hz within which they are multiples of one and the same frequency."""
 
 LOWEST = 2
 """Among them one of the first so many multiples."""
@@ -33,9 +37,10 @@ def mains_orders(orders: tuple[AgreedOrder, ...], *, settings: IdentifySettings)
         return found
     hertz = np.array(list(frequencies.values()))
     for mains in settings.mains_hz:
-        multiple = np.maximum(1.0, np.rint(hertz / mains))
-        within = settings.mains_tolerance_hz * np.sqrt(multiple)
+        multiple, within = nearest_multiple(hertz, mains, settings=settings)
         hits = np.abs(hertz - multiple * mains) <= within
+        if hits.any():  # they all come from one mains, wherever it has wandered
+            hits &= np.abs(hertz - multiple * np.median((hertz / multiple)[hits])) <= SAME_HZ
         by_chance = float(np.sum(np.minimum(1.0, 2.0 * within / mains)))
         enough = np.unique(multiple[hits]).size >= max(FEWEST, OVER_CHANCE * by_chance)
         if not enough or multiple[hits].min() > LOWEST:

@@ -124,7 +124,8 @@ def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
 
 
 def _tone_record(tone: Tone, cause: Cause) -> dict[str, Any]:
-    channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0])
+    # channels may have different units: that in which it stands clearest
+    channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0] / max(item[1][1], 1e-300))
     return {
         "frequency_hz": tone.frequency_hz,
         "frequency_hz_ci95": interval(tone.frequency_hz, tone.frequency_error_hz),

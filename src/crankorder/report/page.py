@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any, Literal
 from urllib.parse import quote
 
-from jinja2 import Environment, StrictUndefined, Template
+from jinja2 import Environment, FunctionLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from crankorder.report.notation import named
@@ -94,8 +94,11 @@ def _beside(path: str) -> str:
 @cache
 def page_template(name: str) -> Template:
     """Template ``name`` of this room, which escapes every text."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(files("crankorder.report").joinpath(name).read_text(encoding="utf-8"))
+    loader = FunctionLoader(lambda wanted: files("crankorder.report").joinpath(wanted).read_text(encoding="utf-8"))
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(name)
 
 
 @cache

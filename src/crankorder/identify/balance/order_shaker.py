@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.balance.noise_beside import whitening
-from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, resonance
+from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real
 from crankorder.identify.found import ModalFit
+from crankorder.identify.resonance import resonance
 
 NEAR, FAR = 1.1, 3.0
 """Modes up to NEAR times the highest frequency must have a term of their own, up to FAR they have one where there are

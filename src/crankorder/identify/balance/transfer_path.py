@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.engine.transfer_paths import StatedPath
 from crankorder.identify.balance.noise_beside import noise_shape
+from crankorder.identify.resonance import resonance
 from crankorder.settings import STANDARD_GRAVITY_M_S2
 
 Complex = NDArray[np.complex128]
@@ -203,12 +204,3 @@ def accelerance_of(path: StatedPath, frequency_hz: Real) -> Complex:
             )
     low, high = path.holds_hz
     return np.where((f >= low) & (f <= high), value, np.nan)
-
-
-def resonance(frequency_hz: Real, natural_hz: Real, damping_ratio: Real) -> Complex:
-    """Acceleration −x² / (1 − x² + 2iζx), x = f / f_j, of modes of unit residue, shape (…, mode).
-
-    ``frequency_hz``: f, any shape (…). ``natural_hz`` and ``damping_ratio``: f_j (Hz) and ζ_j, (mode,).
-    """
-    x = np.asarray(frequency_hz)[..., None] / natural_hz
-    return np.asarray(-(x**2) / (1 - x**2 + 2j * damping_ratio * x), dtype=np.complex128)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Tone, ToneKind
+from crankorder.identify.mains import nearest_multiple
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, fit_surface
@@ -123,10 +124,12 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
     if known:
         return "order", known
     for mains in settings.mains_hz:
-        multiple = max(1, round(frequency_hz / mains))
-        reach = settings.mains_tolerance_hz * float(np.sqrt(multiple))
+        multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
         if abs(frequency_hz - multiple * mains) <= reach + 2.0 * error_hz:
-            return "mains", f"no damping, {multiple} times the mains frequency of {mains:g} Hz, the same at all speeds"
+            return (
+                "mains",
+                f"no damping, {multiple:.0f} times the mains frequency of {mains:g} Hz, the same at all speeds",
+            )
     return "tone", "no damping: as narrow as the window makes any tone; stays at all speeds"
 
 
@@ -147,8 +150,8 @@ def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[To
 
 
 def _is_multiple(frequency_hz: float, mains_hz: float, settings: IdentifySettings) -> bool:
-    multiple = max(1, round(frequency_hz / mains_hz))
-    return abs(frequency_hz - multiple * mains_hz) <= settings.mains_tolerance_hz * float(np.sqrt(multiple))
+    multiple, reach = nearest_multiple(frequency_hz, mains_hz, settings=settings)
+    return bool(abs(frequency_hz - multiple * mains_hz) <= reach)
 
 
 def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:
