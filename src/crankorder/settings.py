@@ -124,6 +124,9 @@ class IdentifySettings(StageSettings):
     mode_prominence_db: Positive
     mode_min_width_bins: Positive
     max_damping_ratio: Fraction
+    least_damping_ratio: Fraction
+    free_amplification: Annotated[float, Field(gt=1)]
+    free_confidence: Fraction
     mode_speed_ratio: Annotated[float, Field(ge=1)]
     mains_hz: tuple[Positive, ...] = Field(strict=False)
     mains_tolerance_hz: Positive

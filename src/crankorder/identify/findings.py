@@ -19,6 +19,7 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
+from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
@@ -32,6 +33,7 @@ def find(
     frames: Sequence[xr.Dataset],
     envelope: xr.Dataset | None,
     *,
+    followed: Sequence[xr.Dataset] = (),
     test: str,
     sources: Sources,
     settings: Settings,
@@ -40,21 +42,24 @@ def find(
 
     ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
+    ``followed`` are the RecordingTracks of recordings whose speed sweeps;
     ``sources`` says what the machine is made of; ``settings`` are those of all stages.
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     lines = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
     orders = orders_agreed(lines, frames=frames, order_map=order_map, settings=asked)
-    modal = modal_fit(campbell, order_map, orders, settings=asked)
+    modal = modal_fit(campbell, order_map, orders, settings=asked, followed=followed)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
     causes = explained(orders, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
     tested = _tested_rpm(order_map, campbell)
-    meetings = crossings(orders, modal, speed_rpm=tested, settings=asked)
-    avoid, free = speeds_to_avoid(meetings, orders, modal, speed_rpm=tested, settings=asked)
+    stated = [order for _, order in sources.gears]
+    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
+    meetings = crossing_records(found)
+    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, settings=asked)
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
@@ -68,8 +73,9 @@ def find(
         "orders": records,
         "modes": mode_records(modal, causes),
         "crossings": meetings,
-        "speeds_to_avoid": avoid,
-        "free_bands": free,
+        "speeds_to_avoid": avoided_records(speeds),
+        "free_bands": band_records(speeds.free),
+        "open_bands": band_records(speeds.open),
         "bearings": bearings,
         "lines": line_records(records, modal, causes, channels=list(unit)),
         "unexplained_energy_fraction": shares["unexplained_energy_fraction"],

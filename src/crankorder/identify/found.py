@@ -102,23 +102,43 @@ class Tone:
 class OrderResponse:
     """How one order drives one channel through the fitted modes.
 
-    Its complex amplitude at ``speed_rpm`` is (speed / ``reference_rpm``)**``exponent`` times
-    ``rigid`` + Σ ``residue``[j] · h_j(order · speed / 60), h_j(f) = −x² / (1 − x² + 2iζx), x = f / f_j, over the modes
-    of the fit. ``fits`` says whether the data agree with that (chance of a worse fit ≥ 0.001).
+    Its complex amplitude at a speed s is a force, (s / ``reference_rpm``)**``exponent`` exp(Σ ``law``[k] P_k+1(x)),
+    times Σ ``smooth``[k] P_k(x) + Σ ``residue``[j] h_j(order s / 60): P_k the Legendre polynomials of x, which runs
+    from -1 to 1 in ln s over ``span_rpm``, and h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
+    ``covariance`` (terms, terms) is that of the smooth terms and the residues of the modes ``reached``, per real part,
+    with ``freedom`` degrees of freedom; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
     """
 
     order: float
     channel: str
     exponent: float
+    law: tuple[complex, ...]
     reference_rpm: float
-    rigid: complex
+    span_rpm: tuple[float, float]
+    smooth: NDArray[np.complex128]
     residue: NDArray[np.complex128]
+    reached: NDArray[np.int64]
+    covariance: NDArray[np.complex128]
+    freedom: int
+    error: float
     fits: bool
+
+
+@dataclass(frozen=True, eq=False)
+class UnseenBound:
+    """How many times a mode that nobody saw could amplify one order: ``amplification`` (channels, speeds)."""
+
+    order: float
+    channels: tuple[str, ...]
+    speed_rpm: NDArray[np.float64]
+    amplification: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class ModalFit:
     """Modes, lowest first, with the ``covariance`` of (f_1, ζ_1, f_2, ζ_2, …); tones; responses; the floor.
+
+    ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen.
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
@@ -128,6 +148,77 @@ class ModalFit:
     tones: tuple[Tone, ...]
     covariance: NDArray[np.float64]
     responses: tuple[OrderResponse, ...] = ()
+    unseen: tuple[UnseenBound, ...] = ()
     frequency_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+Verdict = Literal["excited", "not excited", "not decided", "not measured", "outside the tested range", "undecided mode"]
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Meeting of an order with a natural frequency ``mode_hz`` at ``rpm``, each with its 95 % interval.
+
+    ``amplification`` is the amplitude over the trend in the channel that shows it best, with its interval; None where
+    it was not measured; ``amplification_predicted`` that of the fit (``predicted_from`` "fit" or "damping"). ``remark``
+    says what makes the natural frequency doubtful; ``chance`` that the order looks so without the mode.
+    """
+
+    order: float
+    mode_hz: float
+    mode_hz_ci95: tuple[float, float]
+    rpm: float
+    rpm_ci95: tuple[float, float]
+    in_range: bool
+    amplification_predicted: float
+    predicted_from: Literal["fit", "damping"]
+    remark: str
+    channels: tuple[str, ...]
+    amplification: float | None
+    amplification_ci95: tuple[float, float] | None
+    evidence: str
+    verdict: Verdict
+    chance: float | None = None
+
+    @property
+    def excited(self) -> bool:
+        """Whether the order rises there."""
+        return self.verdict == "excited"
+
+
+@dataclass(frozen=True)
+class AvoidedSpeed:
+    """A speed not to dwell at: where ``orders`` meet ``modes_hz`` (the costliest first), within ``rpm_range``.
+
+    ``amplitude`` is the largest there, in ``channel``, ``amplification`` how many times it is that without the mode.
+    """
+
+    rpm: float
+    rpm_range: tuple[float, float]
+    orders: tuple[float, ...]
+    modes_hz: tuple[float, ...]
+    channel: str
+    amplitude: float
+    amplification: float
+    cost: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class SpeedBand:
+    """Speeds from ``low_rpm`` to ``high_rpm`` of which one thing is known; ``remark`` says what, and why."""
+
+    low_rpm: float
+    high_rpm: float
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class SpeedVerdicts:
+    """Speeds to ``avoid``, worst first; bands that are ``free``; and bands ``open``, of which the data cannot tell."""
+
+    avoid: tuple[AvoidedSpeed, ...]
+    free: tuple[SpeedBand, ...]
+    open: tuple[SpeedBand, ...]

@@ -1,55 +1,91 @@
-"""Speeds at which a test should not dwell, worst first, and the bands of speed between them that are free."""
+"""Speeds at which a test should not dwell, worst first; the speeds that are free, and those of which nobody knows."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from crankorder.identify.crossings import amplitude_at, width_rpm
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode
+from crankorder.identify.crossings import CLEARLY_EXCITED, responses_to, width_rpm
+from crankorder.identify.found import (
+    AgreedOrder,
+    AvoidedSpeed,
+    Crossing,
+    ModalFit,
+    Mode,
+    OrderResponse,
+    SpeedBand,
+    SpeedVerdicts,
+    UnseenBound,
+)
+from crankorder.identify.responses import amplitude_at, with_and_without
 from crankorder.settings import IdentifySettings
 
-NOT_JUDGED = ("not measured", "not decided", "undecided mode")
-"""Verdicts on a crossing that leave open whether its order is excited there."""
+BESIDE = 0.03
+"""Share of a speed to avoid, on both sides of it, that is not called free."""
+
+ASKED = 400
+"""Speeds of the tested range that are asked about, besides those between the tested ones."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Open:
+    """Speeds ``low_rpm`` to ``high_rpm`` that are not free, and why."""
+
+    low_rpm: float
+    high_rpm: float
+    why: str
 
 
 def speeds_to_avoid(
-    records: list[dict[str, Any]],
+    found: Sequence[Crossing],
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
     *,
     speed_rpm: tuple[float, float],
     settings: IdentifySettings,
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Speeds to avoid, worst first, and the free bands of the tested range, as records of ``findings.json``.
+) -> SpeedVerdicts:
+    """Speeds to avoid, worst first, the free bands of the tested range, and those that are open.
 
-    What a crossing costs is its peak amplitude there (by the fit of the modes where it holds the order, else the
-    largest that was measured near), in each channel as a share of the largest amplitude that any order has in that
-    channel, root mean square over the channels. It takes its half-power width, ± ζ of the speed, and the interval of
-    its speed; crossings whose ranges overlap are one speed to avoid, named after the costliest, their costs added by
-    energy. A free band is at least ``crossing_band_rpm`` wide; crossings in it of which it is open whether they are
-    excited are named in its ``remark``.
+    To be avoided is an excited crossing by which the order may be twice as large. What it costs is its peak amplitude
+    there (by the fit of the modes where it holds the order, else the largest that was measured near), in each channel
+    as a share of the largest amplitude that any order has in that channel, root mean square over the channels. It
+    takes its half-power width, ± ζ of the speed, and the interval of its speed; crossings whose ranges overlap are one
+    speed to avoid, named after the costliest, their costs added by energy.
+
+    A speed is free only where the data exclude, with ``settings.free_confidence``, that any order that was found is
+    amplified by more than ``settings.free_amplification`` times: by a mode that was found, or by one that stands
+    between the tested speeds and was not seen. What is neither free nor to be avoided is open, with the reason.
 
     Parameters
     ----------
-    records : those of :func:`crankorder.identify.crossings.crossings`; only excited ones inside the tested range are to
-        be avoided
+    found : the crossings of the test
     orders : the orders of the test
-    modal : the modes and the responses of the orders
+    modal : the modes, the responses of the orders, and what could have stayed unseen
     speed_rpm : slowest and fastest speed of the test, rpm
-    settings : ``crossing_band_rpm`` says how near to a tested speed a crossing counts as tested
+    settings : ``crossing_band_rpm`` is the least width of a free band
     """
     largest = _largest(orders)
-    met = [_cost(record, orders, modal, largest, settings) for record in records if _counts(record)]
-    groups = _overlapping(met)
-    avoid = sorted((_joined(group) for group in groups), key=lambda item: (-item["cost"], item["rpm"]))
-    ranked = [{"rank": rank} | item for rank, item in enumerate(avoid, start=1)]
-    return ranked, _free(ranked, records, speed_rpm, settings)
+    met = [_cost(item, orders, modal, largest, settings) for item in found if _counts(item)]
+    avoid = sorted((_joined(group) for group in _overlapping(met)), key=lambda item: (-item.cost, item.rpm))
+    low, high = speed_rpm
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return SpeedVerdicts(tuple(avoid), (), ())
+    opened = [*_by_avoided(avoid), *_by_modes(found, modal, settings), *_by_unseen(orders, modal, speed_rpm, settings)]
+    free, rest = _split(opened, speed_rpm, settings)
+    return SpeedVerdicts(tuple(avoid), free, rest)
 
 
-def _counts(record: dict[str, Any]) -> bool:
-    return bool(record["excited"] and record["in_range"])
+def _counts(item: Crossing) -> bool:
+    if not (item.excited and item.in_range):
+        return False
+    measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
+    return max(measured, item.amplification_predicted) >= CLEARLY_EXCITED
 
 
 def _largest(orders: tuple[AgreedOrder, ...]) -> dict[str, float]:
@@ -62,99 +98,187 @@ def _largest(orders: tuple[AgreedOrder, ...]) -> dict[str, float]:
 
 
 def _cost(
-    record: dict[str, Any],
+    item: Crossing,
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
     largest: dict[str, float],
     settings: IdentifySettings,
-) -> dict[str, Any]:
+) -> AvoidedSpeed:
     """Range, amplitude and cost of one excited crossing."""
-    mode = min(modal.modes, key=lambda item: abs(item.frequency_hz - record["mode_hz"]))
-    agreed = min(orders, key=lambda item: abs(item.order - record["order"]))
-    peaks = _peaks(record, agreed, modal, mode, settings)
-    shares = {channel: peak / largest[channel] for channel, peak in peaks.items() if largest[channel] > 0.0}
+    mode = min(modal.modes, key=lambda one: abs(one.frequency_hz - item.mode_hz))
+    agreed = min(orders, key=lambda one: abs(one.order - item.order))
+    peaks = _peaks(item, agreed, modal, mode, settings)
+    shares = {channel: peak / largest[channel] for channel, peak in peaks.items() if largest.get(channel, 0.0) > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
-    half = mode.damping_ratio * record["rpm"]
-    factor = record["amplification"]
-    return {
-        "rpm": record["rpm"],
-        "rpm_range": [record["rpm_ci95"][0] - half, record["rpm_ci95"][1] + half],
-        "order": record["order"],
-        "mode_hz": record["mode_hz"],
-        "channel": channel,
-        "amplitude": peaks.get(channel, 0.0),
-        "amplification": record["amplification_predicted"] if factor is None else factor,
-        "cost": float(np.sqrt(sum(share**2 for share in shares.values()) / max(1, len(largest)))),
-    }
+    half = mode.damping_ratio * item.rpm
+    what = f"{item.mode_hz:.4g} Hz" + (", which may be a natural frequency" if mode.undecided else "")
+    return AvoidedSpeed(
+        rpm=item.rpm,
+        rpm_range=(item.rpm_ci95[0] - half, item.rpm_ci95[1] + half),
+        orders=(item.order,),
+        modes_hz=(item.mode_hz,),
+        channel=channel,
+        amplitude=peaks.get(channel, 0.0),
+        amplification=item.amplification_predicted if item.amplification is None else item.amplification,
+        cost=float(np.sqrt(sum(share**2 for share in shares.values()) / max(1, len(largest)))),
+        reason=f"order {item.order:.4g} meets {what}",
+    )
 
 
 def _peaks(
-    record: dict[str, Any], agreed: AgreedOrder, modal: ModalFit, mode: Mode, settings: IdentifySettings
+    item: Crossing, agreed: AgreedOrder, modal: ModalFit, mode: Mode, settings: IdentifySettings
 ) -> dict[str, float]:
-    """Peak amplitude by channel at the crossing ``record``."""
-    fitted = {
-        item.channel: amplitude_at(item, record["rpm"], modal)
-        for item in modal.responses
-        if item.fits and abs(item.order - agreed.order) < 1e-3
-    }
-    near = width_rpm(record, mode, settings)
-    peaks = {}
+    """Peak amplitude by channel at the crossing ``item``."""
+    peaks: dict[str, float] = {}
+    for response in responses_to(agreed.order, modal):
+        if response.fits and response.span_rpm[0] <= item.rpm <= response.span_rpm[1]:
+            peak = amplitude_at(response, item.rpm, modal)
+            peaks[response.channel] = max(peak, peaks.get(response.channel, 0.0))
+    near = width_rpm(item.rpm, mode, settings)
     for line in agreed.lines:
-        here = np.abs(line.speed_rpm - record["rpm"]) <= near
-        if line.channel in fitted:
-            peaks[line.channel] = fitted[line.channel]
-        elif here.any():
+        here = np.abs(line.speed_rpm - item.rpm) <= near
+        if line.channel not in peaks and here.any():
             peaks[line.channel] = float(line.amplitude[here].max())
     return peaks
 
 
-def _overlapping(met: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
     """Crossings in groups whose speed ranges overlap, by speed."""
-    groups: list[list[dict[str, Any]]] = []
-    for item in sorted(met, key=lambda item: item["rpm_range"][0]):
-        if groups and item["rpm_range"][0] <= max(other["rpm_range"][1] for other in groups[-1]):
+    groups: list[list[AvoidedSpeed]] = []
+    for item in sorted(met, key=lambda item: item.rpm_range[0]):
+        if groups and item.rpm_range[0] <= max(other.rpm_range[1] for other in groups[-1]):
             groups[-1].append(item)
         else:
             groups.append([item])
     return groups
 
 
-def _joined(group: list[dict[str, Any]]) -> dict[str, Any]:
+def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
     """One speed to avoid from crossings whose ranges overlap, named after the costliest."""
-    by_cost = sorted(group, key=lambda item: -item["cost"])
-    pairs = [f"order {item['order']:.4g} meets {item['mode_hz']:.4g} Hz" for item in by_cost]
-    return by_cost[0] | {
-        "rpm_range": [min(item["rpm_range"][0] for item in group), max(item["rpm_range"][1] for item in group)],
-        "cost": float(np.sqrt(sum(item["cost"] ** 2 for item in group))),
-        "orders": [item["order"] for item in by_cost],
-        "modes_hz": [item["mode_hz"] for item in by_cost],
-        "reason": " and ".join(pairs),
-    }
+    by_cost = sorted(group, key=lambda item: -item.cost)
+    return replace(
+        by_cost[0],
+        rpm_range=(min(item.rpm_range[0] for item in group), max(item.rpm_range[1] for item in group)),
+        cost=float(np.sqrt(sum(item.cost**2 for item in group))),
+        orders=tuple(item.orders[0] for item in by_cost),
+        modes_hz=tuple(item.modes_hz[0] for item in by_cost),
+        reason=" and ".join(item.reason for item in by_cost),
+    )
 
 
-def _free(
-    avoid: list[dict[str, Any]],
-    records: list[dict[str, Any]],
-    speed_rpm: tuple[float, float],
-    settings: IdentifySettings,
-) -> list[dict[str, Any]]:
-    """Bands of the tested range that no speed to avoid touches, by speed."""
-    low, high = speed_rpm
-    if not (np.isfinite(low) and np.isfinite(high)):
+def _by_avoided(avoid: Sequence[AvoidedSpeed]) -> list[_Open]:
+    """What speeds to avoid take: these are not open, but neither are they free."""
+    beside = 1.0 + BESIDE
+    return [
+        _Open(min(a.rpm_range[0], a.rpm / beside), max(a.rpm_range[1], a.rpm * beside), "") for a in avoid
+    ]  # fmt: skip
+
+
+def _by_modes(found: Sequence[Crossing], modal: ModalFit, settings: IdentifySettings) -> list[_Open]:
+    """Speeds at which a known mode amplifies an order by more than is free, or may."""
+    made: list[_Open] = []
+    sigmas = float(ndtri(0.5 + 0.5 * settings.free_confidence))
+    for item in found:
+        number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
+        mode = modal.modes[number]
+        what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
+        known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
+        spans = [one for one in known if one.span_rpm[0] <= item.rpm <= one.span_rpm[1]]
+        if item.in_range and item.verdict not in ("not excited", "excited") and not spans:
+            half = max(width_rpm(item.rpm, mode, settings), BESIDE * item.rpm, item.rpm_ci95[1] - item.rpm)
+            made.append(_Open(item.rpm - half, item.rpm + half, f"{what}: {item.verdict}"))
+        for response in known:
+            made += _amplified(response, number, modal, settings.free_amplification, sigmas, what)
+    return made
+
+
+def _amplified(
+    response: OrderResponse, number: int, modal: ModalFit, factor: float, sigmas: float, what: str
+) -> list[_Open]:
+    """Speeds of a response at which mode ``number`` may amplify it by more than ``factor``."""
+    rpm = 60.0 * modal.modes[number].frequency_hz / response.order
+    turn = np.sinh(np.linspace(-6.0, 6.0, 61)) / np.sinh(6.0)
+    low, high = response.span_rpm
+    grid = np.unique(np.concatenate([np.geomspace(low, high, 61), np.clip(rpm * (1.0 + 0.3 * turn), low, high)]))
+    both = with_and_without(response, number, grid, modal)
+    over = both.ends(sigmas)[1] > factor
+    if not over.any():
         return []
-    bands, start = [], low
-    for begin, end in [*sorted(item["rpm_range"] for item in avoid), [high, high]]:
-        if min(begin, high) - start >= settings.crossing_band_rpm:
-            bands.append((start, min(begin, high)))
-        start = max(start, end)
-    return [{"low_rpm": a, "high_rpm": b, "remark": _remark(a, b, records)} for a, b in bands]
+    sure = both.ends(sigmas)[0] > factor
+    made = []
+    for first, last in _runs(over):
+        said = "is amplified" if sure[first : last + 1].any() else "may be amplified"
+        begin, end = float(grid[max(first - 1, 0)]), float(grid[min(last + 1, len(grid) - 1)])
+        if begin <= rpm <= end:
+            begin, end = min(begin, rpm / (1.0 + BESIDE)), max(end, rpm * (1.0 + BESIDE))
+        made.append(_Open(begin, end, f"{what}: {said} more than {factor:g} times"))
+    return made
 
 
-def _remark(low: float, high: float, records: list[dict[str, Any]]) -> str:
-    """Which crossings between ``low`` and ``high`` rpm nobody has judged; "" where all have been."""
-    unknown = [
-        f"order {item['order']:.4g} with {item['mode_hz']:.4g} Hz at {item['rpm']:.4g} rpm"
-        for item in records
-        if item["in_range"] and low <= item["rpm"] <= high and item["verdict"] in NOT_JUDGED
-    ]
-    return f"not judged: {'; '.join(unknown)}" if unknown else ""
+def _by_unseen(
+    orders: tuple[AgreedOrder, ...], modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
+) -> list[_Open]:
+    """Speeds at which a mode that nobody saw could amplify an order by more than is free."""
+    low, high = speed_rpm
+    if not orders:
+        return [_Open(low, high, "no order stands out")]
+    made: list[_Open] = []
+    for agreed in orders:
+        bounds = [item for item in modal.unseen if abs(item.order - agreed.order) < 1e-3 * max(1.0, agreed.order)]
+        name = f"order {agreed.order:.4g}"
+        if not bounds:
+            made.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
+        for bound in bounds:
+            made += _between(bound, settings.free_amplification, name)
+    return made
+
+
+def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
+    worst = bound.amplification.max(axis=0)
+    made = []
+    for first, last in _runs(~(worst <= factor)):
+        begin = float(bound.speed_rpm[max(first - 1, 0)])
+        end = float(bound.speed_rpm[min(last + 1, len(worst) - 1)])
+        most = float(worst[first : last + 1].max())
+        said = f"up to {most:.2g} times" if np.isfinite(most) and most < 1e3 else "by any amount"
+        made.append(_Open(begin, end, f"not tested between: {name} could be amplified {said} unseen"))
+    return made
+
+
+def _runs(marked: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last places of the runs of what is ``marked``."""
+    edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int64))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
+
+
+def _split(
+    opened: list[_Open], speed_rpm: tuple[float, float], settings: IdentifySettings
+) -> tuple[tuple[SpeedBand, ...], tuple[SpeedBand, ...]]:
+    """Free and open bands of the tested range: what nothing of ``opened`` touches, and what is not to be avoided."""
+    low, high = speed_rpm
+    free: list[SpeedBand] = []
+    start = low
+    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
+        if min(item.low_rpm, high) - start >= settings.crossing_band_rpm:
+            free.append(SpeedBand(start, min(item.low_rpm, high), _excludes(settings)))
+        start = max(start, item.high_rpm)
+    return tuple(free), _open_bands(opened, free, speed_rpm)
+
+
+def _excludes(settings: IdentifySettings) -> str:
+    return (
+        f"the data exclude that an order is amplified more than {settings.free_amplification:g} times "
+        f"({100.0 * settings.free_confidence:g} %)"
+    )
+
+
+def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[float, float]) -> tuple[SpeedBand, ...]:
+    """What lies between the ``free`` bands, with the reasons; without that which only speeds to avoid take."""
+    low, high = speed_rpm
+    ends = [low, *(end for band in free for end in (band.low_rpm, band.high_rpm)), high]
+    made = []
+    for begin, end in zip(ends[::2], ends[1::2], strict=True):
+        reasons = [item.why for item in opened if item.why and item.low_rpm < end and item.high_rpm > begin]
+        if end > begin and reasons:
+            made.append(SpeedBand(begin, end, "; ".join(dict.fromkeys(reasons))))
+    return tuple(made)

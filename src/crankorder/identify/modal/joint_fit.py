@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +13,12 @@ from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.modal.bands import Band, bands_of
 from crankorder.identify.modal.covariance import pole_covariance
 from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air
+from crankorder.identify.modal.exclusion import least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
-from crankorder.identify.modal.order_responses import Block, Blocks, blocks_of, fitting, responses_of
-from crankorder.identify.modal.order_search import with_modes_of_first_order
+from crankorder.identify.modal.order_blocks import blocks_of
+from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, mode_of, proven_by
+from crankorder.identify.modal.order_responses import Block, fitting, responses_of
+from crankorder.identify.modal.order_search import OrderPole, Proof, poles_of_orders, settled
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
 from crankorder.identify.modal.strong_tones import without_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
@@ -31,33 +35,61 @@ Array = NDArray[np.float64]
 
 
 def modal_fit(
-    campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], *, settings: IdentifySettings
+    campbell: xr.Dataset,
+    order_map: xr.Dataset,
+    orders: tuple[AgreedOrder, ...],
+    *,
+    settings: IdentifySettings,
+    followed: Sequence[xr.Dataset] = (),
 ) -> ModalFit:
     """Natural frequencies, damping ratios and tones of a test, with their covariance.
 
     ``campbell`` (CampbellMap) and ``order_map`` (OrderMap) are the maps of the test, ``orders`` what was found in the
-    latter; ``settings`` state the false-alarm level and what counts as a mode. The floor that the order lines leave,
-    in all channels, and the complex amplitudes of the locked orders over the speeds are fitted by one set of poles,
-    band by band where the map is long.
-    Nothing is found in a map without speeds or with hardly a bin.
+    latter, ``followed`` (RecordingTracks) how they ran along sweeps; ``settings`` state the false-alarm level and what
+    counts as a mode. The floor that the order lines leave, in all channels, and amplitude and phase of the orders over
+    the speeds are fitted by one set of poles, band by band where the map is long; poles that only orders show are
+    looked for in all of them.
     """
-    nothing = ModalFit((), (), np.zeros((0, 0)))
+    blocks = blocks_of(order_map, orders, followed)
+    floor = _floor(campbell, order_map, orders)
+    fitted: list[Fitted] = []
+    strong: list[tuple[float, float]] = []
+    if floor is not None:
+        quiet, strong = without_strong_tones(floor)
+        for band in bands_of(quiet):
+            problem, fit = search(band.floor, chance=settings.false_alarm_probability)
+            fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
+    known = _own_modes(fitted)
+    blocks, extra = poles_of_orders(
+        blocks, known, chance=settings.false_alarm_probability, most_damping=settings.max_damping_ratio
+    )
+    for _ in range(1 if len(fitted) == 1 else ROUNDS):
+        fitted = [_with_orders(item, fitted, blocks, extra) for item in fitted]
+    known = _own_modes(fitted)
+    blocks, proofs, extra, covariance = settled(blocks, known, extra)
+    found = ModalFit((), (), np.zeros((0, 0)))
+    kept = NO_POLES
+    if floor is not None:
+        proof = dict(zip(known.frequency_hz.tolist(), proofs, strict=True))
+        found, kept = _found(fitted, floor, strong, proof, settings)
+    return _with_order_modes(found, kept, blocks, extra, covariance, settings)
+
+
+def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
+    """Floor of the map without the orders; None where it has no speeds or hardly a bin."""
     if not campbell.sizes["speed"] or not campbell.sizes["channel"]:
-        return nothing
+        return None
     single = seen_at_single_speeds(order_map, top_hz=float(campbell["frequency"].values[-1]))
     floor = quiet_floor(campbell, tuple((item.order, item.order_error) for item in orders), single=single)
-    if floor is None or not np.isfinite(floor.psd).any():
-        return nothing
-    quiet, strong = without_strong_tones(floor)
-    blocks = blocks_of(order_map, orders)
-    fitted = []
-    for band in bands_of(quiet):
-        problem, fit = search(band.floor, chance=settings.false_alarm_probability)
-        fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
-    for _ in range(1 if len(fitted) == 1 else ROUNDS):
-        fitted = [_with_orders(item, fitted, blocks) for item in fitted]
-    found = _found(fitted, floor, strong, blocks, settings)
-    return with_modes_of_first_order(found, order_map, orders, settings=settings)
+    return floor if floor is not None and np.isfinite(floor.psd).any() else None
+
+
+def _own_modes(fitted: list[Fitted]) -> Poles:
+    """Poles of all bands that are no tones."""
+    known = NO_POLES
+    for item in fitted:
+        known = known.joined(item.own_modes)
+    return known
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +107,13 @@ class Fitted:
         return poles.chosen(self.band.owns(poles) & ~poles.tone)
 
 
-def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...]) -> Fitted:
+def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], extra: tuple[OrderPole, ...]) -> Fitted:
     """The fit of a band together with the orders that sweep through its modes; other bands stay as they are."""
     if not blocks or not len(item.own_modes):
         return item
     fixed = NO_POLES
+    for pole in extra:
+        fixed = fixed.with_pole(pole.frequency_hz, pole.damping)
     for other in every:
         if other is not item:
             fixed = fixed.joined(other.own_modes.chosen(~item.band.holds(other.own_modes)))
@@ -87,14 +121,52 @@ def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...]) -
     return Fitted(item.band, problem, fit)
 
 
+def _with_order_modes(
+    fit: ModalFit,
+    kept: Poles,
+    blocks: tuple[Block, ...],
+    extra: tuple[OrderPole, ...],
+    covariance: Array,
+    settings: IdentifySettings,
+) -> ModalFit:
+    """``fit``, whose modes are the poles ``kept``, with those that only orders show, lowest first."""
+    parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(extra))]
+    said = [mode_of(pole, part, settings=settings) for pole, part in zip(extra, parts, strict=True)]
+    own = [k for k, mode in enumerate(said) if mode is not None]
+    more = [mode for mode in said if mode is not None]
+    for mode in more:
+        kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
+    every = (*fit.modes, *more)
+    rank = np.argsort(kept.frequency_hz, kind="stable")
+    at = np.stack([2 * rank, 2 * rank + 1], axis=1).ravel()
+    of_own = np.array([[2 * k, 2 * k + 1] for k in own], dtype=np.int64).ravel()
+    poles = Poles(kept.frequency_hz[rank], kept.damping[rank], kept.tone[rank])
+    return replace(
+        fit,
+        modes=tuple(every[k] for k in rank.tolist()),
+        tones=tuple(tone for tone in fit.tones if not any(_raised(tone, mode) for mode in more)),
+        covariance=_side_by_side([fit.covariance, covariance[np.ix_(of_own, of_own)]])[np.ix_(at, at)],
+        responses=responses_of(blocks, poles),
+        unseen=least_seen(
+            blocks, poles, least_damping=settings.least_damping_ratio, confidence=settings.free_confidence
+        ),
+    )
+
+
+def _raised(tone: Tone, mode: Mode) -> bool:
+    """Whether ``tone`` is what the floor shows of a ``mode`` that orders raise."""
+    near = max(mode.damping_ratio * mode.frequency_hz, 3.0 * np.hypot(mode.frequency_error_hz, tone.frequency_error_hz))
+    return tone.kind == "tone" and abs(tone.frequency_hz - mode.frequency_hz) <= near
+
+
 def _found(
     fitted: list[Fitted],
     floor: Floor,
     strong: list[tuple[float, float]],
-    blocks: tuple[Block, ...],
+    proofs: dict[float, Proof],
     settings: IdentifySettings,
-) -> ModalFit:
-    """The fits of all bands in the words of identification."""
+) -> tuple[ModalFit, Poles]:
+    """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
     shape = np.full(floor.psd.shape, np.nan)
     smooth = np.empty(floor.psd.shape)
     still = tuple(f for f, _ in strong)
@@ -112,27 +184,29 @@ def _found(
     parts: list[Array] = []
     kept = NO_POLES
     for item in fitted:
-        said = _of_band(item, floor, smooth, still, settings)
+        said = _of_band(item, floor, smooth, still, proofs, settings)
         modes += said[0]
         tones += said[1]
         parts.append(said[2])
         kept = kept.joined(said[3])
-    used = tuple(
-        block for item in fitted if isinstance(item.problem.others, Blocks) for block in item.problem.others.items
-    )
-    return ModalFit(
+    found = ModalFit(
         tuple(modes),
         with_one_mains(sorted((t for t in tones if t.amplitude), key=lambda t: t.frequency_hz), settings=settings),
         _side_by_side(parts),
-        responses_of(used, blocks, kept),
-        floor.frequency_hz,
-        floor.psd,
-        shape,
+        frequency_hz=floor.frequency_hz,
+        floor_psd=floor.psd,
+        fitted_psd=shape,
     )
+    return found, kept
 
 
 def _of_band(
-    item: Fitted, floor: Floor, smooth: Array, still: tuple[float, ...], settings: IdentifySettings
+    item: Fitted,
+    floor: Floor,
+    smooth: Array,
+    still: tuple[float, ...],
+    proofs: dict[float, Proof],
+    settings: IdentifySettings,
 ) -> tuple[list[Mode], list[Tone], Array, Poles]:
     """Modes of a band, its tones, the covariance of the modes and their poles."""
     problem, fit = item.problem, item.fit
@@ -154,7 +228,8 @@ def _of_band(
                 rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
                 tones.append(tone_of(f, error, floor, rest, settings=settings))
             continue
-        mode = _mode(number, problem, fit, floor, covariance, strength[number], still, settings)
+        proof = proofs.get(f, Proof())
+        mode = _mode(number, problem, fit, floor, covariance, strength[number], still, proof, settings)
         if mode is not None:
             modes.append(mode)
             kept.append(number)
@@ -197,6 +272,7 @@ def _mode(
     covariance: Array,
     strength: Array,
     still: tuple[float, ...],
+    proof: Proof,
     settings: IdentifySettings,
 ) -> Mode | None:
     """Mode of pole ``number``; None where it is but a part of the floor's shape."""
@@ -210,27 +286,20 @@ def _mode(
     lifted = 10.0 * np.log10(whole / np.maximum(whole - fit.part(number)[:, at], 1e-3 * whole))
     shown = (lifted > SHOWN_DB) & (strength > least_gain(1, settings.false_alarm_probability))
     prominence = float(lifted.max())
-    by = _reached_by(problem, fit, f)
-    if prominence < settings.mode_prominence_db and not by:
+    if prominence < settings.mode_prominence_db and not proof.orders:
         return None
     names = tuple(name for name, is_shown in zip(floor.channels, shown, strict=True) if is_shown)
     if not names:
         names = (floor.channels[int(np.argmax(lifted))],)
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
-    if by:
-        words += f"; orders {', '.join(f'{order:g}' for order in by)} sweep through it and agree"
+    if proof.orders:
+        words += f"; {proven_by(proof)}"
     doubt = doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )
     if not doubt and narrower_than_fitted(problem, fit, number):
         doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
     doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or of_the_air(names, floor)
-    return Mode(f, error, zeta, zeta_error, names, prominence, words, by, doubt)
-
-
-def _reached_by(problem: Problem, fit: SurfaceFit, frequency_hz: float) -> tuple[float, ...]:
-    """Orders of the joint fit that pass through the mode at ``frequency_hz`` within the tested speeds."""
-    if not isinstance(problem.others, Blocks):
-        return ()
-    spans = {item.order: (item.frequency_hz.min(), item.frequency_hz.max()) for item in problem.others.items}
-    return tuple(sorted(order for order, (low, high) in spans.items() if low <= frequency_hz <= high))
+    if doubt and is_proven(proof) and error <= UNCERTAIN * f and zeta_error <= KNOWN * zeta:
+        doubt = ""
+    return Mode(f, error, zeta, zeta_error, names, prominence, words, proof.orders, doubt)

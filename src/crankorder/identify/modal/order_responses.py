@@ -2,35 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, OrderResponse
+from crankorder.identify.found import OrderResponse
+from crankorder.identify.modal.passage import Passage
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
+from crankorder.identify.resonance import resonance
 
-MODEL_ERROR = 1e-3
-"""Relative error of an order's amplitude that the power law and the tracking are granted."""
+LEAST_SCATTER = 1e-3
+"""Relative scatter of an order's amplitude that force and tracking are granted at least."""
+
+MOST_SCATTER = 0.2
+"""Relative scatter beyond which an order says nothing of natural frequencies."""
 
 EXPONENTS = (0.0, 1.0, 2.0, 3.0)
 """Powers of the speed that forces grow with: steady, …, inertia, and one more."""
 
-WORST_CHANCE = 1e-3
-"""Chance of a worse fit below which the model does not hold."""
+INERTIA = 2.0
+"""Power of the speed that needs no proof."""
+
+MOST_DEGREE = 2
+"""Degree, in the logarithm of speed, of what is smooth beside the modes, and of the force's departure from a power."""
 
 REACH = (0.6, 2.0)
 """Share of the lowest and of the highest frequency swept within which a mode takes part in an order's response."""
 
-INERTIA = 2.0
-"""Power of the speed that needs no proof."""
+LAW_STEPS = 2
+"""Steps by which the law of a force is told."""
 
-CLEARLY = 9.0
-"""Sum of squares by which another power must be better."""
+MOST_BEND = 0.5
+"""Largest step of a law, as a logarithm."""
 
-HOPELESS = 100.0
-"""Mean square misfit beyond which no small move of the poles helps."""
+MOST_ROUNDS = 3
+"""Times that scatter and linear terms are told from one another."""
 
 SPARE = 3
 """Complex amplitudes that an order must have over its unknowns."""
@@ -41,33 +50,136 @@ Complex = NDArray[np.complexfloating]
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """One order in one channel: ``amplitude`` (K,) complex with ``error`` (K,) per part at ``frequency_hz`` (K,).
+    """One order in its ``channels``: ``amplitude`` (C, K) complex with ``error`` (C, K) per part, infinite where unknown.
 
-    ``growth`` (K,) is (speed / ``reference_rpm``)**``exponent``.
+    Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``)**``exponent``
+    times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed; beside the
+    modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as a share of the amplitude, beyond ``error``.
+    ``passage`` says how the order swept (None: every speed was held). ``power``: whether the phases say nothing, so
+    that ``amplitude`` holds squares. ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds
+    over which the polynomials run, where they are not those of the rows.
     """
 
     order: float
-    channel: str
-    number: int
+    channels: tuple[str, ...]
     frequency_hz: Array
     speed_rpm: Array
     amplitude: Complex
     error: Array
     reference_rpm: float
-    exponent: float
+    exponent: float = INERTIA
+    law: tuple[complex, ...] = ()
+    degree: int = 0
+    scatter: float = LEAST_SCATTER
+    passage: Passage | None = None
+    power: bool = False
+    recording: str = ""
+    law_span_rpm: tuple[float, float] | None = None
+
+    @cached_property
+    def span_rpm(self) -> tuple[float, float]:
+        """Slowest and fastest speed, between which the law's polynomials run from -1 to 1."""
+        return self.law_span_rpm or (float(self.speed_rpm.min()), float(self.speed_rpm.max()))
+
+    @cached_property
+    def growth(self) -> Complex:
+        """What the force's law makes of the speeds (K,); of squares its square."""
+        grown = force(self.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
+        return np.asarray(np.abs(grown) ** 2 if self.power else grown)
+
+    @cached_property
+    def size(self) -> Array:
+        """What the scatter is a share of (C, K): the amplitude, or half that of its neighbours where it vanishes."""
+        known = np.where(np.isfinite(self.error), np.abs(self.amplitude), 0.0)
+        beside = np.pad(known, ((0, 0), (2, 2)), mode="edge")
+        around = np.sort(np.lib.stride_tricks.sliding_window_view(beside, 5, axis=1), axis=2)[..., 2]
+        return np.asarray(np.maximum(known, 0.5 * around))
 
     @property
-    def growth(self) -> Array:
-        """What the force's law makes of the speeds."""
-        return np.asarray((self.speed_rpm / self.reference_rpm) ** self.exponent)
+    def weight(self) -> Array:
+        """Reciprocal standard error (C, K) of each part, the scatter of the force included; 0 where unknown."""
+        return np.asarray(1.0 / np.hypot(self.error, self.scatter * self.size))
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """How many amplitudes each channel (C,) has."""
+        return np.count_nonzero(np.isfinite(self.error), axis=1)
+
+    @property
+    def parts(self) -> int:
+        """Real numbers that each amplitude holds."""
+        return 1 if self.power else 2
+
+    @property
+    def columns_per_mode(self) -> int:
+        """Linear terms of each mode: a complex residue, or two real numbers behind squares."""
+        return 2 if self.power else 1
+
+    def of(self, channels: NDArray[np.int64]) -> Block:
+        """The block of some ``channels`` (numbers) alone."""
+        names = tuple(self.channels[number] for number in channels.tolist())
+        return replace(self, channels=names, amplitude=self.amplitude[channels], error=self.error[channels])
 
     def reached(self, poles: Poles) -> NDArray[np.int64]:
-        """Numbers of the modes that the order sweeps through or near.
-
-        ``poles``: those of the fit.
-        """
+        """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
         low, high = REACH[0] * self.frequency_hz.min(), REACH[1] * self.frequency_hz.max()
-        return np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
+        found = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
+        room = max(0, (int(self.rows.min()) - 1 - self.degree - SPARE) // self.columns_per_mode)
+        if len(found) > room:
+            away = np.abs(np.log(poles.frequency_hz[found, None] / self.frequency_hz)).min(axis=1)
+            found = np.sort(found[np.argsort(away, kind="stable")[:room]])
+        return found
+
+    def smooth(self) -> Complex:
+        """Columns (K, degree + 1) of what is smooth."""
+        return self.growth[:, None] * smooth_shapes(self.speed_rpm, self.span_rpm, self.degree)
+
+    def modal(self, natural_hz: Array, damping: Array) -> Complex:
+        """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
+        if self.passage is not None:
+            grown = force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
+            return self.passage.response(grown, natural_hz, damping)
+        h = resonance(self.frequency_hz, natural_hz, damping)
+        if self.power:
+            h = np.stack([h.real, h.imag], axis=2).reshape(len(h), -1)
+        return np.asarray(self.growth[:, None] * h)
+
+    def modal_slopes(self, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
+        """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes.
+        """
+        if self.passage is not None:
+            h, step = self.modal(natural_hz, damping), 1e-5
+            by_f = (self.modal(natural_hz * (1.0 + step * damping), damping) - h) / (step * damping)
+            return by_f, (self.modal(natural_hz, damping * (1.0 + step)) - h) / step
+        slopes = resonance_slopes(self.frequency_hz, natural_hz, damping)
+        if self.power:
+            slopes = tuple(np.stack([x.real, x.imag], axis=2).reshape(len(x), -1) for x in slopes)
+        return self.growth[:, None] * slopes[0], self.growth[:, None] * slopes[1]
+
+
+def smooth_shapes(speed_rpm: Array, span_rpm: tuple[float, float], degree: int) -> Array:
+    """Legendre polynomials (K, degree + 1) of ln ``speed_rpm`` (K,), which runs from -1 to 1 over ``span_rpm``.
+
+    ``degree``: the highest, 0 or more.
+    """
+    low, high = np.log(span_rpm[0]), np.log(span_rpm[1])
+    x = 2.0 * (np.log(speed_rpm) - low) / max(float(high - low), 1e-12) - 1.0
+    return np.asarray(np.polynomial.legendre.legvander(x, degree))
+
+
+def force(
+    speed_rpm: Array, span_rpm: tuple[float, float], reference_rpm: float, exponent: float, law: tuple[complex, ...]
+) -> Complex:
+    """Force (K,) at ``speed_rpm`` (K,) by the law of a block: 1 at ``reference_rpm`` where ``law`` is empty.
+
+    ``span_rpm``, ``exponent`` and ``law`` are those of :class:`Block`.
+    """
+    grown = np.asarray((speed_rpm / reference_rpm) ** exponent, dtype=np.complex128)
+    if law:
+        grown *= np.exp(smooth_shapes(speed_rpm, span_rpm, len(law))[:, 1:] @ np.array(law))
+    return grown
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,176 +194,232 @@ class Blocks:
 
         ``poles``: those of the fit.
         """
-        parts = [project(block, poles.joined(self.fixed)) for block in self.items]
-        chi2 = float(sum(part.chi2 for part in parts))
-        return [part.jacobian[:, : 2 * len(poles)] for part in parts], [part.residual for part in parts], chi2
+        every = poles.joined(self.fixed)
+        parts = [project(block, every) for block in self.items]
+        slopes = [
+            jacobian(block, every, part)[:, : 2 * len(poles)] for block, part in zip(self.items, parts, strict=True)
+        ]
+        left = [_as_real(part.left, block) for block, part in zip(self.items, parts, strict=True)]
+        return slopes, left, float(sum(part.chi2 for part in parts))
 
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """Linear terms (rigid, residues of ``reached`` modes) of a block and what they leave of it."""
+    """A block with its linear terms (smooth ones, then those of the ``reached`` modes) eliminated.
 
-    linear: Complex
+    ``basis`` (C, K, terms) is an orthonormal basis of the weighted columns, ``triangle`` (C, terms, terms) takes the
+    linear terms, each times its ``scale`` (C, terms), to it, ``along`` (C, terms) what was measured; ``left`` (C, K)
+    is the weighted residual, ``chi2`` its square and ``freedom`` the real numbers that it holds beyond the terms.
+    """
+
     reached: NDArray[np.int64]
-    jacobian: Array
-    residual: Array
+    basis: Complex
+    triangle: Complex
+    scale: Array
+    along: Complex
+    left: Complex
     chi2: float
     freedom: int
 
     @property
-    def holds(self) -> bool:
-        """Whether chance makes such a misfit at least once in a thousand."""
-        from scipy.special import chdtrc
+    def linear(self) -> Complex:
+        """Linear terms (C, terms)."""
+        return np.asarray((self._inverse @ self.along[..., None])[..., 0] / self.scale)
 
-        return self.freedom > 0 and float(chdtrc(self.freedom, self.chi2)) >= WORST_CHANCE
+    @property
+    def covariance(self) -> Complex:
+        """Covariance (C, terms, terms) of the linear terms per real part, at the block's scatter."""
+        inverse = self._inverse
+        outer = self.scale[:, :, None] * self.scale[:, None, :]
+        return np.asarray(inverse @ np.swapaxes(inverse, 1, 2).conj() / outer)
 
-
-def blocks_of(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> tuple[Block, ...]:
-    """Blocks of the locked ``orders`` in the channels that show them, from the OrderMap ``order_map``.
-
-    Orders without a phase, or at fewer speeds than the model has unknowns, have none.
-    """
-    grid, speed = order_map["order"].values, order_map["speed"].values
-    names = [str(name) for name in order_map["channel"].values]
-    made: list[Block] = []
-    if not len(grid):
-        return ()
-    for agreed in orders:
-        column = int(np.argmin(np.abs(grid - agreed.order)))
-        if agreed.lock != "locked" or abs(grid[column] - agreed.order) > 1e-3 * max(1.0, agreed.order):
-            continue
-        for line in agreed.lines:
-            channel = names.index(line.channel)
-            at = (channel, slice(None), column)
-            size = order_map["coherent_amplitude"].values[at].astype(np.float64)
-            phase, error = order_map["phase"].values[at], order_map["standard_error"].values[at].astype(np.float64)
-            freedom = order_map["degrees_of_freedom"].values[at]
-            used = np.isfinite(size) & np.isfinite(phase) & np.isfinite(error) & (freedom >= 3) & (error > 0.0)
-            used &= np.isfinite(speed) & (speed > 0.0)
-            if np.count_nonzero(used) < SPARE + 1:
-                continue
-            wide = error[used] * np.sqrt(freedom[used] / np.maximum(freedom[used] - 2.0, 1.0))
-            made.append(
-                Block(
-                    agreed.order,
-                    line.channel,
-                    channel,
-                    agreed.order * speed[used] / 60.0,
-                    speed[used],
-                    size[used] * np.exp(1j * np.radians(phase[used])),
-                    np.hypot(wide, MODEL_ERROR * size[used]),
-                    float(speed[used].max()),
-                    2.0,
-                )
-            )
-    return tuple(made)
+    @property
+    def _inverse(self) -> Complex:
+        return np.asarray(np.linalg.pinv(self.triangle, rcond=1e-10))
 
 
-def response(frequency_hz: Array, natural_hz: Array, damping: Array) -> tuple[Complex, ...]:
-    """h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, and its derivatives by ln f_j and by ln ζ_j.
+def resonance_slopes(frequency_hz: Array, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
+    """Derivatives of h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, by ln f_j and by ln ζ_j.
 
     ``frequency_hz``: in Hz; ``natural_hz``: of the modes in Hz; ``damping``: their ratios.
     """
     x = frequency_hz[:, None] / natural_hz
-    under = 1.0 - x**2 + 2j * damping * x
-    over = 1.0 / under
+    over = 1.0 / (1.0 - x**2 + 2j * damping * x)
     by_x = -2.0 * x * over + x**2 * (-2.0 * x + 2j * damping) * over**2
-    by_damping = 2j * damping * x**3 * over**2
-    return tuple(np.asarray(part, dtype=np.complex128) for part in (-(x**2) * over, -x * by_x, by_damping))
+    return -x * by_x, 2j * damping * x**3 * over**2
 
 
 def project(block: Block, poles: Poles) -> Projected:
     """``block`` with its linear terms eliminated for given ``poles`` (Golub and Pereyra 1973)."""
-    reached = block.reached(poles)
-    if len(block.amplitude) < 1 + len(reached) + SPARE:
-        reached = reached[np.argsort(np.abs(np.log(poles.frequency_hz[reached] / block.frequency_hz.max())))]
-        reached = np.sort(reached[: max(0, len(block.amplitude) - 1 - SPARE)])
-    h, by_f, by_zeta = response(block.frequency_hz, poles.frequency_hz[reached], poles.damping[reached])
-    weight = (block.growth / block.error)[:, None]
-    design = np.concatenate([np.ones((len(h), 1)), h], axis=1) * weight
-    scale = np.linalg.norm(design, axis=0)
-    q, r = np.linalg.qr(design / scale)
-    measured = block.amplitude / block.error
-    along = q.conj().T @ measured
-    linear = np.linalg.lstsq(r, along, rcond=1e-10)[0] / scale
-    left = measured - q @ along
-    jacobian = np.zeros((len(h), 2 * len(poles)), dtype=complex)
-    jacobian[:, 2 * reached] = by_f * linear[1:] * weight
-    jacobian[:, 2 * reached + 1] = by_zeta * linear[1:] * weight
-    jacobian -= q @ (q.conj().T @ jacobian)
-    chi2 = float(np.sum(np.abs(left) ** 2))
-    freedom = 2 * (len(h) - 1 - len(reached))
-    parts = [np.concatenate([part.real, part.imag]) for part in (jacobian, left)]
-    return Projected(linear, reached, parts[0], parts[1], chi2, freedom)
+    reached, weight = block.reached(poles), block.weight
+    design = np.concatenate([block.smooth(), block.modal(poles.frequency_hz[reached], poles.damping[reached])], axis=1)
+    weighted = design * weight[..., None]
+    scale = np.maximum(np.linalg.norm(weighted, axis=1), 1e-300)
+    basis, triangle = np.linalg.qr(weighted / scale[:, None])
+    measured = np.where(weight > 0.0, block.amplitude, 0.0) * weight
+    along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
+    left = measured - (basis @ along[..., None])[..., 0]
+    freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
+    return Projected(reached, basis, triangle, scale, along, left, float(np.sum(np.abs(left) ** 2)), freedom)
 
 
-def with_best_exponents(blocks: tuple[Block, ...], poles: Poles) -> tuple[Block, ...]:
-    """``blocks`` with the power of the speed, common to an order's channels, by which the ``poles`` explain them best.
+def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
+    """Derivatives (rows, 2 poles) of the residual of ``block`` by (ln f, ln ζ) of ``poles``, its sign reversed.
 
-    Inertia (2) is believed unless another power explains clearly more.
+    ``part``: the block as projected with them.
     """
-    made: list[Block] = []
-    for order in sorted({block.order for block in blocks}):
-        mine = [block for block in blocks if block.order == order]
-        missed = {
-            n: sum(project(replace(block, exponent=n), poles).chi2 for block in mine) + (n != INERTIA) * CLEARLY
-            for n in EXPONENTS
-        }
-        best = min(missed, key=missed.__getitem__)
-        made += [replace(block, exponent=best) for block in mine]
-    return tuple(made)
+    reached, per = part.reached, block.columns_per_mode
+    made = np.zeros((*block.amplitude.shape, 2 * len(poles)), dtype=complex)
+    if len(reached):
+        linear = part.linear[:, block.degree + 1 :]
+        slopes = block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])
+        for offset, slope in enumerate(slopes):
+            turned = slope[None] * linear[:, None]
+            turned = turned.reshape(*turned.shape[:2], -1, per).sum(axis=3) * block.weight[..., None]
+            made[..., 2 * reached + offset] = turned - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ turned)
+    return _as_real(made, block)
+
+
+def _as_real(values: Complex, block: Block) -> Array:
+    """``values`` (C, K, …) of ``block`` as rows of real numbers, real parts first; of squares these alone."""
+    rows = values.reshape(-1, *values.shape[2:])
+    return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))
+
+
+def missed(block: Block, part: Projected) -> float:
+    """Twice the negative log likelihood of ``block`` as projected (``part``), up to a constant."""
+    weight = block.weight
+    return block.parts * -2.0 * float(np.log(weight[weight > 0.0]).sum()) + part.chi2
+
+
+def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
+    """``block`` with the scatter by which its residuals behind ``poles`` are as large as expected (Paule and Mandel).
+
+    And the block as projected with that.
+    """
+    part = project(block, poles)
+    for _ in range(MOST_ROUNDS):
+        if part.freedom < 1:
+            break
+        weight = block.weight
+        squared = np.where(weight > 0.0, np.abs(part.left) ** 2 / np.maximum(weight, 1e-300) ** 2, 0.0)
+        scatter = _scatter(squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom)
+        settled = abs(scatter - block.scatter) <= 0.05 * scatter
+        if scatter == block.scatter:
+            break
+        block = replace(block, scatter=scatter)
+        part = project(block, poles)
+        if settled:
+            break
+    return block, part
+
+
+def _scatter(squared: Array, error: Array, size: Array, freedom: int) -> float:
+    """Share s for which Σ ``squared`` / (``error`` + s² ``size``) is ``freedom``, by halving its logarithm."""
+    low, high = np.log(LEAST_SCATTER), np.log(1e3)
+    if float(np.sum(squared / (error + LEAST_SCATTER**2 * size))) <= freedom:
+        return LEAST_SCATTER
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        if float(np.sum(squared / (error + np.exp(2.0 * middle) * size))) > freedom:
+            low = middle
+        else:
+            high = middle
+    return float(np.exp(0.5 * (low + high)))
+
+
+def with_best_law(block: Block, poles: Poles) -> Block:
+    """``block`` with the force's law, common to its channels, by which the ``poles`` explain it best.
+
+    The power of the speed first, then the degree of what is smooth beside the modes, then a departure of the force from
+    a power: each by the Bayesian information criterion with the scatter that it leaves.
+    """
+    best, cost = block, np.inf
+    most = min(MOST_DEGREE, int(block.rows.min()) // 4 - 1)
+    tried = [(n, 0, 0) for n in (INERTIA, *(n for n in EXPONENTS if n != INERTIA))]
+    tried += [(np.nan, degree, 0) for degree in range(1, most + 1)]
+    tried += [(np.nan, -1, degree) for degree in range(1, most + 1)]
+    for exponent, degree, bends in tried:
+        trial = replace(
+            block,
+            exponent=best.exponent if np.isnan(exponent) else exponent,
+            degree=best.degree if degree < 0 else degree,
+            law=(0.0,) * bends,
+            scatter=best.scatter,
+        )
+        for _ in range(LAW_STEPS if bends else 0):
+            trial = with_bent_law(trial, poles)
+        trial, part = with_scatter(trial, poles)
+        terms = block.parts * (len(block.channels) * (trial.degree + 1) + bends)
+        new = missed(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
+        if new < cost:
+            best, cost = trial, new
+    return best
+
+
+def with_bent_law(block: Block, poles: Poles) -> Block:
+    """``block`` after a Gauss–Newton step in its ``law`` behind ``poles``."""
+    if not block.law:
+        return block
+    part = project(block, poles)
+    shapes = smooth_shapes(block.speed_rpm, block.span_rpm, len(block.law))[:, 1:]
+    fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
+    bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
+    bent = bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent)
+    rows, left = bent.reshape(-1, len(block.law)), part.left.ravel()
+    if block.power:
+        rows, left = rows.real, left.real
+    step = np.linalg.lstsq(rows, left, rcond=1e-6)[0]
+    step *= min(1.0, MOST_BEND / max(float(np.abs(step).max()), 1e-300))
+    return replace(block, law=tuple((np.array(block.law) + step).tolist()))
 
 
 def fitting(
     problem: Problem, fit: SurfaceFit, blocks: tuple[Block, ...], *, fixed: Poles = NO_POLES
 ) -> tuple[Problem, SurfaceFit]:
-    """Joint fit of ``problem`` with those of ``blocks`` that the same poles, and the ``fixed`` ones, explain.
+    """Joint fit of ``problem`` with those of ``blocks`` that sweep through poles of ``fit`` and agree with them.
 
-    Orders that the ``fit`` of the floor explains as it stands take part; each other one is tried, and kept where it
-    is explained after the joint fit without spoiling the rest.
+    Each counts by its errors and the scatter that the poles leave, the ``fixed`` ones of other bands included.
     """
-    blocks = with_best_exponents(blocks, fit.poles.joined(fixed))
     blocks = tuple(block for block in blocks if len(block.reached(fit.poles)) or not len(fixed))
-    good = tuple(block for block in blocks if project(block, fit.poles.joined(fixed)).holds)
-    rest = sorted({block.order for block in blocks} - {block.order for block in good})
-    if good:
+    for _ in range(2):
+        every = fit.poles.joined(fixed)
+        blocks = tuple(with_scatter(block, every)[0] for block in blocks)
+        good = tuple(block for block in blocks if block.scatter <= MOST_SCATTER)
+        if not good:
+            return replace(problem, others=None), fit
         problem = replace(problem, others=Blocks(good, fixed))
         fit = fit_surface(problem, fit.poles, start=fit.model, steps=10)
-    for order in rest:
-        more = tuple(block for block in blocks if block.order == order and len(block.reached(fit.poles)))
-        if not more or min(_misfit(block, fit.poles.joined(fixed)) for block in more) > HOPELESS:
-            continue
-        trial_problem = replace(problem, others=Blocks(good + more, fixed))
-        trial = fit_surface(trial_problem, fit.poles, start=fit.model, steps=10)
-        if all(project(block, trial.poles.joined(fixed)).holds for block in good + more):
-            problem, fit, good = trial_problem, trial, good + more
     return problem, fit
 
 
-def _misfit(block: Block, poles: Poles) -> float:
-    part = project(block, poles)
-    return part.chi2 / max(part.freedom, 1)
-
-
-def responses_of(used: tuple[Block, ...], blocks: tuple[Block, ...], modes: Poles) -> tuple[OrderResponse, ...]:
-    """OrderResponse of each of ``blocks`` for the ``modes``; those of ``used`` as they took part in the fit."""
-    exponent = {(block.order, block.channel): block.exponent for block in used}
-    best = with_best_exponents(blocks, modes)
+def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
+    """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
     made = []
-    for block in best:
-        item = replace(block, exponent=exponent.get((block.order, block.channel), block.exponent))
-        part = project(item, modes)
-        residue = np.zeros(len(modes), dtype=complex)
-        residue[part.reached] = part.linear[1:]
-        made.append(
-            OrderResponse(
-                item.order,
-                item.channel,
-                item.exponent,
-                item.reference_rpm,
-                complex(part.linear[0]),
-                residue,
-                part.holds,
+    for block in blocks:
+        if block.power:
+            continue
+        item, part = with_scatter(block, modes)
+        first = item.degree + 1
+        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.freedom, 1))
+        for number, channel in enumerate(item.channels):
+            residue = np.zeros(len(modes), dtype=complex)
+            residue[part.reached] = linear[number, first:]
+            made.append(
+                OrderResponse(
+                    item.order,
+                    channel,
+                    item.exponent,
+                    item.law,
+                    item.reference_rpm,
+                    item.span_rpm,
+                    linear[number, :first],
+                    residue,
+                    part.reached,
+                    covariance[number],
+                    part.freedom // len(item.channels),
+                    float(np.median(item.error[number][np.isfinite(item.error[number])])),
+                    part.freedom > 0 and item.scatter <= MOST_SCATTER,
+                )
             )
-        )
     return tuple(made)

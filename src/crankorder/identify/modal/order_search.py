@@ -1,226 +1,346 @@
-"""Natural frequencies that the floor does not show but the first order does, whose response they shape."""
+"""Natural frequencies that orders tell by amplitude and phase over the speeds, whether or not the floor shows them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode
-from crankorder.identify.modal.order_responses import MODEL_ERROR, Complex, response
-from crankorder.settings import IdentifySettings
+from crankorder.identify.modal.order_responses import (
+    LEAST_SCATTER,
+    MOST_SCATTER,
+    Block,
+    Blocks,
+    Projected,
+    jacobian,
+    missed,
+    with_bent_law,
+    with_best_law,
+    with_scatter,
+)
+from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
-FEWEST = 30
-"""Speeds at which the order must be measured."""
-
-MOST_POLES = 2
+MOST_POLES = 12
 """Poles that are looked for at most."""
 
-FEWER_LEFT = 0.5
-"""Share of the misfit that one more pole must take away at least, besides what the information criterion asks."""
+TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
+"""Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
 
-NEAR_ONE = 0.005
-"""Distance from 1 within which an order is the first."""
-
-KNOWN = 1.0 / 3.0
-"""Standard error of the damping, as a share of it, beyond which a pole is but a part of the shape."""
-
-TRIED_HZ = 16
-"""Frequencies that are tried as a start."""
-
-TRIED_DAMPING = (0.02, 0.08)
-"""Damping ratios that are tried as a start."""
-
-STARTS = 4
+TRIED_STARTS = 3
 """Best starts that are followed."""
+
+TRIALS = 400.0
+"""Frequencies and damping ratios that are independent of one another, about."""
+
+EXPECTED_GAIN = 6.0
+"""What noise alone may save at a start in one channel."""
+
+HOPELESS = 1.0
+"""Relative scatter beyond which no small move of the poles helps."""
+
+WITHIN = 4.0
+"""Half-power half widths within which a row belongs to a resonance."""
+
+FEWEST_ROWS = 6
+"""Rows of an order without which it is asked for nothing new."""
+
+LEAST_DAMPING = 1e-3
+"""Smallest damping ratio that is looked for."""
+
+STEPS = 12
+"""Steps of a fit at most."""
+
+PROOF_CHANCE = 1e-4
+"""Chance of so large a residue of one order without the mode, below which the order proves it."""
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """The first order of one channel: ``amplitude`` (K,) with ``error`` (K,) per part at ``frequency_hz`` (K,) rising.
+@dataclass(frozen=True)
+class Proof:
+    """The ``orders`` that by themselves prove a mode, by amplitude and phase.
 
-    ``others`` are the frequencies and damping ratios (2, M) of modes that are known already.
+    ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
+    ``span_hz`` the lowest and highest frequency that they reached.
     """
 
-    order: float
-    channel: str
-    frequency_hz: Array
-    amplitude: Complex
-    error: Array
-    others: Array
-
-    def residual(self, poles: Array) -> Array:
-        """What the best linear terms leave with ``poles`` (ln f_1, …, ln ζ_1, …), in standard errors.
-
-        Behind a force that grows with the square of speed: a rigid body's share and that of the modes; beside it one
-        share that does not grow with speed, for forces that do not.
-        """
-        natural, damping = np.exp(poles).reshape(2, -1)
-        natural, damping = np.append(natural, self.others[0]), np.append(damping, self.others[1])
-        growth = (self.frequency_hz / self.frequency_hz[-1]) ** 2
-        ones = np.ones((len(growth), 1))
-        columns = [ones, 1.0 / growth[:, None], response(self.frequency_hz, natural, damping)[0]]
-        design = np.concatenate(columns, axis=1) * (growth / self.error)[:, None]
-        q, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
-        left = self.amplitude / self.error
-        left = left - q @ (q.conj().T @ left)
-        return np.concatenate([left.real, left.imag])
-
-    def unknowns(self, n_poles: int) -> int:
-        """Real numbers that a fit of ``n_poles`` determines."""
-        return 4 * n_poles + 4 + 2 * len(self.others[0])
+    orders: tuple[float, ...] = ()
+    most_rows: int = 0
+    rows: int = 0
+    span_hz: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """Poles of a fit to a sweep as in `Sweep.residual`, the sum of squares they leave, and their covariance."""
+@dataclass(frozen=True)
+class OrderPole:
+    """A pole that orders ask for: ``frequency_hz``, ``damping``, the ``channels`` that show it and its ``proof``."""
 
-    poles: Array
-    left: float
-    covariance: Array
+    frequency_hz: float
+    damping: float
+    channels: tuple[str, ...]
+    proof: Proof
 
 
-def with_modes_of_first_order(
-    fit: ModalFit, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], *, settings: IdentifySettings
-) -> ModalFit:
-    """``fit`` with the natural frequencies that only the response of order 1 shows, all of them undecided.
+def poles_of_orders(
+    blocks: Sequence[Block], known: Poles, *, chance: float, most_damping: float
+) -> tuple[tuple[Block, ...], tuple[OrderPole, ...]]:
+    """``blocks`` with their laws and scatter, and the poles beyond the ``known`` ones that they ask for.
 
-    They are looked for where order 1 of ``orders`` does not slip, ``order_map`` (OrderMap) holds it at 30 speeds or
-    more, and no mode of the fit lies within what it sweeps: no, one or two poles, by the Bayesian information
-    criterion with the measured scatter, where each pole must also halve the misfit. The force is taken to grow with
-    the square of speed, which the order alone cannot prove: so they are undecided. ``settings``: the largest damping.
+    One pole after the other is taken where it explains most that is left of all orders and channels, moved with all
+    others that were found to where the likelihood is largest, and kept where it saves more than the false-alarm level
+    ``chance`` would let noise save at any of the frequencies tried; ``most_damping`` is the largest damping ratio.
+    Each order has the scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
     """
-    for sweep in _sweeps(fit, order_map, orders):
-        low, high = sweep.frequency_hz[0], sweep.frequency_hz[-1]
-        if any(low <= mode.frequency_hz <= high for mode in fit.modes):
-            continue
-        shape = _best(sweep)
-        n_poles = len(shape.poles) // 2
-        natural, damping = np.exp(shape.poles).reshape(2, -1)
-        error = np.sqrt(np.diag(shape.covariance))
-        sure = (error[n_poles:] <= KNOWN) & (damping <= settings.max_damping_ratio)
-        sure &= (natural >= low) & (natural <= high)
-        kept = np.flatnonzero(sure)
-        at = np.stack([kept, kept + n_poles], axis=1).ravel()
-        scale = np.stack([natural, damping], axis=1)[kept].ravel()
-        covariance = shape.covariance[np.ix_(at, at)] * np.outer(scale, scale)
-        spread = np.sqrt(np.diag(covariance)).reshape(-1, 2)
-        pairs = zip(natural[kept], damping[kept], spread, strict=True)
-        modes = tuple(_mode(sweep, float(f), float(z), s, n_poles) for f, z, s in pairs)
-        fit = _joined(fit, modes, covariance)
-    return fit
-
-
-def _sweeps(fit: ModalFit, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> list[Sweep]:
-    """The first order in the channels that show it, its strongest channel first."""
-    grid, speed = order_map["order"].values, order_map["speed"].values
-    names = [str(name) for name in order_map["channel"].values]
-    made: list[Sweep] = []
-    for agreed in orders:
-        if agreed.lock == "slips" or abs(agreed.order - 1.0) > NEAR_ONE or not len(grid):
-            continue
-        column = int(np.argmin(np.abs(grid - 1.0)))
-        for line in agreed.lines if abs(grid[column] - 1.0) < 1e-6 else ():
-            at = (names.index(line.channel), slice(None), column)
-            size, phase, error, freedom = (
-                order_map[name].values[at].astype(np.float64)
-                for name in ("coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
-            )
-            used = np.isfinite(size * phase * error * speed) & (error > 0.0) & (freedom >= 1.0) & (speed > 0.0)
-            used[used] = size[used] > 3.0 * error[used]  # the floor has no phase
-            used = np.flatnonzero(used)[np.argsort(speed[used], kind="stable")]
-            if len(used) < FEWEST:
-                continue
-            wide = error[used] * np.sqrt((freedom[used] + 2.0) / freedom[used])
-            amplitude = np.asarray(size[used] * np.exp(1j * np.radians(phase[used])), dtype=np.complex128)
-            error = np.hypot(wide, 10.0 * MODEL_ERROR * size[used])
-            hz = speed[used] / 60.0
-            known = [
-                (m.frequency_hz, m.damping_ratio) for m in fit.modes if hz[0] / 4.0 < m.frequency_hz < 4.0 * hz[-1]
-            ]
-            others = np.array(known).reshape(-1, 2).T
-            made.append(Sweep(agreed.order, line.channel, hz, amplitude, error, others))
-    return sorted(made, key=lambda item: -float(np.median(np.abs(item.amplitude) / item.error)))
-
-
-def _best(sweep: Sweep) -> Shape:
-    """Fit of ``sweep`` with as many poles as it asks for."""
-    residual = sweep.residual(np.zeros(0))
-    best = Shape(np.zeros(0), float(residual @ residual), np.zeros((0, 0)))
-    n = 2 * len(sweep.frequency_hz)
-    for n_poles in range(1, MOST_POLES + 1):
-        freedom = n - sweep.unknowns(n_poles)
-        if freedom < n // 2 or best.left < n - sweep.unknowns(n_poles - 1) + 4.0 * np.sqrt(2.0 * n):
-            break  # the fit holds as it is
-        trial = _with_one_more(sweep, best.poles)
-        more = 4.0 * np.log(n)  # two numbers of the pole and two of its share
-        if trial.left > (1.0 - FEWER_LEFT) * best.left or n * np.log(best.left / trial.left) < more:
+    if not blocks:
+        return (), ()
+    state = Fitted.of([with_best_law(block, known) for block in blocks], known, NO_POLES)
+    tried = Tried(blocks)
+    for _ in range(MOST_POLES):
+        more = _one_more(state, tried, chance=chance, most_damping=most_damping)
+        if more is None:
             break
-        best = trial
-    return best
+        state = more
+    state = _pruned(state, chance=chance)
+    named = [_named(state, len(known) + number) for number in range(len(state.free))]
+    return state.blocks, tuple(item for item in named if item.proof.rows > 1)
 
 
-def _with_one_more(sweep: Sweep, poles: Array) -> Shape:
-    """Best fit with one pole more than ``poles``."""
-    from scipy.optimize import least_squares
+def settled(
+    blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]
+) -> tuple[tuple[Block, ...], tuple[Proof, ...], tuple[OrderPole, ...], Array]:
+    """``blocks``, proofs of the ``known`` poles, the ``found`` ones moved once more behind them, and their covariance.
 
-    natural, damping = poles.reshape(2, -1)
-    low, high = sweep.frequency_hz[0], sweep.frequency_hz[-1]
-    starts = [
-        np.concatenate([natural, [np.log(f)], damping, [np.log(zeta)]])
-        for f in np.linspace(0.9 * low, 1.1 * high, TRIED_HZ)
-        for zeta in TRIED_DAMPING
-    ]
-    left = [float(np.sum(sweep.residual(start) ** 2)) for start in starts]
-    first = [starts[k] for k in np.argsort(left, kind="stable")[:STARTS]]
-    n_poles = len(natural) + 1
-    lowest = np.repeat([np.log(0.5 * low), np.log(1e-3)], n_poles)
-    highest = np.repeat([np.log(2.0 * high), np.log(0.5)], n_poles)
-    fits = [
-        least_squares(sweep.residual, start, bounds=(lowest, highest), x_scale=0.05, max_nfev=60) for start in first
-    ]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    return Shape(best.x, 2.0 * float(best.cost), _covariance(sweep, best.jac, best.fun))
+    The covariance (2 M, 2 M) is that of (f_1, ζ_1, f_2, …), lowest first. Channels share what an order's force varies by: their
+    residuals are as alike as they are seen to be.
+    """
+    free = NO_POLES
+    for item in found:
+        free = free.with_pole(item.frequency_hz, item.damping)
+    state = Fitted.of(blocks, known, free)
+    if len(free):
+        state = state.moved()
+    named = [_named(state, number) for number in range(len(state.poles))]
+    proofs = tuple(item.proof for item in named[: len(known)])
+    return state.blocks, proofs, tuple(named[len(known) :]), _covariance(state)
 
 
-def _covariance(sweep: Sweep, jacobian: Array, residual: Array) -> Array:
-    """Covariance of the poles from the scatter that is left, neighbours being as alike as they are."""
-    n = len(sweep.frequency_hz)
-    freedom = 2 * n - sweep.unknowns(jacobian.shape[1] // 2)
-    both = residual.reshape(2, n)
-    alike = float(np.sum(both[:, 1:] * both[:, :-1]) / max(float(np.sum(both**2)), 1e-300))
-    alike = min(max(alike, 0.0), 0.95)
-    scatter = float(residual @ residual) / freedom * (1.0 + alike) / (1.0 - alike)
-    return np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * max(scatter, 1.0))
+def _covariance(state: Fitted) -> Array:
+    """Covariance of the free poles: curvature, and scores whose channels are correlated (White 1982)."""
+    size = 2 * len(state.free)
+    own = slice(2 * len(state.known), 2 * len(state.poles))
+    hessian, inner = np.zeros((size, size)), np.zeros((size, size))
+    for block, part in zip(state.blocks, state.projected, strict=True):
+        if block.scatter > MOST_SCATTER:
+            continue
+        rows = jacobian(block, state.poles, part)[:, own]
+        rows = rows.reshape(block.parts, len(block.channels), -1, size)
+        hessian += np.einsum("pcki,pckj->ij", rows, rows)
+        norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
+        alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
+        inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
+    inverse = np.linalg.pinv(hessian, hermitian=True)
+    scale = np.stack([state.free.frequency_hz, state.free.damping], axis=1).ravel()
+    return np.asarray(inverse @ inner @ inverse * np.outer(scale, scale))
 
 
-def _mode(sweep: Sweep, f: float, zeta: float, spread: Array, n_poles: int) -> Mode:
-    """What is said of a pole, always with its doubt."""
-    low, high = sweep.frequency_hz[0], sweep.frequency_hz[-1]
-    words = f"amplitude and phase of order 1 at {len(sweep.frequency_hz)} speeds ask for {n_poles} poles"
-    doubt = "told by order 1 alone, whose force is taken to grow with the square of speed; the floor does not show it"
-    width = 2.0 * zeta * f
-    if f + width > high or f - width < low:
-        doubt += f"; lies at the end of what was swept, {low:.1f} to {high:.1f} Hz"
-    return Mode(f, float(spread[0]), zeta, float(spread[1]), (sweep.channel,), 0.0, words, (sweep.order,), doubt)
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """``blocks`` with the scatter that ``known`` and ``free`` poles leave, and each as ``projected`` with them."""
+
+    blocks: tuple[Block, ...]
+    projected: tuple[Projected, ...]
+    known: Poles
+    free: Poles
+
+    @classmethod
+    def of(cls, blocks: Sequence[Block], known: Poles, free: Poles) -> Fitted:
+        """State of ``blocks`` behind ``known`` and ``free`` poles."""
+        pairs = [with_scatter(block, known.joined(free)) for block in blocks]
+        return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), known, free)
+
+    @property
+    def poles(self) -> Poles:
+        """All poles, the known ones first."""
+        return self.known.joined(self.free)
+
+    def moved(self) -> Fitted:
+        """With the free poles where the likelihood is largest, and the scatter that is left then."""
+        good = tuple(block for block in self.blocks if block.scatter <= HOPELESS)
+        if not good:
+            return self
+        free = _moved(Blocks(good, self.known), self.free)
+        every = self.known.joined(free)
+        return Fitted.of([with_bent_law(block, every) for block in self.blocks], self.known, free)
+
+    def settled(self) -> Fitted:
+        """With the laws told anew, and moved with them."""
+        return Fitted.of([with_best_law(block, self.poles) for block in self.blocks], self.known, self.free).moved()
+
+    def saves(self, less: Fitted) -> float:
+        """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
+        saved = 0.0
+        pairs = zip(less.blocks, less.projected, self.blocks, self.projected, strict=True)
+        for before, few, after, many in pairs:
+            if after.scatter <= LEAST_SCATTER and before.scatter <= LEAST_SCATTER:
+                saved += few.chi2 - many.chi2  # no scatter is fitted: squares in known errors
+                continue
+            share = max(many.freedom, 0) / (after.parts * int(after.rows.sum()))
+            saved += (missed(before, few) - missed(after, many)) * share
+        return saved
 
 
-def _joined(fit: ModalFit, modes: tuple[Mode, ...], covariance: Array) -> ModalFit:
-    """``fit`` with further ``modes`` and their ``covariance``, lowest first."""
-    if not modes:
-        return fit
-    every = fit.modes + modes
-    n, m = 2 * len(fit.modes), 2 * len(modes)
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[n:, n:] = fit.covariance, covariance
-    rank = sorted(range(len(every)), key=lambda k: every[k].frequency_hz)
-    at = np.array([[2 * k, 2 * k + 1] for k in rank]).ravel()
-    responses = tuple(
-        replace(item, residue=np.append(item.residue, np.zeros(len(modes), dtype=complex))[rank])
-        for item in fit.responses
-    )
-    return replace(fit, modes=tuple(every[k] for k in rank), covariance=whole[np.ix_(at, at)], responses=responses)
+class Tried:
+    """Starts for a pole: frequencies in Hz and damping ratios, as far as the rows of any of ``blocks`` reach."""
+
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        spans = [(float(b.frequency_hz.min()), float(b.frequency_hz.max())) for b in blocks]
+        low, high = min((a for a, _ in spans), default=1.0), max((b for _, b in spans), default=1.0)
+        frequency, damping = [], []
+        for zeta in TRIED_DAMPING:
+            count = max(2, int(np.ceil(np.log(1.06 * high / low) / zeta)))
+            frequency.append(np.geomspace(0.97 * low, 1.03 * high, count))
+            damping.append(np.full(count, zeta))
+        self.frequency_hz, self.damping = np.concatenate(frequency), np.concatenate(damping)
+
+
+def _one_more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
+    """``state`` with one pole more, or None where none is asked for."""
+    gains = _gains(state, tried)
+    best, most = None, 0.0
+    for _ in range(TRIED_STARTS):
+        at = int(np.argmax(gains))
+        if not gains[at] > 0.0:
+            break
+        f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
+        gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
+        trial = Fitted.of(state.blocks, state.known, state.free.with_pole(f, zeta)).moved()
+        saved = trial.saves(state)
+        if saved > most and not moved_out(trial.free, tried, most_damping):
+            best, most = trial, saved
+    if best is None:
+        return None
+    best = best.settled()
+    return best if best.saves(state) > _limit(best.blocks, chance / TRIALS) else None
+
+
+def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
+    """Whether any of ``poles`` left the frequencies ``tried``, or is damped by more than ``most_damping``."""
+    low, high = float(tried.frequency_hz.min()), float(tried.frequency_hz.max())
+    outside = (poles.frequency_hz < low) | (poles.frequency_hz > high) | (poles.damping > most_damping)
+    return bool(outside.any())
+
+
+def _gains(state: Fitted, tried: Tried) -> Array:
+    """What a pole at each start would save, beyond what noise saves, summed over orders and channels.
+
+    The steady response stands for that of a sweep here: it only has to find the start.
+    """
+    total = np.zeros(len(tried.frequency_hz))
+    for block, part in zip(state.blocks, state.projected, strict=True):
+        if block.rows.min() < FEWEST_ROWS or part.freedom < 4:
+            continue
+        low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
+        near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
+        still = replace(block, passage=None)
+        columns = still.modal(tried.frequency_hz[near], _widened(block, tried, near))
+        freedom = part.freedom / len(block.channels)
+        for weight, basis, left in zip(block.weight, part.basis, part.left, strict=True):
+            made = columns * weight[:, None]
+            made -= basis @ (basis.conj().T @ made)
+            along = np.abs(left.conj() @ made) ** 2 / np.maximum(np.sum(np.abs(made) ** 2, axis=0), 1e-300)
+            along = along.reshape(-1, block.columns_per_mode).sum(axis=1)
+            share = np.minimum(along / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
+            total[near] += np.maximum(-freedom * np.log1p(-share) - EXPECTED_GAIN, 0.0)
+    return total
+
+
+def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
+    """Damping ratios of the starts ``near``, as wide as a sweep makes a resonance look."""
+    damping = tried.damping[near]
+    if block.passage is None:
+        return np.asarray(damping)
+    rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
+    return np.maximum(damping, 0.5 * np.sqrt(rate) / tried.frequency_hz[near])
+
+
+def _moved(joint: Blocks, free: Poles) -> Poles:
+    factor = 1e-2
+    jacobians, residuals, cost = joint.evaluate(free)
+    for _ in range(STEPS):
+        hessian = sum((j.T @ j for j in jacobians), np.zeros((2 * len(free),) * 2))
+        slope = sum((j.T @ r for j, r in zip(jacobians, residuals, strict=True)), np.zeros(2 * len(free)))
+        scale = np.maximum(np.diag(hessian), 1e-9 * np.trace(hessian) + 1e-300)
+        by = np.linalg.solve(hessian + factor * np.diag(scale), slope).reshape(-1, 2)
+        shift = np.clip(by[:, 0], -2.0 * free.damping, 2.0 * free.damping)
+        damping = np.clip(free.damping * np.exp(np.clip(by[:, 1], -0.7, 0.7)), LEAST_DAMPING, 0.6)
+        trial = Poles(free.frequency_hz * np.exp(shift), damping, free.tone)
+        trial_jacobians, trial_residuals, trial_cost = joint.evaluate(trial)
+        gained = cost - trial_cost
+        if gained >= 0.0:
+            free, jacobians, residuals, cost = trial, trial_jacobians, trial_residuals, trial_cost
+            factor = max(0.2 * factor, 1e-6)
+            if gained < 0.01:
+                break
+        else:
+            factor *= 8.0
+            if factor > 1e4:
+                break
+    return free
+
+
+def _limit(blocks: Sequence[Block], chance: float) -> float:
+    """What a pole saves by ``chance``: two numbers of its own and two for each order and channel."""
+    from scipy.special import chdtri
+
+    return float(chdtri(2.0 + 2.0 * sum(len(block.channels) for block in blocks), chance))
+
+
+def _pruned(state: Fitted, *, chance: float) -> Fitted:
+    """Without the poles that the others have made idle."""
+    number = 0
+    while number < len(state.free):
+        fewer = Fitted.of(state.blocks, state.known, state.free.without(number))
+        if state.saves(fewer) > _limit(state.blocks, chance):
+            number += 1
+        else:
+            state, number = fewer, 0
+    return state
+
+
+def _named(state: Fitted, number: int) -> OrderPole:
+    """Pole ``number`` with the orders that prove it."""
+    poles = state.poles
+    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    rows: dict[float, int] = {}
+    ends: list[float] = []
+    shown: list[str] = []
+    for block, part in zip(state.blocks, state.projected, strict=True):
+        chances = residue_chances(block, part, number)
+        if block.scatter > MOST_SCATTER or chances.min() > PROOF_CHANCE:
+            continue
+        shown += [name for name, chance in zip(block.channels, chances, strict=True) if chance <= PROOF_CHANCE]
+        within = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= WITHIN * zeta))
+        rows[block.order] = max(within, rows.get(block.order, 0))
+        ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
+    if not rows:
+        return OrderPole(f, zeta, (), Proof())
+    proof = Proof(tuple(sorted(rows)), max(rows.values()), sum(rows.values()), (min(ends), max(ends)))
+    return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def residue_chances(block: Block, part: Projected, number: int) -> Array:
+    """Chances (C,) that the residue of pole ``number`` in ``block`` is so large without the mode (F test).
+
+    ``part``: the block as projected.
+    """
+    from scipy.special import fdtrc
+
+    place = np.flatnonzero(part.reached == number)
+    if not len(place) or part.freedom < len(block.channels):
+        return np.ones(len(block.channels))
+    at = block.degree + 1 + block.columns_per_mode * int(place[0]) + np.arange(block.columns_per_mode)
+    value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
+    squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
+    scale = max(part.chi2 / part.freedom, 1.0)
+    return np.asarray(fdtrc(2.0, part.freedom / len(block.channels), squared / 2.0 / scale))

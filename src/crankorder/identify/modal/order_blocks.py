@@ -1,0 +1,146 @@
+"""What the orders of a test give to a modal fit: their amplitudes over held speeds and along sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.modal.order_responses import SPARE, Block
+from crankorder.identify.modal.passage import passage_of
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+
+ON_BIN = 1e-3
+"""Share of an order within which a bin of the map stands for it."""
+
+CLEAR = 4.0
+"""Standard errors by which an order must stand out at one speed at least."""
+
+LEAST_FREEDOM = 3.0
+"""Degrees of freedom without which a standard error says too little."""
+
+FROM_ENDS = 0.5
+"""Reciprocal bandwidths from the ends of a recording in which the filter is still settling."""
+
+SAME_ORDER = 1e-3
+"""Share of an order within which a followed one is the same."""
+
+Array = NDArray[np.float64]
+
+
+def blocks_of(
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], followed: Sequence[xr.Dataset] = ()
+) -> tuple[Block, ...]:
+    """Blocks of the ``orders`` with every channel in which they stand out anywhere.
+
+    Along sweeps they are those of ``followed`` (RecordingTracks), one for each recording; at held speeds those of the
+    OrderMap ``order_map``. Where the phases say nothing, as of a line that slips or where recordings have no common
+    mark, squares stand for them. Orders at fewer speeds than the model has unknowns have none.
+    """
+    made: list[Block | None] = []
+    for agreed in orders:
+        swept = [block for item in followed if (block := _swept_block(agreed, item)) is not None]
+        made += swept or _held_blocks(agreed, order_map)
+    return tuple(block for block in made if block is not None)
+
+
+def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | None]:
+    grid = order_map["order"].values
+    if not len(grid):
+        return []
+    column = int(np.argmin(np.abs(grid - agreed.order)))
+    if agreed.lock == "slips" or abs(grid[column] - agreed.order) > ON_BIN * max(1.0, agreed.order):
+        return [_of_sizes(agreed.order, line) for line in agreed.lines]
+    size, phase, error, freedom = (
+        order_map[variable].values[:, :, column].astype(np.float64)
+        for variable in ("coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
+    )
+    speed = order_map["speed"].values
+    known = np.isfinite(size) & (error > 0.0) & (freedom >= LEAST_FREEDOM) & (speed > 0.0)
+    wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
+    names = [str(name) for name in order_map["channel"].values]
+    if np.isfinite(phase[known]).all():
+        return [_block(agreed.order, names, speed, size * np.exp(1j * np.radians(phase)), wide)]
+    noise = np.where(known, wide, 0.0)
+    beats = np.where(known, 2.0 * np.maximum(size, noise) * noise, np.inf)
+    return [_block(agreed.order, names, speed, size**2 - 2.0 * noise**2, beats, power=True)]
+
+
+def _of_sizes(order: float, line: OrderLine) -> Block | None:
+    """Block of the squares of ``line``, whose phase is none of the shaft's."""
+    size, error = line.amplitude[None], line.amplitude_error[None]
+    error = np.where(np.isfinite(error) & (error > 0.0) & (line.speed_rpm > 0.0), error, np.inf)
+    beats = np.where(np.isfinite(error), 2.0 * np.maximum(size, error) * error, np.inf)
+    return _block(order, [line.channel], line.speed_rpm, size**2, beats, power=True)
+
+
+def _block(
+    order: float,
+    names: list[str],
+    speed: Array,
+    amplitude: NDArray[np.inexact[Any]],
+    error: Array,
+    *,
+    power: bool = False,
+    **along: Any,
+) -> Block | None:
+    """Block of the channels that stand out at enough speeds; None where none does."""
+    known = np.isfinite(error)
+    held = np.where(known, amplitude, 0.0)
+    clear = (np.abs(held) > CLEAR * np.where(known, error, np.inf)).any(axis=1)
+    clear &= np.count_nonzero(known, axis=1) >= (2 if power or along else 1) * SPARE + 1
+    if not clear.any():
+        return None
+    rows = known[clear].any(axis=0) | bool(along)  # a passage knows all of its rows
+    kept = np.ix_(clear, rows)
+    return Block(
+        order,
+        tuple(name for name, is_clear in zip(names, clear.tolist(), strict=True) if is_clear),
+        order * speed[rows] / 60.0,
+        speed[rows],
+        np.asarray(held[kept], dtype=np.complex128),
+        error[kept],
+        float(speed[rows].max()),
+        power=power,
+        **along,
+    )
+
+
+def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
+    """Block of one recording whose speed sweeps; None where the order was not followed there."""
+    if not item.attrs.get("swept", 0) or "amplitude" not in item:
+        return None
+    names = item["order"].values
+    found = np.flatnonzero(np.abs(names - agreed.order) <= SAME_ORDER * agreed.order)
+    if not len(found):
+        return None
+    row = int(found[np.argmin(np.abs(names[found] - agreed.order))])
+    time, speed, bandwidth = (item[name].values.astype(np.float64) for name in ("time", "speed", "bandwidth_hz"))
+    inside = (time - time[0] >= FROM_ENDS / bandwidth[0]) & (time[-1] - time >= FROM_ENDS / bandwidth[-1])
+    amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
+    known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
+    rows = known.any(axis=0)
+    if np.count_nonzero(rows) < 2 * SPARE:
+        return None
+    poles = int(item.attrs["poles"])
+    time, speed, bandwidth = time[rows], speed[rows], bandwidth[rows]
+    shared = np.sqrt(_rows_per_independent(time, bandwidth, poles))
+    return _block(
+        agreed.order,
+        [str(name) for name in item["channel"].values],
+        speed,
+        np.nan_to_num(amplitude[:, rows]),
+        np.where(known, error, np.inf)[:, rows] * shared,
+        passage=passage_of(agreed.order, time, speed, bandwidth, poles=poles),
+        recording=str(item.attrs["recording"]),
+    )
+
+
+def _rows_per_independent(time: Array, bandwidth: Array, poles: int) -> Array:
+    """How many rows share what the filter knows of each: their errors are so many times as large, squared."""
+    spacing = np.gradient(time)
+    return np.asarray(np.maximum(1.0, 1.0 / (noise_bandwidth_share(poles) * bandwidth * spacing)))

@@ -1,0 +1,77 @@
+"""What orders say of a natural frequency, in words: which ones prove it, and what doubt is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.found import Mode
+from crankorder.identify.modal.order_search import OrderPole, Proof
+from crankorder.settings import IdentifySettings
+
+ROWS_OF_TURN = 5
+"""Rows of one order near a resonance that show its phase turn."""
+
+ROWS_OF_TWO = 3
+"""Rows near a resonance that several orders must have together."""
+
+KNOWN = 1.0 / 3.0
+"""Standard error of the damping, as a share of it, beyond which a pole is but a part of the shape."""
+
+UNCERTAIN = 0.01
+"""Standard error of the frequency, as a share of it, beyond which a pole is none for certain."""
+
+Array = NDArray[np.float64]
+
+
+def proven_by(proof: Proof) -> str:
+    """What says that a mode is there, in words; empty where no order does.
+
+    ``proof``: the orders that show it.
+    """
+    if not proof.orders:
+        return ""
+    names = ", ".join(f"{order:g}" for order in proof.orders)
+    if len(proof.orders) > 1:
+        return f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+    return f"order {names} has amplitude and phase of a resonance there, at {proof.most_rows} speeds around it"
+
+
+def is_proven(proof: Proof) -> bool:
+    """Whether two orders show the mode, or one with its phase turn and both flanks."""
+    if len(proof.orders) > 1:
+        return proof.rows >= ROWS_OF_TWO
+    return False
+
+
+def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -> Mode | None:
+    """Mode of a ``pole`` that only orders show, with its ``covariance`` (2, 2); None where it is a part of the shape.
+
+    ``settings``: the largest damping that a mode may have.
+    """
+    error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
+    f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
+    low, high = proof.span_hz
+    if not proof.orders or zeta > settings.max_damping_ratio or not low * (1.0 - zeta) <= f <= high * (1.0 + zeta):
+        return None
+    return Mode(
+        f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, _doubt(pole, error, zeta_error)
+    )
+
+
+def _doubt(pole: OrderPole, error: float, zeta_error: float) -> str:
+    """Why a pole that only orders show may be none."""
+    f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
+    low, high = proof.span_hz
+    said = []
+    if len(proof.orders) == 1 and proof.most_rows < ROWS_OF_TURN:
+        said.append(f"told by order {proof.orders[0]:g} alone at {proof.most_rows} speeds: its force may peak there")
+    elif proof.rows < ROWS_OF_TWO:
+        said.append("too few speeds lie near it: a force that differs at one of them looks the same")
+    if error > UNCERTAIN * f:
+        said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")
+    if zeta_error > KNOWN * zeta:
+        said.append("its damping is not determined")
+    if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
+        said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
+    return "; ".join(said)

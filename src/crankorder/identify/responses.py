@@ -1,0 +1,79 @@
+"""What a fitted response of an order says of any speed: its amplitude, and what one mode adds to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.found import ModalFit, OrderResponse
+from crankorder.identify.modal.order_responses import force, smooth_shapes
+from crankorder.identify.resonance import resonance
+
+NOISE_SHARE = 2.0
+"""Standard errors of a row beneath which an amplitude counts as so large: less is not seen."""
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class WithAndWithout:
+    """Amplitude of an order ``with_mode`` and ``without`` it (G,), and the standard error of both (G,)."""
+
+    with_mode: Floats
+    without: Floats
+    with_error: Floats
+    without_error: Floats
+    least: float
+
+    @property
+    def ratio(self) -> Floats:
+        """Amplification (G,) as fitted, over what could be seen."""
+        return np.asarray(self.with_mode / np.maximum(self.without, self.least))
+
+    def ends(self, sigmas: float) -> tuple[Floats, Floats]:
+        """Least and largest amplification (G,) within so many ``sigmas``."""
+        low = np.maximum(self.with_mode - sigmas * self.with_error, 0.0)
+        high = self.with_mode + sigmas * self.with_error
+        below = np.maximum(self.without - sigmas * self.without_error, self.least)
+        above = np.maximum(self.without + sigmas * self.without_error, self.least)
+        return low / above, high / below
+
+
+def shapes(frequency_hz: Floats, modal: ModalFit) -> Complex:
+    """Response (frequencies, modes) of each mode of ``modal`` at ``frequency_hz``: −x² / (1 − x² + 2iζx), x = f/f_j."""
+    natural = np.array([mode.frequency_hz for mode in modal.modes])
+    damping = np.array([mode.damping_ratio for mode in modal.modes])
+    return resonance(frequency_hz, natural, damping)
+
+
+def amplitude_at(response: OrderResponse, rpm: float, modal: ModalFit) -> float:
+    """Peak amplitude of ``response`` at ``rpm`` by the fit ``modal``, in the unit of its channel, as if it were held."""
+    smooth, parts, _ = _parts(response, np.array([rpm]), modal)
+    return float(abs(smooth[0] + parts[0].sum()))
+
+
+def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: ModalFit) -> WithAndWithout:
+    """Amplitude of ``response`` at ``rpm`` (G,) with mode ``number`` of ``modal`` and without it."""
+    smooth, parts, columns = _parts(response, rpm, modal)
+    whole = smooth + parts.sum(axis=1)
+    fewer = columns.copy()
+    place = len(response.smooth) + np.flatnonzero(response.reached == number)
+    fewer[:, place] = 0.0
+    errors = [
+        np.sqrt(np.maximum(np.einsum("gi,ij,gj->g", x, response.covariance, x.conj()).real, 0.0))
+        for x in (columns, fewer)
+    ]
+    without = np.abs(whole - parts[:, number])
+    return WithAndWithout(np.abs(whole), without, errors[0], errors[1], NOISE_SHARE * response.error)
+
+
+def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Complex, Complex, Complex]:
+    """Smooth part (G,), that of each mode (G, M), and the columns (G, terms) behind the linear terms."""
+    grown = force(rpm, response.span_rpm, response.reference_rpm, response.exponent, response.law)[:, None]
+    smooth = grown * smooth_shapes(rpm, response.span_rpm, len(response.smooth) - 1)
+    modes = grown * shapes(response.order * rpm / 60.0, modal)
+    columns = np.concatenate([smooth, modes[:, response.reached]], axis=1)
+    return smooth @ response.smooth, modes * response.residue, columns
