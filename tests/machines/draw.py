@@ -201,9 +201,7 @@ def _steady_speeds(
     return [float(value) for value in even + 0.1 * step * rng.uniform(-1.0, 1.0, number)]
 
 
-def _resonant_speeds(
-    rng: np.random.Generator, numbers: tuple[float, ...], modes: tuple[Mode, ...]
-) -> list[float]:
+def _resonant_speeds(rng: np.random.Generator, numbers: tuple[float, ...], modes: tuple[Mode, ...]) -> list[float]:
     """One to three speeds, each within the half-power width of a mode that an order meets there."""
     met = [
         (60.0 * mode.frequency_hz / number, mode.damping_ratio)
@@ -217,9 +215,7 @@ def _resonant_speeds(
     return sorted(float(met[at][0] * (1.0 + 0.5 * met[at][1] * rng.uniform(-1.0, 1.0))) for at in chosen)
 
 
-def _sweep(
-    rng: np.random.Generator, class_name: str, speeds: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
+def _sweep(rng: np.random.Generator, class_name: str, speeds: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Knots of time and speed of one sweep; the rate is log-uniform from 1 to 1000 rpm/s."""
     rate, length = _log_uniform(rng, 1.0, 1000.0), _log_uniform(rng, 4.0, 60.0)
     low, high = speeds
@@ -271,9 +267,7 @@ def _with_levels(rng: np.random.Generator, machine: Machine, has_mains: bool) ->
     for number, order in enumerate(machine.orders):
         median = float(np.median(np.abs(machine.steady_response(number, grid)).max(axis=0)))
         wanted = _log_uniform(rng, 0.3, 10.0)
-        orders.append(
-            replace(order, constant=order.constant * wanted / median, growth=order.growth * wanted / median)
-        )
+        orders.append(replace(order, constant=order.constant * wanted / median, growth=order.growth * wanted / median))
         typical.append(wanted)
     weakest, half_rate = min(typical), machine.rate_hz / 2.0
     noise = weakest * _log_uniform(rng, 0.02, 1.0) / np.sqrt(half_rate)

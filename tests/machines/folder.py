@@ -120,9 +120,11 @@ def manifest(machine: Machine) -> str:
         f'\ndirection = "+{name}"'
         for name in machine.channels
     ]
-    source, kind = {"speed": ("speed", "speed"), "trace": ("encoder", "square"), "times": ("pulse_time", "pulse_times")}[
-        encoder.form
-    ]
+    source, kind = {
+        "speed": ("speed", "speed"),
+        "trace": ("encoder", "square"),
+        "times": ("pulse_time", "pulse_times"),
+    }[encoder.form]
     table = [f'[encoder]\nsource = "{source}"\nkind = "{kind}"']
     if encoder.form != "speed":
         table += [f"pulses_per_rev = {encoder.pulses_per_rev}", f"index_to_tdc_deg = {encoder.index_to_tdc_deg!r}"]

@@ -8,12 +8,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import csd, welch
+
 from machines.draw import CLASSES, draw_machine
 from machines.folder import write_folder
 from machines.machine import Encoder, Machine, Mode, Order, Profile
 from machines.signals import broadband, order_envelope, sample_times
-from scipy.integrate import solve_ivp
-from scipy.signal import csd, welch
 
 STILL = Encoder("speed", "speed")
 
@@ -68,7 +69,9 @@ def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], dam
 
     # both start as if the first speed had always been
     jw = 2j * np.pi * order.order * profile.speed(np.zeros(1))[0] / 60.0
-    first = order.force(profile.speed(np.zeros(1)))[0] * np.exp(2j * np.pi * order.order * profile.angle(np.zeros(1))[0])
+    first = order.force(profile.speed(np.zeros(1)))[0] * np.exp(
+        2j * np.pi * order.order * profile.angle(np.zeros(1))[0]
+    )
     place = first / (natural**2 + jw**2 + 2 * damping * natural * jw)
     time_s = sample_times(machine, profile)
     solved = solve_ivp(
