@@ -1,10 +1,11 @@
 """What an estimator that knows the model could tell from a test: Cramér-Rao bounds, and what it would decide with them.
 
-The estimator knows how many modes and orders there are, the shaft, the density of the noise, and the law of each force
-up to a smooth factor (a complex cubic in speed). It does not know the poles, nor that factor, nor how strongly (complex)
-each mode and the direct path show in each channel at each order, nor the shapes and forces behind the broadband floor. Orders: complex envelopes in noise of the floor's density.
-Floor: Whittle's likelihood of the cross-spectral density, over the length of the whole test. Both share the poles; all
-other unknowns are eliminated (Schur complement). Close orders are taken as apart. Decisions at 95 %:
+The estimator knows how many modes and orders there are, the shaft, the density of the noise, and the law of each
+force up to a smooth factor (a complex cubic in speed). It does not know the poles, nor that factor, nor how strongly
+each mode and the direct path show (a complex number each) in each channel at each order, nor the shapes and the forces
+behind the broadband floor. Orders: complex envelopes in noise of the floor's density. Floor: Whittle's likelihood of
+the cross-spectral density, over the length of the whole test. Both share the poles; all other unknowns are eliminated
+(Schur complement). Close orders are taken as apart. It decides at 95 %:
 
 * a mode is told from a tone where its damping is 3.92 standard errors or more from zero and its frequency is known to
   0.2 % or better;
@@ -102,7 +103,7 @@ def _steps(mode: Mode) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of one recording as an order sees it: seconds each stands for, its frequency, force, angle; unit responses."""
+    """A recording as an order sees it, by row: seconds that it stands for, frequency, force, angle, unit responses."""
 
     weight_s: FloatArray
     frequency_hz: FloatArray

@@ -18,7 +18,7 @@ TRACE_STEPS = 8
 
 @dataclass(frozen=True)
 class Take:
-    """What one recording really holds: speed, rpm, and complex envelope of each order, (channel, row), at ``time_s``."""
+    """What a recording really holds: speed, rpm, and complex envelopes of the orders, (channel, row), at ``time_s``."""
 
     profile: Profile
     time_s: FloatArray
@@ -75,7 +75,7 @@ def _write_encoder(
 
 
 def _write_times(file: h5py.File, name: str, times: FloatArray, clock_hz: float) -> None:
-    file.create_dataset(name, data=np.ceil(times * clock_hz) / clock_hz).attrs["unit"] = "s"
+    file.create_dataset(name, data=np.round(times * clock_hz) / clock_hz).attrs["unit"] = "s"
 
 
 def _index_width(machine: Machine, profile: Profile) -> float:

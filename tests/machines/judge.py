@@ -56,7 +56,7 @@ class Said:
 
 
 def judged(machine: Machine, takes: tuple[Take, ...], bound: Bound, said: Said) -> tuple[Judgement, ...]:
-    """All judgements on what was ``said`` of ``machine``; ``takes``: what it recorded; ``bound``: what could be known."""
+    """All judgements on what was ``said`` of ``machine``; ``takes``: what was recorded; ``bound``: what could be."""
     return (
         *_speeds(machine, bound, said.findings),
         *_orders(machine, takes, bound, said.findings),
@@ -94,7 +94,7 @@ def _speeds(machine: Machine, bound: Bound, findings: dict[str, Any]) -> list[Ju
     if (~safe).any():
         made.append(Judgement("dangerous range not free", float((~safe & ~in_band).mean()), float((~safe).mean())))
     oracle = free_for_the_oracle(machine, bound, rpm, every)
-    made.append(Judgement("decided: free", float((safe & in_band).mean()), float((oracle * safe).mean())))
+    made.append(Judgement("decided: free", float((oracle * in_band).mean()), float(oracle.mean())))
     return made
 
 
@@ -181,8 +181,8 @@ def _amplitude(
         near += [float(own) for take in takes for own in _at_speed(take, true, channel, at)]
     transient = _holds(interval, was) or any(_holds(interval, value) for value in near)
     words = (
-        f"order {record['order']:.5g} {record['channel']}: {record['amplitude']:.4g} ({interval[0]:.4g}…{interval[1]:.4g})"
-        f" at {at:.0f} rpm, is {was:.4g} (steady {would:.4g})"
+        f"order {record['order']:.5g} {record['channel']}: {record['amplitude']:.4g} "
+        f"({interval[0]:.4g}…{interval[1]:.4g}) at {at:.0f} rpm, is {was:.4g} (steady {would:.4g})"
     )
     return [
         Judgement("amplitude", float(transient or _holds(interval, would)), 1.0, words),

@@ -1,4 +1,4 @@
-"""A rotating machine and its test, drawn from a seed: modes, orders, forces, speeds, sensors. Knows nothing of the program.
+"""A rotating machine and its test: modes, orders, forces, speeds, sensors. Knows nothing of the program.
 
 Signals are complex envelopes on ``exp(2 pi i order angle)``, the angle in revolutions from top dead centre. A mode is a
 pole ``s``; a force ``F`` drives its state, ``z' = s z + F``, and a channel shows the acceleration

@@ -1,7 +1,7 @@
 """Runs the program on drawn machines, holds what it says against what is so, and prints the table.
 
-``python tests/machines/score.py --scenes 200 --jobs 2 --out table.md`` draws fresh seeds and prints them; ``--seed`` gives
-the same again. The program is used as a user does: its command, and the files that it writes.
+``python tests/machines/score.py --scenes 200 --jobs 2 --out table.md`` draws fresh seeds and prints them; ``--seed``
+gives the same again. The program is used as a user does: its command, and the files that it writes.
 """
 
 from __future__ import annotations

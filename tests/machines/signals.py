@@ -11,7 +11,7 @@ from machines.machine import ComplexArray, FloatArray, Machine, Mode, Profile
 NODES = 5
 """Gauss nodes per sample: below 1e-9 of the amplitude while a force turns less than 2 rad per sample."""
 MEMORY = 12.0
-"""Decay times of the slowest mode that noise runs longer than the recording, so that its ends do not know each other."""
+"""Decay times of the slowest mode that noise runs longer than the recording: its ends do not know each other."""
 
 
 def sample_times(machine: Machine, profile: Profile) -> FloatArray:

@@ -18,7 +18,7 @@ DECISIVE = 0.1
 """Rows whose interval is wider than this share of the amplitude decide nothing."""
 SAME_ORDER = 0.01
 WIDER = 2.0
-"""A row is at home where its interval, so much wider, holds the truth: one in twenty is outside of the interval itself."""
+"""A row is at home where its interval, so much wider, holds the truth: one in twenty is outside the interval itself."""
 
 
 @dataclass(frozen=True)

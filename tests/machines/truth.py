@@ -18,7 +18,7 @@ GRID = 601
 
 @dataclass(frozen=True)
 class Dangerous:
-    """Speeds, rpm, at which one mode (``mode_hz``) makes one order three times larger or more, and the worst of them."""
+    """Speeds, rpm, at which one mode (``mode_hz``) makes one order more than three times larger; the worst of them."""
 
     order: float
     mode: int
@@ -37,7 +37,7 @@ def amplification(machine: Machine, number: int, mode: int, rpm: FloatArray) -> 
 
 
 def dangerous_near(machine: Machine, number: int, mode: int, low_rpm: float, high_rpm: float) -> Dangerous | None:
-    """Where order ``number`` is dangerous near its crossing with ``mode``, ``low_rpm`` to ``high_rpm``; None: nowhere."""
+    """Where order ``number`` is dangerous near its crossing with ``mode``, from ``low_rpm`` to ``high_rpm``, if so."""
     order, hz = machine.orders[number].order, machine.modes[mode].frequency_hz
     crossing = 60.0 * hz / order
     rpm = crossing * np.linspace(1.0 - REACH, 1.0 + REACH, GRID)
