@@ -29,7 +29,7 @@ from machines.bound import bound_of  # noqa: E402  # after the number of threads
 from machines.draw import CLASSES, draw_machine  # noqa: E402
 from machines.folder import write_folder  # noqa: E402
 from machines.judge import Judgement, Said, judged  # noqa: E402
-from machines.table import SceneScore, table_text  # noqa: E402
+from machines.table import INTERVALS, SceneScore, pooled, table_text  # noqa: E402
 
 LONGEST_S = 240.0
 """Seconds after which a run of the program counts as hung."""
@@ -47,6 +47,28 @@ def drawn_scenes(count: int, classes: tuple[str, ...], seed: int) -> list[Scene]
     """``count`` scenes, the ``classes`` in turn, with seeds that follow from ``seed``."""
     rng = np.random.default_rng(seed)
     return [Scene(classes[place % len(classes)], int(rng.integers(1, 2**31))) for place in range(count)]
+
+
+def campaign(
+    count: int, classes: tuple[str, ...], seed: int, *, jobs: int, intervals: int = 0, told: bool = False
+) -> list[SceneScore]:
+    """Scores of ``count`` scenes of ``classes`` drawn from ``seed``, ``jobs`` at a time, each ``told`` when done.
+
+    Classes with fewer ``intervals`` than asked get more scenes, up to four times their share.
+    """
+    scores = score_scenes(drawn_scenes(count, classes, seed), jobs=jobs, told=told)
+    most = 4 * -(-count // len(classes))
+    for more in range(1, 1000):
+        short = tuple(name for name in classes if _is_short(scores, name, intervals, most))
+        if not short:
+            break
+        scores += score_scenes(drawn_scenes(5 * len(short), short, seed + more), jobs=jobs, told=told)
+    return scores
+
+
+def _is_short(scores: list[SceneScore], name: str, intervals: int, most: int) -> bool:
+    own = [score for score in scores if score.class_name == name]
+    return len(own) < most and pooled(own, INTERVALS).of < intervals
 
 
 def score_scene(scene: Scene) -> SceneScore:
@@ -127,15 +149,18 @@ def main() -> None:
     parser.add_argument("--classes", nargs="+", default=list(CLASSES), choices=CLASSES, help="which classes")
     parser.add_argument("--seed", type=int, help="draws the same machines again; left out: fresh ones")
     parser.add_argument("--scene-seed", type=int, nargs="+", help="these machines alone, by their own seeds")
+    parser.add_argument("--intervals", type=int, default=0, help="more scenes until every class has so many intervals")
     parser.add_argument("--jobs", type=int, default=2, help="scenes at a time")
     parser.add_argument("--out", type=Path, help="file for the table")
     parser.add_argument("--json", type=Path, help="file for every judgement")
     asked = parser.parse_args()
     seed = secrets.randbits(31) if asked.seed is None else asked.seed
-    scenes = drawn_scenes(asked.scenes, tuple(asked.classes), seed)
     if asked.scene_seed:
         scenes = [Scene(name, one) for name in asked.classes for one in asked.scene_seed]
-    scores = score_scenes(scenes, jobs=asked.jobs, told=True)
+        scores = score_scenes(scenes, jobs=asked.jobs, told=True)
+    else:
+        classes = tuple(asked.classes)
+        scores = campaign(asked.scenes, classes, seed, jobs=asked.jobs, intervals=asked.intervals, told=True)
     text = table_text(scores, seed=seed)
     print(text)
     if asked.out:
