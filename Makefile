@@ -25,7 +25,7 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 accuracy: $(STAMP)
-	$(BIN)/python -m pytest -m 'slow or accuracy'
+	$(BIN)/python -m pytest -m 'slow or accuracy' -s
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/campaign.py

@@ -1,0 +1,282 @@
+"""What an estimator that knows the model could tell from a test: Cramér-Rao bounds, and what it would decide with them.
+
+The estimator knows how many modes and orders there are, the shaft, the density of the noise, and the law of each
+force up to a smooth factor (a complex cubic in speed). It does not know the poles, nor that factor, nor how strongly
+each mode and the direct path show (a complex number each) in each channel at each order, nor the shapes and the forces
+behind the broadband floor. Orders: complex envelopes in noise of the floor's density. Floor: Whittle's likelihood of
+the cross-spectral density, over the length of the whole test. Both share the poles; all other unknowns are eliminated
+(Schur complement). Close orders are taken as apart. It decides at 95 %:
+
+* a mode is told from a tone where its damping is 3.92 standard errors or more from zero and its frequency is known to
+  0.2 % or better;
+* an order is told locked or slipping where 3.92 standard errors of its number are less than its distance to the
+  nearest half order (slipping) or than the smallest slip drawn, 0.3 % (locked);
+* a speed is free where it lies outside every dangerous range, widened by 1.96 standard errors of the mode's frequency.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machines.machine import ComplexArray, FloatArray, Machine, Mode, Profile
+from machines.signals import convolved
+from machines.truth import Dangerous
+
+Z95, SMALLEST_SLIP, KNOWN_FREQUENCY = 1.96, 0.003, 0.002
+LARGEST_TURN_RAD = 3.0
+"""Of a force between two samples of the coarse grid of a sweep."""
+MOST_ROWS = 3000
+FORCE_POWERS = 3
+"""Powers of speed in the unknown smooth factor of each force."""
+STEP = 1e-3
+"""Relative step of the numerical derivatives, in shares of the damping."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Standard errors at the bound: of each mode's frequency, Hz, and damping ratio, and of each order's number."""
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    order: FloatArray
+    seen: tuple[bool, ...]
+    """By order: whether it stands clear of the noise (amplitude over standard error 8 or more) somewhere."""
+
+
+def bound_of(machine: Machine) -> Bound:
+    """The bounds that the test of ``machine`` sets, known noise and model."""
+    n_modes = len(machine.modes)
+    # a prior of 100 % on frequency and 10 on damping keeps what is not seen at all finite
+    information = np.diag([*(1.0 / mode.frequency_hz**2 for mode in machine.modes), *([1e-2] * n_modes)])
+    order_error, seen = [], []
+    for number in range(len(machine.orders)):
+        order_information, error, clear = _from_order(machine, number)
+        information = information + order_information
+        order_error.append(error)
+        seen.append(clear)
+    if machine.force_density:
+        information = information + _from_floor(machine)
+    spread = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)))
+    return Bound(spread[:n_modes], spread[n_modes:], np.asarray(order_error), tuple(seen))
+
+
+def told_from_a_tone(machine: Machine, bound: Bound) -> list[bool]:
+    """By mode of ``machine``: whether the knowing estimator could call it a mode with the errors of ``bound``."""
+    return [
+        bool(error <= KNOWN_FREQUENCY * mode.frequency_hz and mode.damping_ratio >= 2.0 * Z95 * spread)
+        for mode, error, spread in zip(machine.modes, bound.frequency_hz, bound.damping_ratio, strict=True)
+    ]
+
+
+def lock_told(machine: Machine, bound: Bound) -> list[bool]:
+    """By order of ``machine``: whether the knowing estimator could tell locked from slipping with ``bound``."""
+    told = []
+    for order, error in zip(machine.orders, bound.order, strict=True):
+        distance = abs(order.order - round(2.0 * order.order) / 2.0)
+        told.append(bool(2.0 * Z95 * error <= (distance or SMALLEST_SLIP * order.order)))
+    return told
+
+
+def free_for_the_oracle(
+    machine: Machine, bound: Bound, rpm: FloatArray, dangerous: tuple[Dangerous, ...]
+) -> FloatArray:
+    """1 where the knowing estimator could call ``rpm`` (speed,) of ``machine`` free, else 0.
+
+    ``bound``: its errors. ``dangerous``: the dangerous speeds that there are.
+    """
+    free = np.ones(rpm.size)
+    for item in dangerous:
+        spread = Z95 * bound.frequency_hz[item.mode] / item.mode_hz
+        free[(rpm >= item.low_rpm * (1.0 - spread)) & (rpm <= item.high_rpm * (1.0 + spread))] = 0.0
+    return free
+
+
+def _moved(mode: Mode, *, frequency: float = 0.0, damping: float = 0.0) -> Mode:
+    return replace(mode, frequency_hz=mode.frequency_hz + frequency, damping_ratio=mode.damping_ratio + damping)
+
+
+def _steps(mode: Mode) -> tuple[float, float]:
+    return STEP * mode.damping_ratio * mode.frequency_hz, STEP * mode.damping_ratio
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """A recording as an order sees it, by row: seconds that it stands for, frequency, force, angle, unit responses."""
+
+    weight_s: FloatArray
+    frequency_hz: FloatArray
+    force: ComplexArray
+    angle: FloatArray
+    responses: list[tuple[ComplexArray, ComplexArray, ComplexArray]]
+    """By mode: response for unit shape, its derivatives by frequency and damping, (row,)."""
+
+
+def _from_order(machine: Machine, number: int) -> tuple[FloatArray, float, bool]:
+    """Information on all poles from order ``number``; error of its order; whether it stands clear of the noise."""
+    parts = [_rows(machine, profile, number) for profile in machine.profiles]
+    order, n_modes, n_channels = machine.orders[number], len(machine.modes), len(machine.channels)
+    weight = np.concatenate([part.weight_s for part in parts])
+    force = np.concatenate([part.force for part in parts])
+    inverse = np.linalg.inv(machine.floor_psd(np.concatenate([part.frequency_hz for part in parts])))
+    columns: list[ComplexArray] = []  # each (channel, row)
+    for kind in (1, 2):
+        for place, mode in enumerate(machine.modes):
+            slope = np.concatenate([part.responses[place][kind] for part in parts])
+            columns.append(np.asarray(mode.drive[number] * np.asarray(mode.shape)[:, None] * slope))
+    basis = [np.concatenate([part.responses[place][0] for part in parts]) for place in range(n_modes)] + [force]
+    total = np.asarray(order.direct)[:, None] * force
+    for place, mode in enumerate(machine.modes):
+        total = total + mode.drive[number] * np.asarray(mode.shape)[:, None] * basis[place]
+    for channel in range(n_channels):
+        for response in basis:
+            column = np.zeros((n_channels, weight.size), dtype=complex)
+            column[channel] = response
+            columns += [column, 1j * column]
+    speed = np.concatenate([part.frequency_hz for part in parts])
+    middle, half = 0.5 * (speed.max() + speed.min()), max(0.5 * np.ptp(speed), 1e-3 * speed.max())
+    for power in range(1, FORCE_POWERS + 1):
+        bent = total * ((speed - middle) / half) ** power
+        columns += [bent, 1j * bent]
+    stacked = np.stack(columns)
+    whitened = np.einsum("rcd,pdr->pcr", inverse, stacked, optimize=True) * weight
+    gram = np.einsum("pcr,qcr->pq", np.conj(stacked), whitened, optimize=True).real
+    density = np.einsum("cr,rcd,dr->r", np.conj(total), inverse, total, optimize=True).real * weight
+    turning, at = 0.0, 0
+    for part in parts:
+        own = density[at : at + part.weight_s.size]
+        at += part.weight_s.size
+        centre = float((own * part.angle).sum() / max(own.sum(), 1e-300))
+        turning += float((own * (2.0 * np.pi * (part.angle - centre)) ** 2).sum())
+    clear = max(float(density[_slice(parts, place)].sum()) for place in range(len(parts))) >= 64.0
+    return _without_nuisance(gram, 2 * n_modes), 1.0 / np.sqrt(max(turning, 1e-300)), clear
+
+
+def _slice(parts: list[_Rows], place: int) -> slice:
+    start = sum(part.weight_s.size for part in parts[:place])
+    return slice(start, start + parts[place].weight_s.size)
+
+
+def _without_nuisance(gram: FloatArray, wanted: int) -> FloatArray:
+    """Information on the first ``wanted`` parameters where the others are unknown."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    even = gram * scale[:, None] * scale
+    cross = even[:wanted, wanted:]
+    kept = (
+        even[:wanted, :wanted] - cross @ np.linalg.pinv(even[wanted:, wanted:], rcond=1e-10, hermitian=True) @ cross.T
+    )
+    values, vectors = np.linalg.eigh(0.5 * (kept + kept.T))
+    kept = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(kept / scale[:wanted, None] / scale[:wanted])
+
+
+def _rows(machine: Machine, profile: Profile, number: int) -> _Rows:
+    return _steady_rows(machine, profile, number) if machine.steady else _swept_rows(machine, profile, number)
+
+
+def _steady_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
+    """A recording at one speed: a few rows that differ in angle only."""
+    order, rpm = machine.orders[number], float(np.mean(profile.rpm))
+    frequency = np.array([order.order * rpm / 60.0])
+    ones = np.ones(16)
+    angle = rpm / 60.0 * profile.duration_s * (np.arange(16) + 0.5) / 16
+    force = complex(order.force(rpm))
+
+    def unit(mode: Mode) -> complex:
+        return force * complex(replace(mode, shape=(1.0 + 0j,)).acceleration_per_force(frequency)[0, 0])
+
+    responses = []
+    for mode in machine.modes:
+        df, dz = _steps(mode)
+        by_f = (unit(_moved(mode, frequency=df)) - unit(_moved(mode, frequency=-df))) / (2.0 * df)
+        by_z = (unit(_moved(mode, damping=dz)) - unit(_moved(mode, damping=-dz))) / (2.0 * dz)
+        responses.append((unit(mode) * ones, by_f * ones, by_z * ones))
+    return _Rows(profile.duration_s / 16 * ones, frequency[0] * ones, force * ones, angle, responses)
+
+
+def _swept_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
+    """A sweep on a grid as coarse as the convolution allows, thinned where it has more rows than are needed."""
+    order = machine.orders[number]
+    fastest = 2.0 * np.pi * order.order * max(profile.rpm) / 60.0
+    count = int(np.ceil(profile.duration_s * fastest / LARGEST_TURN_RAD)) + 64
+    time_s = np.linspace(0.0, profile.duration_s, count)
+    step_s = float(time_s[1])
+    node = np.polynomial.legendre.leggauss(5)[0]
+    between = time_s[:-1] + 0.5 * step_s * (1.0 + node[:, None])
+    speed = np.maximum(profile.speed(time_s), 0.0)
+    angle, envelope = profile.angle(time_s), order.force(speed)
+    carrier = np.exp(2j * np.pi * order.order * angle)
+    force = order.force(np.maximum(profile.speed(between), 0.0))
+    force = force * np.exp(2j * np.pi * order.order * profile.angle(between))
+    first, jw = envelope[0] * carrier[0], 2j * np.pi * order.order * speed[0] / 60.0
+    thin = slice(None, None, max(1, count // MOST_ROWS))
+
+    def unit(mode: Mode) -> ComplexArray:
+        s = mode.pole
+        up = convolved(s, force, first / (jw - s), step_s)[thin]
+        down = convolved(np.conj(s), force, first / (jw - np.conj(s)), step_s)[thin]
+        swing = (s**2 * up - np.conj(s**2) * down) / (2j * s.imag)
+        return np.asarray(swing * np.conj(carrier[thin]) + envelope[thin])
+
+    responses = []
+    for mode in machine.modes:
+        df, dz = _steps(mode)
+        middle = unit(mode)
+        by_f = (unit(_moved(mode, frequency=df)) - middle) / df
+        responses.append((middle, by_f, (unit(_moved(mode, damping=dz)) - middle) / dz))
+    kept = time_s[thin]
+    weight = np.full(kept.size, profile.duration_s / kept.size)
+    hz = np.maximum(order.order * speed[thin] / 60.0, 0.1)
+    return _Rows(weight, hz, envelope[thin], angle[thin], responses)
+
+
+def _from_floor(machine: Machine) -> FloatArray:
+    """Information on all poles from the broadband floor."""
+    near = [np.linspace(5.0, 0.45 * machine.rate_hz, 400)]
+    near += [
+        mode.frequency_hz * (1.0 + mode.damping_ratio * np.sinh(np.linspace(-4.0, 4.0, 161))) for mode in machine.modes
+    ]
+    frequency = np.unique(np.concatenate(near))
+    frequency = frequency[(frequency > 5.0) & (frequency < 0.45 * machine.rate_hz)]
+    width = np.gradient(frequency) * sum(profile.duration_s for profile in machine.profiles)
+    inverse = np.linalg.inv(machine.floor_psd(frequency))
+    slopes = np.stack([inverse @ slope for slope in _floor_slopes(machine, frequency)])
+    gram = np.einsum("pfab,qfba,f->pq", slopes, slopes, width, optimize=True).real
+    return _without_nuisance(gram, 2 * len(machine.modes))
+
+
+def _floor_slopes(machine: Machine, frequency: FloatArray) -> list[ComplexArray]:
+    """Derivatives of the floor's density by frequency and damping of every mode, then by its shape, then by its noise.
+
+    The shape and the gains of the forces multiply: those of the shape alone say all where there is one source.
+    """
+
+    def floor(place: int, mode: Mode) -> ComplexArray:
+        modes = (*machine.modes[:place], mode, *machine.modes[place + 1 :])
+        return replace(machine, modes=modes).floor_psd(frequency)
+
+    slopes = []
+    for place, mode in enumerate(machine.modes):
+        df = _steps(mode)[0]
+        up, down = floor(place, _moved(mode, frequency=df)), floor(place, _moved(mode, frequency=-df))
+        slopes.append((up - down) / (2 * df))
+    for place, mode in enumerate(machine.modes):
+        dz = _steps(mode)[1]
+        slopes.append((floor(place, _moved(mode, damping=dz)) - floor(place, _moved(mode, damping=-dz))) / (2 * dz))
+    base = machine.floor_psd(frequency)
+    for place, mode in enumerate(machine.modes):
+        for channel in range(len(machine.channels)):
+            for turn in (1.0, 1j):
+                shape = list(mode.shape)
+                shape[channel] += 1e-4 * turn * abs(shape[channel])
+                slopes.append((floor(place, replace(mode, shape=tuple(shape))) - base) / 1e-4)
+        for source in range(len(machine.force_density) if len(machine.force_density) > 1 else 0):
+            gains = list(mode.broadband)
+            gains[source] *= 1.0 + 1e-4
+            slopes.append((floor(place, replace(mode, broadband=tuple(gains))) - base) / 1e-4)
+    for channel in range(len(machine.channels)):
+        slope = np.zeros_like(base)
+        slope[:, channel, channel] = machine.noise_density[channel] ** 2
+        slopes.append(slope)
+    return slopes

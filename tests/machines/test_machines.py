@@ -1,0 +1,157 @@
+"""The drawn machines obey physics that is known otherwise: closed forms, an ODE solver, a hand calculation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import csd, welch
+
+from machines.draw import CLASSES, draw_machine
+from machines.folder import write_folder
+from machines.machine import Encoder, Machine, Mode, Order, Profile
+from machines.signals import broadband, order_envelope, sample_times
+
+STILL = Encoder("speed", "speed")
+
+
+def one_mode(*, damping: float = 0.02, profile: Profile | None = None, force_density: float = 0.0) -> Machine:
+    """A 60 Hz mode met by order 2 at 1800 rpm, one channel, no noise."""
+    return Machine(
+        class_name="run-up",
+        seed=0,
+        rate_hz=2000.0,
+        channels=("X",),
+        modes=(Mode(60.0, damping, (0.02 + 0j,), (1.0 + 0j,), (1.0,) if force_density else ()),),
+        orders=(Order(2.0, 1.0, 0.5, 2.0, 30.0, 5.0, (0.01 + 0j,)),),
+        tones=(),
+        profiles=(profile or Profile((0.0, 4.0), (1500.0, 2100.0), 0.3),),
+        encoder=STILL,
+        noise_density=(0.0,),
+        force_density=(force_density,) if force_density else (),
+        mains_hz=50.0,
+        steady=False,
+    )
+
+
+@pytest.mark.parametrize("rpm", [600.0, 1790.0, 1800.0, 4000.0])
+def test_at_constant_speed_the_envelope_is_the_steady_response(rpm: float) -> None:
+    machine = one_mode(profile=Profile((0.0, 2.0), (rpm, rpm), 0.7))
+    envelope, _ = order_envelope(machine, machine.profiles[0], 0)
+    np.testing.assert_allclose(envelope[0], machine.steady_response(0, rpm)[0, 0], rtol=1e-9)
+
+
+def test_the_steady_response_of_a_real_mode_is_that_of_the_second_derivative_of_its_displacement() -> None:
+    machine = one_mode()
+    frequency, mode = np.array([3.0, 59.0, 60.0, 400.0]), machine.modes[0]
+    omega, natural = 2 * np.pi * frequency, 2 * np.pi * mode.frequency_hz
+    wanted = -0.02 * omega**2 / (natural**2 - omega**2 + 2j * mode.damping_ratio * natural * omega)
+    np.testing.assert_allclose(mode.acceleration_per_force(frequency)[0], wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("rpm", "damping"), [((1500.0, 2100.0), 0.002), ((2600.0, 900.0), 0.03), ((900.0, 0.0), 0.01)])
+def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], damping: float) -> None:
+    machine = one_mode(damping=damping, profile=Profile((0.0, 2.0), rpm, 0.3, 4.0, 0.7, 1.0))
+    profile, mode, order = machine.profiles[0], machine.modes[0], machine.orders[0]
+    natural = 2 * np.pi * mode.frequency_hz
+
+    def force(t: float) -> float:
+        at = np.array([t])
+        size = order.force(np.maximum(profile.speed(at), 0.0))
+        return float((size * np.exp(2j * np.pi * order.order * profile.angle(at)))[0].real)
+
+    def moved(t: float, state: np.ndarray) -> list[float]:
+        return [state[1], force(t) - 2 * damping * natural * state[1] - natural**2 * state[0]]
+
+    # both start as if the first speed had always been
+    jw = 2j * np.pi * order.order * profile.speed(np.zeros(1))[0] / 60.0
+    first = order.force(profile.speed(np.zeros(1)))[0] * np.exp(
+        2j * np.pi * order.order * profile.angle(np.zeros(1))[0]
+    )
+    place = first / (natural**2 + jw**2 + 2 * damping * natural * jw)
+    time_s = sample_times(machine, profile)
+    solved = solve_ivp(
+        moved, (0.0, 2.0), [place.real, (jw * place).real], t_eval=time_s, method="DOP853", rtol=1e-10, atol=1e-13
+    )
+    driven = np.array([force(t) for t in time_s])
+    bent = driven - 2 * damping * natural * solved.y[1] - natural**2 * solved.y[0]
+    envelope, carrier = order_envelope(machine, profile, 0)
+    ours = (envelope[0] * carrier).real
+    assert np.abs(ours - (0.02 * bent + 0.01 * driven)).max() < 1e-6 * np.abs(ours).max()
+
+
+def test_the_angle_is_the_integral_of_the_speed() -> None:
+    profile = Profile((0.0, 1.0, 1.5, 4.0), (900.0, 1500.0, 1200.0, 3000.0), 0.25, 7.0, 0.9, 0.4)
+    time_s = np.linspace(0.0, 4.0, 400_001)
+    speed = profile.speed(time_s) / 60.0
+    summed = 0.25 + np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
+    np.testing.assert_allclose(profile.angle(time_s), summed, atol=1e-8)
+
+
+def test_the_broadband_floor_has_the_stated_density() -> None:
+    machine = replace(one_mode(force_density=3.0), noise_density=(0.02,), channels=("X",))
+    samples = broadband(machine, 800_000, np.random.default_rng(1))
+    frequency, found = welch(samples[0], machine.rate_hz, nperseg=8192)
+    wanted = machine.floor_psd(frequency)[:, 0, 0].real
+    seen = (frequency > 5) & (frequency < 900)
+    assert abs(np.mean(found[seen] / wanted[seen]) - 1.0) < 0.02
+
+
+def test_the_floors_of_two_channels_are_as_coherent_as_stated() -> None:
+    mode = Mode(60.0, 0.02, (0.02 + 0j, -0.01 + 0.003j), (1.0 + 0j,), (1.0,))
+    order = Order(2.0, 1.0, 0.5, 2.0, 30.0, 5.0, (0.01 + 0j, 0j))
+    machine = replace(
+        one_mode(force_density=1.0), modes=(mode,), orders=(order,), channels=("X", "Y"), noise_density=(0.01, 0.01)
+    )
+    samples = broadband(machine, 400_000, np.random.default_rng(2))
+    frequency, found = csd(samples[1], samples[0], machine.rate_hz, nperseg=8192)
+    at = int(np.argmin(np.abs(frequency - 60.0)))
+    wanted = machine.floor_psd(frequency[at])[0, 0, 1]
+    assert abs(found[at] / wanted - 1.0) < 0.2
+
+
+@pytest.mark.parametrize("class_name", CLASSES)
+def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_path: Path) -> None:
+    machine = draw_machine(class_name, 11)
+    assert machine == draw_machine(class_name, 11)
+    takes = write_folder(machine, tmp_path / "a")
+    files = sorted((tmp_path / "a").glob("rec_*.h5"))
+    assert len(files) == len(takes) == len(machine.profiles)
+    write_folder(machine, tmp_path / "b")
+    with h5py.File(files[0]) as one, h5py.File(tmp_path / "b" / files[0].name) as two:
+        for name in one:
+            np.testing.assert_array_equal(one[name][...], two[name][...])
+        assert np.isfinite(one["acc_x"][...]).all()
+
+
+def test_orders_stay_below_half_the_sampling_rate_in_every_class() -> None:
+    for class_name in CLASSES:
+        for seed in range(20):
+            machine = draw_machine(class_name, seed)
+            fastest = max(rpm for profile in machine.profiles for rpm in profile.rpm)
+            assert max(order.order for order in machine.orders) * fastest / 60.0 < 0.45 * machine.rate_hz
+            assert all(25.0 * 0.9 < mode.frequency_hz < 0.45 * machine.rate_hz for mode in machine.modes)
+
+
+@pytest.mark.parametrize("encoder", ["trace", "times"])
+def test_the_encoder_tells_the_angle_that_was_driven(encoder: str, tmp_path: Path) -> None:
+    machine = replace(
+        one_mode(profile=Profile((0.0, 3.0), (600.0, 900.0), 0.41)),
+        rate_hz=10000.0,
+        encoder=Encoder("60-2", encoder, 60, 2, False, 40.0, 1e6),
+    )
+    write_folder(machine, tmp_path / "m")
+    with h5py.File(tmp_path / "m" / "rec_000.h5") as file:
+        if encoder == "times":
+            times = file["pulse_time"][...]
+        else:
+            times = (np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz
+    turned = (machine.profiles[0].angle(times) + 40.0 / 360.0) * 60
+    late = turned - np.round(turned - 0.3)
+    assert (late > -1e-9).all()
+    assert late.max() < 900.0 / 60.0 * 60 * (1e-4 if encoder == "trace" else 1e-6) + 1e-6
+    assert set(np.unique(np.mod(np.round(turned - 0.3), 60)).astype(int)) == set(range(58))

@@ -1,0 +1,248 @@
+"""The scorer sees what is wrong: truths known by hand, and findings in which one fault was planted."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from machines.bound import Bound, bound_of
+from machines.folder import Take
+from machines.judge import Judgement, Said, judged
+from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile
+from machines.signals import order_envelope, sample_times
+from machines.table import SceneScore, share_of, table_text
+from machines.truth import dangerous_speeds
+
+SPEEDS_RPM = tuple(float(rpm) for rpm in range(1500, 2110, 30))
+
+
+def stepped(*, noise: float = 0.01) -> Machine:
+    """A 60 Hz mode of 1 % that order 2 meets at 1800 rpm; order 3.5 meets nothing. Speeds from 1500 to 2100 rpm."""
+    return Machine(
+        class_name="stepped",
+        seed=3,
+        rate_hz=1000.0,
+        channels=("X",),
+        modes=(Mode(60.0, 0.01, (0.02 + 0j,), (1.0 + 0j, 0.0j), ()),),
+        orders=(
+            Order(2.0, 30.0, 5.0, 2.0, 20.0, 0.0, (0.01 + 0j,)),
+            Order(3.5, 10.0, 1.0, 1.0, 0.0, 0.0, (0.01 + 0j,)),
+        ),
+        tones=(),
+        profiles=tuple(Profile((0.0, 3.0), (rpm, rpm), 0.2) for rpm in SPEEDS_RPM),
+        encoder=Encoder("speed", "speed"),
+        noise_density=(noise,),
+        force_density=(),
+        mains_hz=50.0,
+        steady=True,
+    )
+
+
+def takes_of(machine: Machine) -> tuple[Take, ...]:
+    """What the recordings of ``machine`` hold, without files."""
+    takes = []
+    for profile in machine.profiles:
+        time_s = sample_times(machine, profile)
+        envelopes = tuple(order_envelope(machine, profile, number)[0] for number in range(len(machine.orders)))
+        takes.append(Take(profile, time_s, profile.speed(time_s), envelopes))
+    return tuple(takes)
+
+
+def right_findings(machine: Machine) -> dict[str, Any]:
+    """Findings that say of :func:`stepped` what is so."""
+    orders = []
+    for number, order in enumerate(machine.orders):
+        response = machine.steady_response(number, SPEEDS_RPM)[0]
+        best = int(np.argmax(np.abs(response)))
+        size, phase = float(np.abs(response[best])), float(np.degrees(np.angle(response[best])))
+        orders.append(
+            {
+                "channel": "X",
+                "order": order.order,
+                "lock": "locked",
+                "amplitude": size,
+                "amplitude_ci95": [0.999 * size, 1.001 * size],
+                "phase_deg": phase,
+                "phase_deg_ci95": [phase - 0.1, phase + 0.1],
+                "speed_rpm_at_max": SPEEDS_RPM[best],
+            }
+        )
+    mode = {
+        "frequency_hz": 60.01,
+        "frequency_hz_ci95": [59.98, 60.04],
+        "damping_ratio": 0.0101,
+        "damping_ratio_ci95": [0.0098, 0.0104],
+        "explained_by": "mode",
+    }
+    free = [{"low_rpm": 1500.0, "high_rpm": 1740.0}, {"low_rpm": 1860.0, "high_rpm": 2100.0}]
+    avoid = [{"rpm_range": [1750.0, 1850.0]}]
+    return {"orders": orders, "modes": [mode], "free_bands": free, "speeds_to_avoid": avoid}
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[Machine, tuple[Take, ...], Bound]:
+    machine = stepped()
+    return machine, takes_of(machine), bound_of(machine)
+
+
+def wrong(scene: tuple[Machine, tuple[Take, ...], Bound], findings: dict[str, Any]) -> set[str]:
+    """Kinds of statement that the scorer holds to be wrong."""
+    return {one.kind for one in judged(*scene, Said(findings, None)) if one.good < one.of - 0.15}
+
+
+Scene = tuple[Machine, tuple[Take, ...], Bound]
+
+
+def test_findings_that_are_right_are_held_to_be_right(scene: Scene) -> None:
+    assert wrong(scene, right_findings(scene[0])) == set()
+
+
+def test_one_mode_is_dangerous_where_the_hand_calculation_says(scene: Scene) -> None:
+    (found,) = dangerous_speeds(scene[0])
+    # |1 + 2 H| for a path of half the mode's strength, H = -r^2 / (1 - r^2 + 2 i z r), r = rpm / 1800
+    ratio = np.linspace(1500.0, 2100.0, 600_001) / 1800.0
+    factor = np.abs(1.0 - 2.0 * ratio**2 / (1.0 - ratio**2 + 2j * 0.01 * ratio))
+    near = (np.abs(ratio - 1.0) <= 0.03) & (factor > 3.0)
+    assert found.low_rpm == pytest.approx(1800.0 * ratio[near].min(), abs=0.2)
+    assert found.high_rpm == pytest.approx(1800.0 * ratio[near].max(), abs=0.2)
+    assert found.factor == pytest.approx(factor.max(), rel=1e-3)
+    assert found.worst_rpm == pytest.approx(1800.0 * ratio[np.argmax(factor)], abs=0.2)
+    assert found.order == 2.0
+
+
+def planted(findings: dict[str, Any], fault: str) -> dict[str, Any]:
+    """``findings`` with one ``fault``."""
+    changed = copy.deepcopy(findings)
+    if fault == "dangerous not free":
+        changed["free_bands"] = [{"low_rpm": 1500.0, "high_rpm": 2100.0}]
+    elif fault == "lock":
+        changed["orders"][0] |= {"order": 1.99, "lock": "slips"}
+    elif fault == "strongest":
+        changed["orders"][1]["amplitude"] *= 1e4
+    elif fault == "mode found":
+        changed["modes"] = []
+    elif fault == "mode real":
+        extra = {"frequency_hz": 80.0, "frequency_hz_ci95": [79.0, 81.0]}
+        changed["modes"].append(changed["modes"][0] | extra)
+    elif fault == "amplitude":
+        changed["orders"][0]["amplitude_ci95"] = [0.1, 0.2]
+    elif fault == "phase":
+        changed["orders"][0]["phase_deg_ci95"] = [160.0, 161.0]
+    elif fault == "frequency":
+        changed["modes"][0] |= {"frequency_hz": 60.2, "frequency_hz_ci95": [60.1, 60.3]}
+    elif fault == "damping":
+        changed["modes"][0]["damping_ratio_ci95"] = [0.02, 0.03]
+    elif fault == "order real":
+        changed["orders"].append(changed["orders"][1] | {"order": 7.3})
+    return changed
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "dangerous not free",
+        "lock",
+        "strongest",
+        "mode found",
+        "mode real",
+        "amplitude",
+        "phase",
+        "frequency",
+        "damping",
+        "order real",
+    ],
+)
+def test_a_planted_fault_is_seen(scene: Scene, fault: str) -> None:
+    assert fault in wrong(scene, planted(right_findings(scene[0]), fault))
+
+
+def test_silence_is_no_fault_but_decides_nothing(scene: Scene) -> None:
+    silent = right_findings(scene[0])
+    silent["free_bands"], silent["modes"][0]["explained_by"] = [], "undecided"
+    for record in silent["orders"]:
+        record["lock"] = "undecided"
+    seen = wrong(scene, silent)
+    assert {"decided: free", "decided: lock", "decided: mode"} <= seen
+    assert not seen & {"dangerous not free", "lock", "mode found", "mode real"}
+
+
+def tracks(machine: Machine, shift_rpm: float) -> xr.Dataset:
+    """Tracks of the orders of ``machine``, each row ``shift_rpm`` away from where it belongs."""
+    rpm = np.asarray(SPEEDS_RPM)
+    size: FloatArray = np.stack([np.abs(machine.steady_response(number, rpm)[0]) for number in range(2)])[None]
+    dims = ("channel", "order", "speed")
+    return xr.Dataset(
+        {"amplitude_low": (dims, 0.995 * size), "amplitude_high": (dims, 1.005 * size)},
+        {"channel": ["X"], "order": [2.0, 3.5], "speed": rpm + shift_rpm},
+    )
+
+
+def test_rows_at_the_wrong_speed_are_seen_and_rows_at_the_right_one_are_not() -> None:
+    machine = replace(stepped(), steady=False, profiles=(Profile((0.0, 60.0), (1500.0, 2100.0), 0.0),))
+    takes = takes_of(machine)
+    bound = bound_of(machine)
+    for shift_rpm, least, most in ((0.0, 0, 0), (30.0, 5, 42)):
+        said = Said(right_findings(stepped()), tracks(machine, shift_rpm))
+        rows = [one for one in judged(machine, takes, bound, said) if one.kind == "rows"]
+        assert len(rows) > 10
+        assert least <= sum(not row.good for row in rows) <= most
+
+
+def test_the_bound_on_one_order_is_that_of_a_line_in_white_noise(scene: Scene) -> None:
+    machine = scene[0]
+    # number of a line from n recordings of T s: var = 6 G / (A^2 T) / (2 pi)^2 / revolutions^2, each on its own
+    information = 0.0
+    for profile in machine.profiles:
+        size = abs(complex(machine.steady_response(1, profile.rpm[0])[0, 0]))
+        revolutions = profile.rpm[0] / 60.0 * profile.duration_s
+        information += (
+            size**2 * profile.duration_s / machine.noise_density[0] ** 2 * (2 * np.pi * revolutions) ** 2 / 12
+        )
+    assert scene[2].order[1] == pytest.approx(information**-0.5, rel=0.01)
+
+
+def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound() -> None:
+    """Linearised least squares on noisy envelopes of a swept mode: its scatter is the bound of the frequency."""
+    machine = replace(
+        stepped(noise=0.05),
+        steady=False,
+        orders=stepped().orders[:1],
+        modes=(replace(stepped().modes[0], drive=(1.0 + 0j,)),),
+        profiles=(Profile((0.0, 6.0), (1600.0, 2000.0), 0.1),),
+    )
+    profile, rng = machine.profiles[0], np.random.default_rng(4)
+    truth = order_envelope(machine, profile, 0)[0][0]
+    columns = []
+    for change in ({"frequency_hz": 60.0 + 1e-4}, {"damping_ratio": 0.01 + 1e-6}):
+        other = replace(machine, modes=(replace(machine.modes[0], **change),))
+        step = next(iter(change.values())) - (60.0 if "frequency_hz" in change else 0.01)
+        columns.append((order_envelope(other, profile, 0)[0][0] - truth) / step)
+    direct = machine.orders[0].force(profile.speed(sample_times(machine, profile)))
+    x = (profile.speed(sample_times(machine, profile)) - 1800.0) / 200.0
+    modal = truth - 0.01 * direct
+    nuisance = [modal, 1j * modal, direct, 1j * direct]
+    nuisance += [turn * truth * x**power for power in (1, 2, 3) for turn in (1.0, 1j)]
+    design = np.stack([np.concatenate([c.real, c.imag]) for c in (*columns, *nuisance)], axis=1)
+    # the envelope of white noise of density G has G rate in each part: half of the band is another order's
+    noise = 0.05 * np.sqrt(machine.rate_hz) * rng.standard_normal((design.shape[0], 400))
+    found = np.linalg.lstsq(design / np.linalg.norm(design, axis=0), noise, rcond=None)[0]
+    scatter = found[:2].std(axis=1) / np.linalg.norm(design, axis=0)[:2]
+    bound = bound_of(machine)
+    assert scatter[0] == pytest.approx(bound.frequency_hz[0], rel=0.15)
+    assert scatter[1] == pytest.approx(bound.damping_ratio[0], rel=0.15)
+
+
+def test_the_table_pools_by_class_and_lists_seeds_and_failures(tmp_path: Path) -> None:
+    good = SceneScore("run-up", 1, 1.0, "", (Judgement("lock", 1.0), Judgement("amplitude", 1.0)))
+    bad = SceneScore("stepped", 2, 1.0, "", (Judgement("lock", 0.0, 1.0, "order 2 read as 1.99"),))
+    dead = SceneScore("stepped", 77, 1.0, "exit status 1: boom", ())
+    text = table_text([good, bad, dead], seed=9)
+    assert share_of([good, bad, dead], "lock").share == 0.5
+    for part in ("| all | 3 |", "1 / 2", "exit status 1: boom", "stepped 77", "order 2 read as 1.99", "seed 9"):
+        assert part in text
