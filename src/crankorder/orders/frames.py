@@ -20,6 +20,9 @@ from crankorder.shaft.angle import knots_of, time_at
 SWEPT_SHARE = 0.1
 """Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""
 
+STEADY_SHARE = 0.02
+"""Share of the mean speed by which that of frames may wander in steady running."""
+
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
     """OrderFrames of one recording: complex spectra (channel, frame, order), phases from top dead centre.
@@ -54,6 +57,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
     frames.attrs = _attrs(band, shaft, layout, density) | {
         "largest_sweep": _largest_sweep(shaft, layout, speed),
+        "swept": int(_is_swept(speed, settings)),
         "tolerance": settings.tolerance,
         "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
@@ -109,6 +113,12 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np
     first = time_at(layout.begin_rev + 1.0, **knots) - time_at(layout.begin_rev, **knots)
     last = time_at(ends, **knots) - time_at(ends - 1.0, **knots)
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
+
+
+def _is_swept(speed_rpm: NDArray[np.float64], settings: OrderSettings) -> bool:
+    """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes."""
+    known = speed_rpm[np.isfinite(speed_rpm)]
+    return len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
 
 
 def _dataset(
