@@ -86,7 +86,7 @@ class OrderSettings(StageSettings):
     band_width_orders: Positive
     tolerance: Annotated[float, Field(ge=LEAST_TOLERANCE, le=LARGEST_TOLERANCE)]
     method: Literal["auto", "resample", "nufft"]
-    track_method: Literal["frames", "least_squares", "vold_kalman"]
+    track_method: Literal["auto", "frames", "least_squares", "vold_kalman"]
     track_bandwidth: Positive
     track_bandwidth_unit: Literal["order", "Hz"]
     floor_bins: Count

@@ -22,6 +22,7 @@ from crankorder.campbell.map import campbell_map
 from crankorder.fft.band import band_limited
 from crankorder.flow import StagePlan
 from crankorder.identify.findings import find
+from crankorder.identify.lines.swept_orders import swept_orders
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
@@ -171,9 +172,16 @@ def frames_by_frequency(band: BandRecording, shaft: ShaftAngle, settings: Settin
 
 
 @stage
-def tracks_of_recording(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> RecordingTracks:
-    """Orders asked for by name, followed through ``band`` by the angle of ``shaft`` (``settings`` of orders)."""
-    return RecordingTracks(followed_tracks(band, shaft, settings=settings.orders))
+def tracks_of_recording(
+    band: BandRecording, shaft: ShaftAngle, frames: OrderFrames, settings: Settings
+) -> RecordingTracks:
+    """Orders followed through ``band`` by the angle of ``shaft``: those asked for and, in sweeps, those of ``frames``.
+
+    ``settings``: of orders, and of identify for what stands out.
+    """
+    swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
+    found = swept_orders(frames, settings=settings) if swept else []
+    return RecordingTracks(followed_tracks(band, shaft, settings=settings.orders, swept=swept, standing_out=found))
 
 
 @stage
@@ -219,15 +227,18 @@ def findings(
     campbell: CampbellMap,
     frames: AllOrderFrames,
     envelope: EnvelopeMap,
+    followed: AllRecordingTracks,
     test: TestName,
     sources: Sources,
     settings: Settings,
 ) -> Findings:
-    """What ``order_map``, ``campbell``, ``frames`` and ``envelope`` show of ``test``, explained by ``sources``.
+    """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``settings``: of identify, and of orders for the floor.
+    ``followed``: orders through each sweep. ``settings``: of identify, and of orders for the floor.
     """
-    return Findings(find(order_map, campbell, frames, envelope, test=test, sources=sources, settings=settings))
+    return Findings(
+        find(order_map, campbell, frames, envelope, followed=followed, test=test, sources=sources, settings=settings)
+    )
 
 
 @stage

@@ -40,21 +40,23 @@ def test_frames_within_which_the_speed_changes_much_are_told(to_rpm, told):
     recording = run_up([line(4.0, 1.0)], from_rpm=1000, to_rpm=to_rpm, duration_s=10.0, rate_hz=5000.0)
     frames = order_frames(*recording, settings=SETTINGS)
     assert ("frames_swept" in {flag["flag"] for flag in flags_of(frames)}) == told
-    # v² grows by 2 a per revolution: from the first to the last revolution of 16 at constant acceleration a
+    # v² grows by 2 a per revolution: from the first to the last revolution of a frame at constant acceleration a
+    revs = frames.attrs["revs_per_frame"]
+    assert (revs < SETTINGS.revs_per_frame) == told
     rate = (to_rpm / 1000.0 - 1.0) * 1000.0 / 60.0 / 10.0
     slowest = 1000.0 / 60.0
-    grown = np.sqrt(slowest**2 + 2.0 * rate * 15.5) - np.sqrt(slowest**2 + 2.0 * rate * 0.5)
-    mean = 16.0 / ((np.sqrt(slowest**2 + 2.0 * rate * 16.0) - slowest) / rate)
+    grown = np.sqrt(slowest**2 + 2.0 * rate * (revs - 0.5)) - np.sqrt(slowest**2 + 2.0 * rate * 0.5)
+    mean = revs / ((np.sqrt(slowest**2 + 2.0 * rate * revs) - slowest) / rate)
     assert frames.attrs["largest_sweep"] == pytest.approx(grown / mean, rel=0.02)
 
 
-def test_the_speed_of_a_frame_is_revolutions_over_elapsed_time():
+def test_the_speed_of_a_frame_is_that_in_its_middle():
     band, angle = run_up([line(1.0, 1.0)], from_rpm=600, to_rpm=1200, duration_s=20.0, rate_hz=2000.0)
     frames = order_frames(band, angle, settings=SETTINGS)
     start = frames["crank_angle"].values
-    # angle = 10 t + t^2 / 4, hence t = -20 + sqrt(400 + 4 angle)
-    elapsed = np.sqrt(400 + 4 * (start + 16)) - np.sqrt(400 + 4 * start)
-    np.testing.assert_allclose(frames["speed"].values, 60 * 16 / elapsed, rtol=1e-9)
+    middle = start + 0.5 * frames.attrs["revs_per_frame"]
+    # speed grows by 30 rpm a second: v^2 = 10^2 + 2 * 0.5 * angle in revolutions and seconds
+    np.testing.assert_allclose(frames["speed"].values, 60.0 * np.sqrt(100.0 + middle), rtol=1e-8)
 
 
 @pytest.mark.parametrize("share_of_rate", [0.3, 0.39, 0.42, 0.45, 0.48, 0.499])

@@ -33,17 +33,17 @@ def find(
     frames: Sequence[xr.Dataset],
     envelope: xr.Dataset | None,
     *,
-    followed: Sequence[xr.Dataset] = (),
     test: str,
     sources: Sources,
     settings: Settings,
+    followed: Sequence[xr.Dataset] = (),
 ) -> dict[str, Any]:
     """Findings of a test, in the words of ``data_schema/findings.json``.
 
     ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
-    ``followed`` are the RecordingTracks of recordings whose speed sweeps;
-    ``sources`` says what the machine is made of; ``settings`` are those of all stages.
+    ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
+    RecordingTracks of the recordings (without variables where the speed does not sweep).
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")

@@ -20,6 +20,7 @@ from crankorder.orders.least_squares_tracks import (
     tracks_in_frames,
 )
 from crankorder.orders.phase_marks import phases_compare
+from crankorder.orders.swept_tracks import swept_tracks
 from crankorder.orders.track_means import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
 from crankorder.orders.vold_kalman.noise import level_dof, student_factor
@@ -36,16 +37,29 @@ SAME_ORDER = 1e-9
 Array = NDArray[np.float64]
 
 
-def followed_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
+def followed_tracks(
+    band: xr.Dataset,
+    shaft: xr.Dataset,
+    *,
+    settings: OrderSettings,
+    swept: bool = False,
+    standing_out: Sequence[float] = (),
+) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) of ``settings.track_orders`` in one recording, with 95 % intervals.
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle; ``settings.track_method`` says how: "least_squares" fits
     frames of whole cycles jointly, "vold_kalman" follows the orders jointly from sample to sample with
-    ``settings.track_bandwidth`` and is read in the middle of such frames. An order asked for twice is followed once.
-    An empty dataset where orders are read off the map ("frames") or none are asked for.
+    ``settings.track_bandwidth`` and is read in the middle of such frames; "auto" follows these orders and those
+    ``standing_out`` jointly where the speed is ``swept`` (:func:`swept_tracks`). An order asked for twice is followed
+    once. An empty dataset where orders are read off the map ("frames", or "auto" where nothing sweeps) or there are
+    none to follow. The attribute ``swept`` says whether rows are those of a sweep.
     """
-    if settings.track_method == "frames" or not settings.track_orders:
-        return xr.Dataset(attrs={"recording": band.attrs["recording"]})
+    if settings.track_method == "auto" and swept:
+        orders = _once([*settings.track_orders, *standing_out])
+        if orders:
+            return swept_tracks(band, shaft, orders)
+    if settings.track_method in ("frames", "auto") or not settings.track_orders:
+        return xr.Dataset(attrs={"recording": band.attrs["recording"], "track_method": "frames", "swept": 0})
     if settings.track_method == "least_squares":
         return tracked_orders(band, shaft, _once(settings.track_orders), settings=settings)
     return vold_kalman_tracks(band, shaft, settings=settings)
@@ -171,7 +185,7 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
     and the same mark; else the recordings are averaged by energy, without phase. A recording of unknown speed goes to
     its own row. The coordinate ``track_method`` says of each order how it was followed; flags of ``followed`` join.
     """
-    items = [item for item in followed if "amplitude" in item]
+    items = [item for item in followed if "amplitude" in item and not item.attrs.get("swept", 0)]
     method = np.full(tracks.sizes["order"], "frames", dtype="<U16")
     tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
     if not items:

@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.by_angle import TimeSamples, is_by_angle, time_samples
-from crankorder.orders.method import METHOD_SHARE, FrameLayout, OrderMethod, frame_layout
+from crankorder.orders.method import METHOD_SHARE, FrameLayout, OrderMethod, frame_layout, swept_revs
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of, time_at
+from crankorder.shaft.smoothed_speed import SpeedCourse, speed_at_angle, speed_course
 
 SWEPT_SHARE = 0.1
 """Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""
+
+STEADY_SHARE = 0.02
+"""Share of the mean speed by which that of frames may wander in steady running."""
 
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
@@ -35,8 +39,13 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     """
     if not shaft.attrs.get("has_shaft", 1):
         return _no_orders(band, shaft, settings)
-    layout = frame_layout(band, shaft, settings=settings)
+    course = None if is_by_angle(band) else speed_course(shaft)
+    layout = frame_layout(band, shaft, settings=settings, course=course)
     speed = _mean_speed(shaft, layout)
+    swept = _is_swept(speed, settings)
+    if swept:
+        # the mean over the time lags behind the speed in the middle, where the window weighs most
+        speed = speed_at_angle(shaft, layout.begin_rev + 0.5 * layout.revs, float(layout.revs))
     n_orders = math.floor(settings.max_order * layout.revs) + 1
     if is_by_angle(band):
         usable = band["usable"].values if "usable" in band else None
@@ -54,11 +63,13 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
     frames.attrs = _attrs(band, shaft, layout, density) | {
         "largest_sweep": _largest_sweep(shaft, layout, speed),
+        "swept": int(swept),
+        "frame_length_by": "sweep" if layout.shortened else "settings",
         "tolerance": settings.tolerance,
         "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
     }
-    return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings)])
+    return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings, course)])
 
 
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
@@ -111,6 +122,12 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
 
 
+def _is_swept(speed_rpm: NDArray[np.float64], settings: OrderSettings) -> bool:
+    """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes."""
+    known = speed_rpm[np.isfinite(speed_rpm)]
+    return len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
+
+
 def _dataset(
     band: xr.Dataset,
     spectrum: NDArray[np.complex128],
@@ -153,11 +170,22 @@ def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, density: in
     }
 
 
-def _flags(frames: xr.Dataset, layout: FrameLayout, settings: OrderSettings) -> list[QualityFlag]:
+def _flags(
+    frames: xr.Dataset, layout: FrameLayout, settings: OrderSettings, course: SpeedCourse | None
+) -> list[QualityFlag]:
     remarks = []
-    if layout.revs < settings.revs_per_frame // int(frames.attrs["revs_per_cycle"]) * int(
-        frames.attrs["revs_per_cycle"]
-    ):
+    cycle = int(frames.attrs["revs_per_cycle"])
+    wanted = settings.revs_per_frame // cycle * cycle
+    if layout.shortened:
+        assert course is not None
+        wanted = swept_revs(course, settings=settings, revs_per_cycle=cycle)
+        rate = float(np.median(course.rate_rpm_per_s[course.runs]))
+        detail = f"the speed changes by {rate:.3g} rpm/s: frames of {wanted} instead of {settings.revs_per_frame}"
+        remarks.append(("frames_shortened", f"{detail} revolutions"))
+    if layout.standing:
+        detail = f"{layout.standing} of {layout.standing + len(layout.begin_rev)} frames in which the shaft stands"
+        remarks.append(("standstill", f"{detail} are left out"))
+    if layout.revs < wanted:
         detail = f"frames of {layout.revs} instead of {settings.revs_per_frame} revolutions"
         remarks.append(("short_recording", detail))
     if frames.attrs["achieved_error"] > settings.tolerance:

@@ -235,6 +235,12 @@ def tracks_in_frames(
     made.coords["time"] = ("frame", time_s, {"units": "s", "long_name": "time at the start of the frame"})
     made.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": method}
     made.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
+    put_track_values(made, values)
+    return made
+
+
+def put_track_values(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
+    """Put ``values`` (channel, order, frame), as of :func:`tracks_in_frames`, and their intervals into ``made``."""
     magnitude, power = np.abs(values["amplitude"]), 2.0 * values["standard_error"] ** 2
     low, high = amplitude_interval(magnitude, power, values["degrees_of_freedom"])
     half = phase_interval_deg(magnitude, power, values["degrees_of_freedom"])
@@ -242,7 +248,6 @@ def tracks_in_frames(
     for name, units, said in _VARIABLES:
         if name in given:
             made[name] = (("channel", "order", "frame"), given[name], {"units": units, "long_name": said})
-    return made
 
 
 def _speed_and_time(shaft: xr.Dataset, spans: Spans) -> Spans:

@@ -14,6 +14,8 @@ from crankorder.errors import InputError, RequestError
 from crankorder.fft.resampling import Kernel
 from crankorder.orders.by_angle import TimeSamples, covered_angles, is_by_angle, kernel_for, time_samples
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
+from crankorder.shaft.angle import knots_of, time_at
+from crankorder.shaft.smoothed_speed import SpeedCourse
 
 MOST_CARRIED = 0.49
 """Share of the sample rate up to which a transform straight from the samples is trusted."""
@@ -23,6 +25,22 @@ METHOD_SHARE = 0.5
 
 ROUNDING_REV = 1e-9
 """By so much less than a whole frame may be covered: the last digits of an angle."""
+
+
+MOST_SWEPT = 0.03
+"""Change of speed within a frame, as a share, above which frames are halved: the half-power width of 1.5 % damping."""
+
+WANDERS = 0.1
+"""Range of the speed over its mean up to which a recording wanders, which frames need not follow."""
+
+FEWEST_REVS = 4
+"""Revolutions of a frame below which half orders fall into one main lobe of a Hann window."""
+
+SWEPT_OVERLAP = 0.75
+"""Overlap of shortened frames: a resonance is soon passed."""
+
+SLOWEST_SHARE = 0.25
+"""Least speed in a frame over its mean below which the shaft is said to stand in it."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +60,43 @@ class OrderMethod:
 
 @dataclass(frozen=True)
 class FrameLayout:
-    """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev."""
+    """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev.
+
+    They are ``hop_rev`` apart, or further where frames were left out in which the shaft stands (``standing``, how
+    many); ``shortened`` says whether the sweep asked for less than the settings.
+    """
 
     method: OrderMethod
     revs: int
     hop_rev: int
     begin_rev: NDArray[np.float64]
+    shortened: bool = False
+    standing: int = 0
 
 
-def frame_layout(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> FrameLayout:
+def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: int) -> int:
+    """Length in revolutions of the frames of a recording with the SpeedCourse ``course``.
+
+    That of ``settings``, in whole cycles of ``revs_per_cycle``, halved until the speed changes within a frame by no
+    more than :data:`MOST_SWEPT` half of the time, but not below what parts half orders.
+    """
+    revs = max(1, settings.revs_per_frame // revs_per_cycle) * revs_per_cycle
+    speed, rate = course.speed_rpm[course.runs], course.rate_rpm_per_s[course.runs]
+    if not len(speed) or np.ptp(speed) < WANDERS * float(speed.mean()):
+        return revs
+    per_rev = float(np.median(60.0 * rate / speed**2))
+    while revs * per_rev > MOST_SWEPT and revs % (2 * revs_per_cycle) == 0 and revs // 2 >= FEWEST_REVS:
+        revs //= 2
+    return revs
+
+
+def frame_layout(
+    band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings, course: SpeedCourse | None = None
+) -> FrameLayout:
     """Frames of whole cycles that ``band`` and ``shaft`` hold, by the method that ``settings`` ask for.
 
+    Where a ``course`` of the speed is given they are as short as its sweep asks for (:func:`swept_revs`) and, if that
+    is shorter than the settings', a quarter of their length apart; frames in which the shaft stands are left out.
     Left to itself ("auto") the choice falls on resampling, the cheapest, unless its kernel misses the tolerance,
     takes away the ends of a recording that has too few revolutions anyway, or does not carry the orders wanted.
     Raises InputError where not even one cycle was recorded.
@@ -66,7 +110,8 @@ def frame_layout(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
         methods = order_methods(samples, settings=settings)
         candidates = [(method, *covered_angles(samples, shaft, margin=method.margin)) for method in methods]
-    wanted = max(1, settings.revs_per_frame // cycle) * cycle
+    asked = max(1, settings.revs_per_frame // cycle) * cycle
+    wanted = asked if course is None else swept_revs(course, settings=settings, revs_per_cycle=cycle)
     revs = [min(wanted, math.floor(last - first + ROUNDING_REV) // cycle * cycle) for _, first, last in candidates]
     if max(revs) == 0:
         held = max(last - first for _, first, last in candidates)
@@ -78,9 +123,28 @@ def frame_layout(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         )
     chosen = _first_that_serves(candidates, revs, band, shaft, settings)
     method, first, last = candidates[chosen]
-    hop = max(1, round(revs[chosen] * (1.0 - settings.overlap)))
+    overlap = settings.overlap if wanted == asked else max(settings.overlap, SWEPT_OVERLAP)
+    hop = max(1, round(revs[chosen] * (1.0 - overlap)))
     count = math.floor((last - first - revs[chosen] + ROUNDING_REV) / hop) + 1
-    return FrameLayout(method, revs[chosen], hop, first + hop * np.arange(count, dtype=np.float64))
+    begin = first + hop * np.arange(count, dtype=np.float64)
+    turning = np.ones(count, dtype=bool) if course is None else _turning(begin, revs[chosen], shaft, course)
+    return FrameLayout(
+        method, revs[chosen], hop, begin[turning], shortened=wanted < asked, standing=int(count - turning.sum())
+    )
+
+
+def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, course: SpeedCourse) -> NDArray[np.bool_]:
+    """Whether the shaft turns throughout each frame, at no less than a quarter of its mean speed there; or all."""
+    knots = knots_of(shaft)
+    ends = np.minimum(begin_rev + revs, knots["knot_angle_rev"][-1])
+    times = np.array([time_at(begin_rev, **knots), time_at(ends, **knots)])
+    mean = 60.0 * revs / np.diff(times, axis=0)[0]
+    first, last = np.searchsorted(course.time_s, times)
+    slowest = np.array(
+        [course.speed_rpm[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)], dtype=np.float64
+    )
+    turning = slowest >= SLOWEST_SHARE * mean
+    return turning if turning.any() else np.ones(len(begin_rev), dtype=bool)
 
 
 def order_methods(samples: TimeSamples, *, settings: OrderSettings) -> list[OrderMethod]:

@@ -116,18 +116,20 @@ def spectra_by_angle(
 def _chunks(
     samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, most_samples: int
 ) -> Iterator[tuple[slice, float]]:
-    """Runs of like speed, of ``most_samples`` or one frame, each with its lowest rotational frequency [Hz]."""
+    """Runs of neighbours of like speed, of ``most_samples`` or one frame, each with its lowest rotation [Hz]."""
     n_frames, hop, revs = len(layout.begin_rev), layout.hop_rev, layout.revs
-    edges = layout.begin_rev[0] + np.arange((n_frames - 1) * hop + revs + 1, dtype=np.float64)
+    first = np.round(layout.begin_rev - layout.begin_rev[0]).astype(int)
+    edges = layout.begin_rev[0] + np.arange(first[-1] + revs + 1, dtype=np.float64)
     edges[-1] = min(edges[-1], float(shaft["crank_angle"].values[-1]))
     by_rev = rev_frequencies(shaft, edges)
-    slowest = np.array([by_rev[k * hop : k * hop + revs].min() for k in range(n_frames)])
+    slowest = np.array([by_rev[k : k + revs].min() for k in first])
     begin = 0
     low = high = slowest[0]
     for frame in range(1, n_frames):
         below, above = min(low, slowest[frame]), max(high, slowest[frame])
         n_samples = ((frame - begin) * hop + revs) * samples.rate_hz / below
-        if above > CHUNK_SPEED_RATIO * below or n_samples > most_samples:
+        apart = first[frame] - first[frame - 1] > hop
+        if apart or above > CHUNK_SPEED_RATIO * below or n_samples > most_samples:
             yield slice(begin, frame), float(low)
             begin, low, high = frame, slowest[frame], slowest[frame]
         else:

@@ -73,16 +73,19 @@ class EnvelopeSystem:
         rate_hz: float,
         poles: int,
         scale: _Array | None = None,
+        knots_per_bandwidth: int | None = None,
     ) -> None:
         """The equations without data.
 
         ``n_samples`` of the record at ``rate_hz``, ``n_channels``; ``bandwidth_hz`` (orders, points), the points even
         across the record with the first at its beginning and the last at its end; ``poles`` of the filter; ``scale``
-        (channels,) by which signals are multiplied inside, powers of two that bring them near one.
+        (channels,) by which signals are multiplied inside, powers of two that bring them near one;
+        ``knots_per_bandwidth`` as of ``KNOTS_PER_BANDWIDTH``, which holds without it.
         """
         self.poles, self.n_orders = poles, len(bandwidth_hz)
         self.scale = np.ones(n_channels) if scale is None else scale
-        spacing = rate_hz / (KNOTS_PER_BANDWIDTH[poles - 1] * bandwidth_hz.max(axis=0))
+        density = knots_per_bandwidth or KNOTS_PER_BANDWIDTH[poles - 1]
+        spacing = rate_hz / (density * bandwidth_hz.max(axis=0))
         self.knots = place_knots(spacing, n_samples, fewest=FEWEST_INTERVALS)
         places_hz = rate_hz * self.knots.intervals / n_samples
         self.sums_per_bandwidth = places_hz / np.median(bandwidth_hz, axis=1)

@@ -1,0 +1,271 @@
+"""Orders followed jointly through a recording whose speed sweeps, each row at a speed of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.errors import RequestError
+from crankorder.fft.band import band_limited
+from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
+from crankorder.orders.track_means import POLES
+from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
+from crankorder.orders.vold_kalman.noise import FRAME_BANDWIDTHS, level_dof, student_factor
+from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.shaft.angle import angle_at, knots_of
+from crankorder.shaft.smoothed_speed import SpeedCourse, smoothed_speed, speed_course
+
+RESOLVED_DAMPING = 0.01
+"""Damping ratio of a mode that a sweep passes whose peak the filter lowers by 1 %."""
+
+PASSED = 1.8
+"""Bandwidth [Hz] over (rate of the speed / (damping · speed)) for that: the spectrum of the envelope that a mode leaves
+falls by e in rate / (2π damping · speed), and 159 / (2π bandwidth / that)^4 of the peak lies beyond two poles."""
+
+LEAST_ORDER, MOST_ORDER = 0.05, 0.4
+"""Bandwidths in orders below which noise is little already, and above which orders that nobody follows leak in."""
+
+OF_DISTANCE = 0.5
+"""Bandwidth of an order over its distance from the nearest that is followed with it."""
+
+KNOTS = 8
+"""Knots of the envelopes in a reciprocal bandwidth: right to 1e-5."""
+
+MOST_VALUES = 1 << 22
+"""Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
+
+MARGIN = 6.0
+"""Reciprocal bandwidths that a piece overlaps into the next: the filter's memory."""
+
+RATE_PER_BANDWIDTH = 24.0
+"""Band [Hz] kept over the widest bandwidth, so that knots are several samples apart."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is followed: ``orders``, bandwidths [Hz] (orders, times) over the ``course``, and rows [s] of one part."""
+
+    orders: Array
+    course: SpeedCourse
+    bandwidth_hz: Array
+    span_s: tuple[float, float]
+    rows_s: Array
+
+    def widths(self, time_s: Array) -> Array:
+        """Bandwidth [Hz] (orders, times) at ``time_s``."""
+        return np.array([np.interp(time_s, self.course.time_s, one) for one in self.bandwidth_hz])
+
+
+def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -> xr.Dataset:
+    """Complex amplitudes (channel, order, frame) of ``orders`` in one recording whose speed sweeps, with intervals.
+
+    ``band`` is the BandRecording by time, ``shaft`` its ShaftAngle, ``orders`` cycles per crank revolution, above 0.
+    All are followed jointly by a Vold–Kalman filter of two poles; the bandwidth (order, frame) widens with the rate of
+    the sweep over the speed, so that a mode of 1 % damping keeps 99 % of its peak, up to half the distance of the
+    nearest order. Rows are half a reciprocal bandwidth apart; ``speed`` is the slope of the angle over one. Where the
+    shaft stands there are no rows; orders beyond half the sample rate, channels and rows with too few usable samples
+    are NaN.
+    """
+    named = np.asarray(sorted(orders), dtype=np.float64)
+    course = speed_course(shaft)
+    width = bandwidths_hz(named, course)
+    first, last = _covered(band, shaft)
+    made: list[tuple[_Plan, NDArray[np.complex128], Array]] = []
+    notes: list[str] = []
+    for begin, end in course.parts():
+        span = (max(begin, first), min(end, last))
+        rows = _rows(course, width.max(axis=0), span)
+        if len(rows):
+            plan = _Plan(named, course, width, span, rows)
+            try:
+                made.append((plan, *_followed(band, shaft, plan)))
+            except RequestError as error:
+                notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
+    return _dataset(band, shaft, named, course, made, notes)
+
+
+def bandwidths_hz(orders: Array, course: SpeedCourse) -> Array:
+    """Bandwidth [Hz] (orders, times) with which ``orders`` (orders,) are followed along the SpeedCourse ``course``."""
+    speed_hz = course.speed_rpm / 60.0
+    wanted = PASSED * course.rate_rpm_per_s / 60.0 / (RESOLVED_DAMPING * speed_hz)
+    wanted = np.hypot(wanted, LEAST_ORDER * speed_hz)
+    apart = np.abs(orders[:, None] - orders) + np.where(np.eye(len(orders)) > 0, np.inf, 0.0)
+    most = np.minimum(MOST_ORDER, OF_DISTANCE * apart.min(axis=1, initial=np.inf))
+    # a soft minimum: a kink of the bandwidth would be one of the filter
+    return np.asarray((wanted**-4.0 + (most[:, None] * speed_hz) ** -4.0) ** -0.25)
+
+
+def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
+    """First and last time [s] that samples and angle both know."""
+    start, rate = float(band.attrs.get("start_s", 0.0)), float(band.attrs["rate_hz"])
+    known = shaft["time"].values
+    return max(start, float(known[0])), min(start + (band["signal"].shape[1] - 1) / rate, float(known[-1]))
+
+
+def _rows(course: SpeedCourse, width_hz: Array, span_s: tuple[float, float]) -> Array:
+    """Times [s] of rows, half a reciprocal bandwidth apart, from half of one after the begin to as much before the end.
+
+    ``width_hz`` (times,) is the widest bandwidth at the times of ``course``.
+    """
+    step = np.diff(course.time_s) * (width_hz[1:] + width_hz[:-1])
+    count = np.concatenate([[0.0], np.cumsum(step)])
+    first, last = np.interp(span_s, course.time_s, count)
+    return np.asarray(np.interp(np.arange(first + 1.0, last - 1.0 + 1e-9), count, course.time_s))
+
+
+def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[NDArray[np.complex128], Array]:
+    """Amplitudes (channels, orders, rows) and their standard errors, piece by piece of the part that ``plan`` is of."""
+    inside = (plan.course.time_s >= plan.span_s[0]) & (plan.course.time_s <= plan.span_s[1])
+    fastest_hz = float(plan.course.speed_rpm[inside].max()) / 60.0
+    widest_hz = float(plan.bandwidth_hz[:, inside].max())
+    needed_hz = max((float(plan.orders[-1]) + 1.0) * fastest_hz, RATE_PER_BANDWIDTH * widest_hz)
+    if needed_hz < float(band.attrs.get("band_hz", np.inf)):
+        band = band_limited(band, band_hz=needed_hz, grid_hz=1.0)
+    rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
+    shape = (band.sizes["channel"], len(plan.orders), len(plan.rows_s))
+    amplitude, error = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
+    carried = np.flatnonzero(plan.orders * fastest_hz < 0.5 * rate)
+    margin = MARGIN / float(plan.bandwidth_hz[:, inside].max(axis=0).min())
+    count = -(-round((plan.span_s[1] - plan.span_s[0]) * rate) * shape[0] * shape[1] // MOST_VALUES)
+    for rows in np.array_split(np.arange(len(plan.rows_s)), max(1, count)):
+        if not len(rows) or not len(carried):
+            continue
+        near = (plan.rows_s[rows[0]] - margin, plan.rows_s[rows[-1]] + margin)
+        low, high = max(plan.span_s[0], near[0]), min(plan.span_s[1], near[1])
+        last = band["signal"].shape[1]
+        piece = slice(max(0, int(np.ceil((low - start) * rate))), min(last, int((high - start) * rate) + 1))
+        found = _piece(band, shaft, plan, piece, carried)
+        if found is None:
+            continue
+        tracks, channels = found
+        place = np.clip(np.round((plan.rows_s[rows] - start) * rate).astype(int) - piece.start, 0, None)
+        place = np.minimum(place, tracks.amplitude.shape[2] - 1)
+        at = np.ix_(channels, carried, rows)
+        flat = tracks.error.reshape(-1, len(tracks.error_place))
+        errors = np.array([np.interp(place, tracks.error_place, one) for one in flat])
+        amplitude[at], error[at] = tracks.amplitude[..., place], errors.reshape(*tracks.error.shape[:2], len(rows))
+    hidden = ~_usable_rows(band, plan)
+    amplitude[np.broadcast_to(hidden[:, None], shape)], error[np.broadcast_to(hidden[:, None], shape)] = np.nan, np.nan
+    return amplitude, error
+
+
+def _piece(
+    band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: NDArray[np.int64]
+) -> tuple[VoldKalmanTracks, NDArray[np.int64]] | None:
+    """Tracks of the orders ``carried`` in the samples ``piece``, and of which channels; None where too few count."""
+    rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
+    time_s = start + np.arange(piece.start, piece.stop) / rate
+    angle = angle_at(time_s, **knots_of(shaft))
+    signals = band["signal"].values[:, piece]
+    usable = np.isfinite(signals) & np.isfinite(angle)
+    if "usable" in band:
+        usable &= band["usable"].values[:, piece]
+    channels = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
+    if not len(channels) or signals.shape[1] < FEWEST_SAMPLES:
+        return None
+    known = np.isfinite(angle)
+    angle = angle if known.all() else np.interp(time_s, time_s[known], angle[known])
+    points = np.linspace(time_s[0], time_s[-1], max(2, len(time_s) // 64))
+    tracks = vold_kalman(
+        signals[channels],
+        plan.orders[carried, None] * angle,
+        rate_hz=rate,
+        bandwidth_hz=plan.widths(points)[carried],
+        poles=POLES,
+        usable=usable[channels],
+        names=[f"order {order:g}" for order in plan.orders[carried]],
+        knots_per_bandwidth=KNOTS,
+    )
+    return tracks, channels
+
+
+def _usable_rows(band: xr.Dataset, plan: _Plan) -> NDArray[np.bool_]:
+    """Whether most samples (channels, rows) within a reciprocal bandwidth about each row are usable."""
+    signals = band["signal"].values
+    usable = np.isfinite(signals)
+    if "usable" in band:
+        usable &= band["usable"].values
+    if usable.all():
+        return np.ones((len(signals), len(plan.rows_s)), dtype=bool)
+    rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
+    half = 0.5 / plan.widths(plan.rows_s).max(axis=0)
+    total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
+    ends = [
+        np.clip(np.round((plan.rows_s + way * half - start) * rate).astype(int), 0, usable.shape[1]) for way in (-1, 1)
+    ]
+    return np.asarray(total[:, ends[1]] - total[:, ends[0]] >= 0.5 * (ends[1] - ends[0]))
+
+
+def _dataset(
+    band: xr.Dataset,
+    shaft: xr.Dataset,
+    orders: Array,
+    course: SpeedCourse,
+    made: list[tuple[_Plan, NDArray[np.complex128], Array]],
+    notes: list[str],
+) -> xr.Dataset:
+    shape = (band.sizes["channel"], len(orders), 0)
+    time_s = np.concatenate([plan.rows_s for plan, _, _ in made] or [np.empty(0)])
+    width = np.concatenate([plan.widths(plan.rows_s) for plan, _, _ in made] or [np.empty((len(orders), 0))], axis=1)
+    amplitude = np.concatenate([found for _, found, _ in made] or [np.empty(shape, dtype=complex)], axis=2)
+    error = np.concatenate([found for _, _, found in made] or [np.empty(shape)], axis=2)
+    freedom = level_dof(FRAME_BANDWIDTHS)
+    found = xr.Dataset(
+        coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})}
+    )
+    _put_places(found, shaft, time_s, width)
+    values = {
+        "amplitude": amplitude,
+        # the filter's errors are enlarged as Student's t asks for; the interval does that again
+        "standard_error": error / student_factor(np.array(freedom)),
+        "degrees_of_freedom": np.where(np.isfinite(error), freedom, 0.0),
+    }
+    put_track_values(found, values)
+    found.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
+    found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
+    found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}
+    return with_flags(found, [*flags_of(shaft), *_flags(found, notes)])
+
+
+def _usual_rate(course: SpeedCourse) -> float:
+    """Median rate [rpm/s] at which the speed of ``course`` changes while the shaft turns; 0 where it never does."""
+    return float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
+
+
+def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Array, width_hz: Array) -> None:
+    """Put time, speed and crank angle of each row into ``found``, and the bandwidths (orders, rows) that made them."""
+    empty = not len(time_s)
+    speed = np.empty(0) if empty else smoothed_speed(shaft, time_s, 1.0 / width_hz.max(axis=0))
+    angle = np.empty(0) if empty else angle_at(time_s, **knots_of(shaft))
+    for name, given, units, said in (
+        ("time", time_s, "s", "time of the row"),
+        ("speed", speed, "min-1", "speed at the row, over a reciprocal bandwidth"),
+        ("crank_angle", angle, "rev", "crank angle of the row"),
+    ):
+        found.coords[name] = ("frame", given, {"units": units, "long_name": said})
+    words = {"units": "Hz", "long_name": "bandwidth of the filter, between its half-power points"}
+    found.coords["bandwidth_hz"] = (("order", "frame"), width_hz, words)
+
+
+def _flags(found: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
+    """How the orders were followed, and which were not."""
+    recording, order = str(found.attrs["recording"]), found["order"].values
+    if not found.sizes["frame"]:
+        return not_tracked_flags(recording, notes or ["too short to follow orders through its sweep"])
+    width, speed_hz = found["bandwidth_hz"].values, found["speed"].values / 60.0
+    detail = (
+        f"the speed sweeps by {found.attrs['sweep_rpm_per_s']:.3g} rpm/s in the middle: orders "
+        f"{', '.join(f'{one:g}' for one in order)} are followed jointly by Vold–Kalman with {POLES} poles and a "
+        f"bandwidth of {width.min():.2g} to {width.max():.2g} Hz, {(width / speed_hz).min():.2g} to "
+        f"{(width / speed_hz).max():.2g} orders"
+    )
+    nowhere = ~np.isfinite(found["standard_error"].values).any(axis=(0, 2))
+    remarks = [*notes, *(f"{beyond_remark(one)} at the highest speed" for one in order[nowhere])]
+    said: QualityFlag = {"recording": recording, "flag": "followed_in_sweep", "severity": "info", "detail": detail}
+    return [said, *not_tracked_flags(recording, remarks)]
