@@ -16,7 +16,7 @@ from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_s
 from crankorder.identify.modal.order_responses import Block, Blocks, blocks_of, fitting, responses_of
 from crankorder.identify.modal.order_search import with_modes_of_first_order
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
-from crankorder.identify.modal.strong_tones import without_strong_tones
+from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
 from crankorder.identify.modal.tones import tone_of, with_one_mains, with_tones
 from crankorder.settings import IdentifySettings
@@ -48,7 +48,7 @@ def modal_fit(
     floor = quiet_floor(campbell, tuple((item.order, item.order_error) for item in orders), single=single)
     if floor is None or not np.isfinite(floor.psd).any():
         return nothing
-    quiet, strong = without_strong_tones(floor)
+    quiet = with_strong_tones(floor)
     blocks = blocks_of(order_map, orders)
     fitted = []
     for band in bands_of(quiet):
@@ -56,7 +56,7 @@ def modal_fit(
         fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks) for item in fitted]
-    found = _found(fitted, floor, strong, blocks, settings)
+    found = _found(fitted, floor, blocks, settings)
     return with_modes_of_first_order(found, order_map, orders, settings=settings)
 
 
@@ -90,14 +90,13 @@ def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...]) -
 def _found(
     fitted: list[Fitted],
     floor: Floor,
-    strong: list[tuple[float, float]],
     blocks: tuple[Block, ...],
     settings: IdentifySettings,
 ) -> ModalFit:
     """The fits of all bands in the words of identification."""
     shape = np.full(floor.psd.shape, np.nan)
     smooth = np.empty(floor.psd.shape)
-    still = tuple(f for f, _ in strong)
+    still: tuple[float, ...] = ()
     for item in fitted:
         own = slice(item.band.first, item.band.last)
         from_here = item.band.first - int(np.searchsorted(floor.frequency_hz, item.problem.frequency_hz[0]))
@@ -107,7 +106,7 @@ def _found(
         poles = item.fit.poles
         tone = poles.tone & item.band.owns(poles) & ~hidden_poles(item.problem, item.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
-    tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in strong]
+    tones: list[Tone] = []
     modes: list[Mode] = []
     parts: list[Array] = []
     kept = NO_POLES
