@@ -18,7 +18,7 @@ from crankorder.identify.modal.order_search import with_modes_of_first_order
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
 from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
-from crankorder.identify.modal.tones import tone_of, with_one_mains, with_tones
+from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.settings import IdentifySettings
 
 SHOWN_DB = 1.0
@@ -218,7 +218,7 @@ def _mode(
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
     if by:
         words += f"; orders {', '.join(f'{order:g}' for order in by)} sweep through it and agree"
-    doubt = doubt_about(
+    doubt = tone_or_mode(problem, fit, number, settings=settings) or doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )
     if not doubt and narrower_than_fitted(problem, fit, number):
