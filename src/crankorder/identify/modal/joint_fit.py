@@ -20,9 +20,9 @@ from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, m
 from crankorder.identify.modal.order_responses import Block, fitting, responses_of
 from crankorder.identify.modal.order_search import OrderPole, Proof, poles_of_orders, settled
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
-from crankorder.identify.modal.strong_tones import without_strong_tones
+from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
-from crankorder.identify.modal.tones import tone_of, with_one_mains, with_tones
+from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.settings import IdentifySettings
 
 SHOWN_DB = 1.0
@@ -53,10 +53,8 @@ def modal_fit(
     blocks = blocks_of(order_map, orders, followed)
     floor = _floor(campbell, order_map, orders)
     fitted: list[Fitted] = []
-    strong: list[tuple[float, float]] = []
     if floor is not None:
-        quiet, strong = without_strong_tones(floor)
-        for band in bands_of(quiet):
+        for band in bands_of(with_strong_tones(floor)):
             problem, fit = search(band.floor, chance=settings.false_alarm_probability)
             fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
     known = _own_modes(fitted)
@@ -71,7 +69,7 @@ def modal_fit(
     kept = NO_POLES
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), proofs, strict=True))
-        found, kept = _found(fitted, floor, strong, proof, settings)
+        found, kept = _found(fitted, floor, proof, settings)
     return _with_order_modes(found, kept, blocks, extra, covariance, settings)
 
 
@@ -162,14 +160,13 @@ def _raised(tone: Tone, mode: Mode) -> bool:
 def _found(
     fitted: list[Fitted],
     floor: Floor,
-    strong: list[tuple[float, float]],
     proofs: dict[float, Proof],
     settings: IdentifySettings,
 ) -> tuple[ModalFit, Poles]:
     """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
     shape = np.full(floor.psd.shape, np.nan)
     smooth = np.empty(floor.psd.shape)
-    still = tuple(f for f, _ in strong)
+    still: tuple[float, ...] = ()
     for item in fitted:
         own = slice(item.band.first, item.band.last)
         from_here = item.band.first - int(np.searchsorted(floor.frequency_hz, item.problem.frequency_hz[0]))
@@ -179,7 +176,7 @@ def _found(
         poles = item.fit.poles
         tone = poles.tone & item.band.owns(poles) & ~hidden_poles(item.problem, item.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
-    tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in strong]
+    tones: list[Tone] = []
     modes: list[Mode] = []
     parts: list[Array] = []
     kept = NO_POLES
@@ -294,7 +291,7 @@ def _mode(
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
     if proof.orders:
         words += f"; {proven_by(proof)}"
-    doubt = doubt_about(
+    doubt = tone_or_mode(problem, fit, number, settings=settings) or doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )
     if not doubt and narrower_than_fitted(problem, fit, number):

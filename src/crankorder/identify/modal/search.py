@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.covariance import free_of, score_covariance
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.strong_tones import SHADOW_BINS, local_maxima, narrow_peak
+from crankorder.identify.modal.strong_tones import SHADOW_BINS, local_maxima, narrow_peak, unsure_power
 from crankorder.identify.modal.surface_fit import (
     NO_POLES,
+    TONE_BINS,
     Poles,
     Problem,
     SurfaceFit,
@@ -41,6 +42,9 @@ WIDE_DAMPING = 0.25
 FEWEST_BINS = 12
 """Bins around a pole without which it is not taken apart."""
 
+STANDS_FOR = 1.5
+"""Distance in bins within which a peak is a strong tone's own."""
+
 NARROW_BINS = 5.0
 """Width in bins up to which a peak's first guess sees through the window."""
 
@@ -65,7 +69,7 @@ Array = NDArray[np.float64]
 def search(floor: Floor, *, chance: float) -> tuple[Problem, SurfaceFit]:
     """Problem and fit of ``floor`` with every pole that the data ask for at the false-alarm level ``chance``."""
     best: tuple[float, Problem, SurfaceFit] | None = None
-    start = peaks(floor)
+    start = with_strong_lines(peaks(floor), floor)
     for degree in DEGREES:
         problem = problem_of(floor, degree)
         fit = fit_surface(problem, start, steps=15)
@@ -85,14 +89,15 @@ def problem_of(floor: Floor, degree: int) -> Problem:
     """Problem of all of ``floor`` with a background of ``degree``.
 
     Bins in the skirts of a line that is far stronger count less, for the skirts of a line that is not quite steady are
-    not the window's.
+    not the window's; so do those where a tone that wanders a little changes most.
     """
     known = np.isfinite(floor.psd) & (floor.psd > 0.0)
     level = np.where(known, floor.psd, 0.0)
+    unsure = unsure_power(floor)
     beside = np.pad(level, ((0, 0), (SHADOW_BINS, SHADOW_BINS)))
     highest = np.lib.stride_tricks.sliding_window_view(beside, 2 * SHADOW_BINS + 1, axis=1).max(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        averages = 1.0 / (1.0 / floor.averages + (SHADOW * highest / level) ** 2)
+        averages = 1.0 / (1.0 / floor.averages + (SHADOW * highest / level) ** 2 + (unsure / level) ** 2)
     averages = np.where(known, averages, 0.0)
     return Problem(
         floor.frequency_hz, floor.psd, averages, floor.seen, background_columns(len(floor.frequency_hz), degree)
@@ -159,6 +164,14 @@ def peaks(floor: Floor) -> Poles:
                 else:
                     found.append((*narrow_peak(whole, int(peak), floor), height))
     return _joined(found, floor)
+
+
+def with_strong_lines(poles: Poles, floor: Floor) -> Poles:
+    """``poles`` with the strong tones of ``floor`` in place of those that stand where they do."""
+    for line in floor.strong_hz:
+        poles = poles.chosen(np.abs(poles.frequency_hz - line) > STANDS_FOR * floor.seen.bin_hz)
+        poles = poles.with_pole(line, TONE_BINS * floor.seen.bin_hz / line, tone=True)
+    return poles
 
 
 def _joined(found: list[tuple[float, float, float]], floor: Floor) -> Poles:
@@ -328,7 +341,7 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
     limit = least_gain(len(problem.psd), chance)
     number = 0
     while number < len(fit.poles):
-        if fit.poles.damping[number] > WIDE_DAMPING:
+        if fit.poles.damping[number] > WIDE_DAMPING or fit.poles.tone[number]:
             number += 1
             continue
         f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])

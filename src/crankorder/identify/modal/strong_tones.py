@@ -1,4 +1,4 @@
-"""Strong lines as narrow as the window: tones for sure, taken out before modes are looked for."""
+"""Strong lines as narrow as the window: tones from the start on, which the fit of the modes sees beside them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,8 @@ Array = NDArray[np.float64]
 STRONG = 4.6
 """Logarithm of the power over the floor beside it from which a line without width is a tone for sure: 20 dB."""
 
-LEAK = 0.05
-"""Share of the floor beside it that a strong tone may leak into bins that are kept."""
-
-LEAK_BINS = np.arange(2.0, 24.5, 0.5)
-"""Distances from a strong tone, in bins, among which the one is chosen that is masked."""
+WANDER_HZ = 0.04
+"""How far a tone wanders within a test, standard deviation: mains do so within minutes."""
 
 STEADY_WIDTH = 0.02
 """Half width in bins below which a strong line has none."""
@@ -37,13 +34,9 @@ SHADOW_BINS = 12
 """Bins on both sides of a line that its skirts reach."""
 
 
-def without_strong_tones(floor: Floor) -> tuple[Floor, list[tuple[float, float]]]:
-    """``floor`` without the lines that are far above it and as narrow as the window, and their frequencies and errors.
-
-    Their skirts would drown what is beside them wherever they are not quite steady.
-    """
-    psd = floor.psd.copy()
-    tones: list[tuple[float, float]] = []
+def with_strong_tones(floor: Floor) -> Floor:
+    """``floor`` with the frequencies of the lines that are far above it and as narrow as the window."""
+    tones: list[float] = []
     for density in floor.psd:
         used = np.isfinite(density) & (density > 0.0)
         if np.count_nonzero(used) < 20:
@@ -54,18 +47,31 @@ def without_strong_tones(floor: Floor) -> tuple[Floor, list[tuple[float, float]]
             beside = np.median(whole[max(at - 3 * SHADOW_BINS, 0) : at + 3 * SHADOW_BINS + 1])
             if whole[at] - beside < STRONG or whole[at] < whole[max(at - SHADOW_BINS, 0) : at + SHADOW_BINS + 1].max():
                 continue
-            frequency, half = narrow_peak(whole, at, floor)
+            _, half = narrow_peak(whole, at, floor)
             if half > STEADY_WIDTH * floor.seen.bin_hz:
                 continue
             frequency = float(floor.frequency_hz[at]) + _offset_hz(whole, at, floor)
-            error = floor.step_hz * float(np.exp(0.5 * (beside - whole[at])))
-            leak = floor.seen.kernel(np.append(0.0, LEAK_BINS - 0.25) * floor.seen.bin_hz)
-            over = leak[1:] / leak[0] * float(np.exp(whole[at] - beside))
-            reach = max(LEAK_BINS[over > LEAK], default=LEAK_BINS[0])
-            psd[:, np.abs(floor.frequency_hz - frequency) <= (reach + 0.5) * floor.seen.bin_hz] = np.nan
-            if all(abs(frequency - other) > 2.0 * floor.seen.bin_hz for other, _ in tones):
-                tones.append((frequency, max(error, 1e-3 * floor.step_hz)))
-    return replace(floor, psd=psd), sorted(tones)
+            if all(abs(frequency - other) > 2.0 * floor.seen.bin_hz for other in tones):
+                tones.append(frequency)
+    return replace(floor, strong_hz=tuple(sorted(tones)))
+
+
+def unsure_power(floor: Floor) -> Array:
+    """Power (C, F) by which the lines ``floor.strong_hz`` may miss the window's own shape, for tones wander a little.
+
+    A line that wanders is smeared: where its power bends most over the frequency, it is least known.
+    """
+    made = np.zeros(floor.psd.shape)
+    away = np.array([-WANDER_HZ, 0.0, WANDER_HZ])
+    for tone in floor.strong_hz:
+        near = np.flatnonzero(np.abs(floor.frequency_hz - tone) <= 3 * SHADOW_BINS * floor.seen.bin_hz)
+        if not len(near):
+            continue
+        low, middle, high = floor.seen.kernel(floor.frequency_hz[near] - tone + away[:, None])
+        smeared = np.abs(0.5 * (low + high) - middle) / float(floor.seen.kernel(np.zeros(1))[0])
+        peak = near[np.abs(floor.frequency_hz[near] - tone) <= floor.seen.bin_hz]
+        made[:, near] += np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None] * smeared
+    return made
 
 
 def _offset_hz(level: Array, at: int, floor: Floor) -> float:

@@ -67,14 +67,14 @@ class Poles:
         keep = np.arange(len(self)) != number
         return Poles(self.frequency_hz[keep], self.damping[keep], self.tone[keep])
 
-    def with_pole(self, frequency_hz: float, damping: float) -> Poles:
+    def with_pole(self, frequency_hz: float, damping: float, *, tone: bool = False) -> Poles:
         """One more, lowest first.
 
-        ``frequency_hz``: in Hz; ``damping``: their ratios.
+        ``frequency_hz``: in Hz; ``damping``: their ratios; ``tone``: whether it is a line without damping.
         """
         frequency = np.append(self.frequency_hz, frequency_hz)
         order = np.argsort(frequency, kind="stable")
-        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, False)[order])
+        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, tone)[order])
 
     def chosen(self, which: NDArray[np.bool_]) -> Poles:
         """Those that ``which`` (M,) marks."""

@@ -11,11 +11,27 @@ from crankorder.identify.found import Tone, ToneKind
 from crankorder.identify.mains import nearest_multiple
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
-from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, fit_surface
+from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
+from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
 from crankorder.settings import IdentifySettings
 
 WIDTH_CHANCE = 1e-4
 """Chance below which a line that has no width is taken to have one."""
+
+LEAST_DAMPING = 5e-4
+"""Damping ratio below which no mode of a machine is: its joints alone make more."""
+
+FIRST_WIDTH = 0.1
+"""Half width in bins from which a tone is tried as a mode."""
+
+TWO_SIDED = 0.02
+"""Chance of a width beyond either end of an interval whose upper end holds with 99 %."""
+
+WIDER = 1.5
+"""Ratio of the widths that are tried."""
+
+MOST_WIDTHS = 16
+"""Widths that are tried at most."""
 
 SPEED_SPREAD = 0.002
 """Share by which the speed of a steady recording wanders, and with it the frequency of an order."""
@@ -30,26 +46,88 @@ Array = NDArray[np.float64]
 
 
 def with_tones(problem: Problem, fit: SurfaceFit, floor: Floor, *, settings: IdentifySettings) -> SurfaceFit:
-    """``fit`` with the lines that need no width made tones.
+    """``fit`` with the lines made tones whose width is none for sure.
 
-    A line is a tone if giving it none costs no more deviance than chance would. One whose power varies from speed to
-    speed less than noise does is a tone as well, even where its frequency wanders (mains).
+    A line is a tone if giving it none costs no more deviance than chance would, and if the data exclude the width of
+    a mode, or its power varies from speed to speed less than noise does. What is neither a tone nor wide for sure
+    stays a pole; `tone_or_mode` says so.
     ``problem``: the floors fitted; ``floor``: in all channels; ``settings``: those in use.
     """
+    for number in range(len(fit.poles)):
+        f = float(fit.poles.frequency_hz[number])
+        if not fit.poles.tone[number] and _is_wide(fit, number, problem, settings):
+            continue
+        tone, mode = both_ways(problem, fit, number)
+        if is_steady(floor, f) or (
+            not _width_is_seen(problem, tone, mode, f)
+            and widest_hz(problem, mode, number, tone.deviance) < LEAST_DAMPING * f
+        ):
+            fit = tone
+        elif mode.deviance < tone.deviance or not fit.poles.tone[number]:
+            fit = mode
+        else:  # as narrow as any tone, but a mode may be so: half of what it may be at most
+            half = 0.5 * widest_hz(problem, tone, number, tone.deviance)
+            fit = evaluate(problem, tone.poles.as_tone(number, False, width_hz=half), tone.model)
+    return fit
+
+
+def tone_or_mode(problem: Problem, fit: SurfaceFit, number: int, *, settings: IdentifySettings) -> str:
+    """Why pole ``number`` of ``fit`` may be a tone as well as a mode; empty where its width is seen.
+
+    ``problem``: the floors that were fitted; ``settings``: those in use.
+    """
+    if _is_wide(fit, number, problem, settings):
+        return ""
+    tone, mode = both_ways(problem, fit, number)
+    f = float(fit.poles.frequency_hz[number])
+    if _width_is_seen(problem, tone, mode, f):
+        return ""
+    most = widest_hz(problem, mode, number, min(tone.deviance, mode.deviance)) / f
+    return f"tone or mode: narrower than the frames resolve, its damping is none or at most {100.0 * most:.2g} %"
+
+
+def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFit, SurfaceFit]:
+    """Fits with pole ``number`` of ``fit`` a tone, and a mode.
+
+    ``problem``: the floors that were fitted.
+    """
+    bin_hz = problem.seen.bin_hz
+    if fit.poles.tone[number]:
+        wide = fit.poles.as_tone(number, False, width_hz=FIRST_WIDTH * bin_hz)
+        return fit, fit_surface(problem, wide, start=fit.model, steps=10)
+    none = fit.poles.as_tone(number, True, width_hz=NO_WIDTH * bin_hz)
+    return fit_surface(problem, none, start=fit.model, steps=10), fit
+
+
+def _is_wide(fit: SurfaceFit, number: int, problem: Problem, settings: IdentifySettings) -> bool:
+    width = float(fit.poles.damping[number] * fit.poles.frequency_hz[number])
+    return 2.0 * width > settings.mode_min_width_bins * problem.seen.bin_hz
+
+
+def _width_is_seen(problem: Problem, tone: SurfaceFit, mode: SurfaceFit, at_hz: float) -> bool:
+    """Whether no width costs more deviance than chance would."""
     from scipy.special import chdtri
 
     least = HANN_CORRELATION * float(chdtri(1.0, WIDTH_CHANCE))
-    bin_hz = problem.seen.bin_hz
-    for number in range(len(fit.poles)):
-        f = float(fit.poles.frequency_hz[number])
-        width = float(fit.poles.damping[number]) * f
-        if 2.0 * width > settings.mode_min_width_bins * bin_hz:
-            continue
-        tone = fit_surface(problem, fit.poles.as_tone(number, True, width_hz=1e-3 * bin_hz), start=fit.model, steps=10)
-        costs = tone.deviance - fit.deviance
-        if costs < least * dispersion(problem, fit, f) or is_steady(floor, f):
-            fit = tone
-    return fit
+    return tone.deviance - mode.deviance > least * dispersion(problem, mode, at_hz)
+
+
+def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> float:
+    """Half width in Hz up to which the data allow pole ``number`` of ``fit``, at 99 %.
+
+    ``problem``: the floors that were fitted; ``least``: deviance of the best fit.
+    """
+    from scipy.special import chdtri
+
+    f = float(fit.poles.frequency_hz[number])
+    allowed = HANN_CORRELATION * float(chdtri(1.0, TWO_SIDED)) * dispersion(problem, fit, f)
+    width = max(float(fit.poles.damping[number]) * f, 0.5 * LEAST_DAMPING * f)
+    for _ in range(MOST_WIDTHS):
+        poles = fit.poles.as_tone(number, False, width_hz=width)
+        if evaluate(problem, poles, fit.model).deviance > least + allowed:
+            break
+        width *= WIDER
+    return width
 
 
 def is_steady(floor: Floor, frequency_hz: float) -> bool:
