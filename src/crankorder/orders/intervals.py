@@ -159,6 +159,36 @@ def steepest_noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) 
     return np.asarray(np.where(larger > SLOPE_RATIO * np.minimum(*sides), larger, level))
 
 
+def helped_by_beside(
+    noise: NDArray[np.float64],
+    own: NDArray[np.float64],
+    *,
+    energy: NDArray[np.float64],
+    powers: NDArray[np.float64],
+    bins: NDArray[np.int64],
+    worth: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
+
+    Parameters
+    ----------
+    noise : (…, orders), by the frames' own scatter
+    own : (…, orders), its complex degrees of freedom
+    energy : (…, orders), mean power of the frames
+    powers : (…, orders), independent power spectra behind ``energy``
+    bins : (orders, several), as of :func:`beside_bins`
+    worth : (orders,), how many independent bins these are
+    """
+    few = own < FEW_CONTRASTS
+    if not few.any():
+        return noise, own
+    beside = steepest_noise_beside(energy, bins)
+    helping = np.where(few & np.isfinite(beside), worth * powers, 0.0)
+    both = own + helping
+    pooled = own * noise + helping * np.nan_to_num(beside)
+    return np.where(few, pooled / np.maximum(both, 1e-9), noise), both
+
+
 def _noise_bins(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Energies (…, orders, several) of ``bins``, and which of them are noise and no line."""
     beside = energy[..., bins]
@@ -266,13 +296,13 @@ def is_seen(
 ) -> NDArray[np.bool_]:
     """Whether ``amplitude`` is more than noise of ``noise_power``, known with ``dof``, alone makes once in forty."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.square(amplitude) > noise_power * _noise_alone(dof))
+        return np.asarray(np.square(amplitude) > noise_power * beyond_chance(dof, 0.5 * (1.0 - LEVEL)))
 
 
-def _noise_alone(dof: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Power over the noise power that noise alone exceeds once in forty times: the F distribution with 2 and dof."""
+def beyond_chance(dof: NDArray[np.float64], chance: float) -> NDArray[np.float64]:
+    """Power over the noise power that noise alone exceeds with ``chance``: the F distribution with 2 and ``dof``."""
     dof = np.maximum(dof, 0.1)
-    return np.asarray(0.5 * dof * np.expm1(-2.0 / dof * np.log(0.5 * (1.0 - LEVEL))))
+    return np.asarray(0.5 * dof * np.expm1(-2.0 / dof * np.log(chance)))
 
 
 def _rician_ends(ratio: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

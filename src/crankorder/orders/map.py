@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.orders.agreement import Bins, rows
 from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, wider_of
 from crankorder.orders.common_frames import common_frames
 from crankorder.orders.grouped_frames import Frames, all_frames
@@ -21,15 +22,14 @@ from crankorder.orders.intervals import (
     contrasts,
     energy_interval,
     frame_correlation,
+    helped_by_beside,
     is_seen,
     noise_of_mean,
     phase_interval_deg,
-    steepest_noise_beside,
 )
 from crankorder.orders.phase_marks import mark_of, one_mark, phases_compare
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.speed_groups import speed_groups
 
 SWEPT_SHARE = 0.1
 """Share of a speed bin from which frames in it are taken to differ in speed."""
@@ -74,7 +74,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
 
     ``frames`` need not be equally many; recordings whose frames are not as long as those of most others are left out
     and flagged "bad", and orders that not all hold are cut off, flagged "info". Frames within
-    ``settings.speed_bin_rpm`` are averaged twice: by energy (``amplitude``, which also sees lines that slip against
+    ``settings.speed_bin_rpm`` share a row, speeds that are held only where their numbers agree, and are averaged twice: by energy (``amplitude``, which also sees lines that slip against
     the shaft) and coherently (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken
     only where all have one and the same phase reference (and, for half orders, a known cycle); else the recordings'
     coherent powers are averaged and the phase is NaN. Intervals of several recordings at like speed are for the mean
@@ -83,15 +83,21 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     used, remarks = common_frames(frames)
     order = used[0]["order"].values
     every = all_frames(used)
-    groups = _groups(every.speed_rpm, every.owner, settings)
     comparable = phases_compare(used, order)
+    bins, worth = beside_bins(order, line_step=1.0 / int(used[0].attrs["revs_per_cycle"]), count=NEAREST_BINS)
+    groups = rows(
+        every,
+        bins=Bins(bins, worth, comparable),
+        revs_per_frame=float(used[0].attrs["revs_per_frame"]),
+        window=str(used[0].attrs["window"]),
+        speed_bin_rpm=settings.speed_bin_rpm,
+    )
     parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
     result = _dataset(used, order, speed, settings)
     result.attrs |= _accuracy(used)
     whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
-    bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]), count=NEAREST_BINS)
     made: Variables = {}
     _put_averages(made, whole, unit)
     _put_intervals(made, whole, unit, bins, worth)
@@ -131,13 +137,15 @@ def _put_intervals(
     noise, own = np.nan_to_num(whole.noise), whole.own
     few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
     if len(few):
-        beside = steepest_noise_beside(whole.energy[:, few], bins)
-        helping = np.where((own[:, few] < FEW_CONTRASTS) & np.isfinite(beside), worth * whole.powers[:, few], 0.0)
-        both = own[:, few] + helping
-        pooled = own[:, few] * noise[:, few] + helping * np.nan_to_num(beside)
-        noise[:, few] = pooled / np.maximum(both, 1e-9)
         own = own.copy()
-        own[:, few] = both
+        noise[:, few], own[:, few] = helped_by_beside(
+            noise[:, few],
+            own[:, few],
+            energy=whole.energy[:, few],
+            powers=whole.powers[:, few],
+            bins=bins,
+            worth=worth,
+        )
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)
     power = np.where(own > 0.0, noise * whole.share, np.nan)
@@ -161,13 +169,6 @@ def _put_intervals(
         _put(result, name, dims, unit * values, f"{end} end of the 95 % interval of coherent_amplitude")
     half = np.where(whole.apart > 1, np.nan, half)
     _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
-
-
-def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: OrderSettings) -> list[NDArray[np.int64]]:
-    """Frames of like speed; those of unknown speed by recording, for nothing says that two ran alike."""
-    known = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
-    unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
-    return [*known, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
 
 
 def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings) -> Average:
