@@ -10,9 +10,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.orders.agreement import Bins, rows
-from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, wider_of
+from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, ends_between, wider_of
 from crankorder.orders.common_frames import common_frames
 from crankorder.orders.grouped_frames import Frames, all_frames
+from crankorder.orders.held_values import held_values
 from crankorder.orders.intervals import (
     FEW_CONTRASTS,
     NEAREST_BINS,
@@ -23,7 +24,6 @@ from crankorder.orders.intervals import (
     energy_interval,
     frame_correlation,
     helped_by_beside,
-    is_seen,
     noise_of_mean,
     phase_interval_deg,
 )
@@ -49,7 +49,8 @@ class Average:
     powers where ``apart``, their number, is over one), ``noise`` the noise power of one frame by the frames' own
     scatter with ``own`` complex degrees of freedom, ``share`` what of it is left in ``coherent``, ``bias`` what
     it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones;
-    ``along``, ``across``, ``recordings`` and ``between`` (its share) are those of BetweenRecordings.
+    ``along``, ``across``, ``recordings`` and ``between`` (its share) are those of BetweenRecordings; ``least``,
+    ``most`` and ``turned`` those of Held.
     """
 
     energy: Columns
@@ -67,6 +68,9 @@ class Average:
     across: Columns
     recordings: Columns
     between: Columns
+    least: Columns
+    most: Columns
+    turned: Columns
 
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
@@ -74,11 +78,13 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
 
     ``frames`` need not be equally many; recordings whose frames are not as long as those of most others are left out
     and flagged "bad", and orders that not all hold are cut off, flagged "info". Frames within
-    ``settings.speed_bin_rpm`` share a row, speeds that are held only where their numbers agree, and are averaged twice: by energy (``amplitude``, which also sees lines that slip against
-    the shaft) and coherently (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken
-    only where all have one and the same phase reference (and, for half orders, a known cycle); else the recordings'
-    coherent powers are averaged and the phase is NaN. Intervals of several recordings at like speed are for the mean
-    over all such recordings that could be made, not for that of those at hand.
+    ``settings.speed_bin_rpm`` share a row, speeds that are held only where their numbers agree. A row is averaged
+    twice: by energy (``amplitude``, which also sees lines that slip against the shaft) and coherently
+    (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken only where all have one and
+    the same phase reference (and, for half orders, a known cycle); else the recordings' coherent powers are averaged
+    and the phase is NaN. Intervals of several recordings at like speed are for the mean over all such recordings that
+    could be made, not for that of those at hand. Amplitude and phase are means over the recording; where they surely
+    change within it their intervals reach over all values held, while ``standard_error`` stays that of the mean.
     """
     used, remarks = common_frames(frames)
     order = used[0]["order"].values
@@ -150,12 +156,13 @@ def _put_intervals(
     coherent = np.abs(whole.coherent)
     power = np.where(own > 0.0, noise * whole.share, np.nan)
     apart = BetweenRecordings(whole.along, whole.across, whole.recordings, whole.between)
-    seen = is_seen(coherent, power, dof) & is_seen(coherent, *wider_of(power, dof, apart.both, apart, parts=2))
     across, across_dof = wider_of(power, dof, apart.across, apart)
-    half = phase_interval_deg(coherent, across, across_dof, seen=seen)
+    half = np.fmax(phase_interval_deg(coherent, across, across_dof), np.degrees(whole.turned))
     noise_only = noise * whole.bias * power
-    power, dof = wider_of(power, dof, apart.along, apart)
-    low, high = amplitude_interval(coherent, power, dof, seen=seen)
+    low, high = amplitude_interval(coherent, power, dof)
+    within, (power, dof) = (power, dof), wider_of(power, dof, apart.along, apart)
+    low, high = ends_between((low, high), coherent, within=within, wider=(power, dof))
+    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most)
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
@@ -212,7 +219,8 @@ def _average_whole(
         shape.dof / max(2.0 * len(shape.rows), 1.0)
     )
     share = np.full(columns, shape.mean_variance)
-    noise = noise_of_mean(spectrum, shape) / shape.mean_variance
+    held = held_values(spectrum, frames.owner, mean=mean, noise=noise_of_mean(spectrum, shape), shape=shape)
+    noise = held.noise / shape.mean_variance
     apart = between_recordings(spectrum, frames.owner, mean)
     made = Average(
         energy=energy,
@@ -230,6 +238,9 @@ def _average_whole(
         across=apart.across,
         recordings=apart.recordings,
         between=apart.share,
+        least=held.least,
+        most=held.most,
+        turned=held.turned,
     )
     if comparable.all() or (frames.owner == frames.owner[0]).all():
         return made
@@ -253,13 +264,17 @@ def _without_common_phase(
     weights = counts / counts.sum()
     power, noise, own, share, bias = (np.zeros(made.energy.shape) for _ in range(5))
     powers = []
+    least, most = (np.where(comparable, values, np.nan) for values in (made.least, made.most))
     for name, weight in zip(names, weights, strict=True):
         part = frames.of(frames.owner == name)
         shape = _shape(part, attrs, settings)
         mean = part.spectrum.mean(axis=1)
         powers.append(np.square(mean.real) + np.square(mean.imag))
         power += weight * powers[-1]
-        noise += 0.5 * shape.dof * np.nan_to_num(noise_of_mean(part.spectrum, shape) / shape.mean_variance)
+        held = held_values(part.spectrum, part.owner, mean=mean, noise=noise_of_mean(part.spectrum, shape), shape=shape)
+        least = np.where(comparable, least, np.fmin(least, held.least))
+        most = np.where(comparable, most, np.fmax(most, held.most))
+        noise += 0.5 * shape.dof * np.nan_to_num(held.noise / shape.mean_variance)
         own += 0.5 * shape.dof
         share += weight**2 * shape.mean_variance
         bias += weight * shape.mean_variance
@@ -275,6 +290,8 @@ def _without_common_phase(
         share=np.where(comparable, made.share, share),
         bias=np.where(comparable, made.bias, bias),
         along=np.where(comparable, made.along, scatter),
+        least=least,
+        most=most,
     )
 
 

@@ -276,6 +276,9 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
                 amplitude_error=error[clear],
                 degrees_of_freedom=freedom[clear],
                 phase_deg=np.full(int(clear.sum()), np.nan),
+                ends=None,
+                phase_ci95_deg=None,
+                remark="",
             )
         )
     return lines or group

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
+from crankorder.identify.lines.changing import remark_on
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
@@ -207,7 +208,10 @@ def _line(
         amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
         error = order_map["standard_error"].values[channel, seen, peak]
         dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
+        ends = np.stack([order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")])
+        ends, half = ends.T, order_map["phase_ci95"].values[channel, seen, peak]
     else:
+        ends, half = None, None
         amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
         error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
         dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
@@ -226,6 +230,9 @@ def _line(
         evidence=evidence,
         level_over_floor_db=float(10.0 * np.log10(search.ratio[channel, seen, peak].max())),
         reservation=reservation,
+        ends=ends,
+        phase_ci95_deg=half,
+        remark="" if ends is None else remark_on(amplitude, error, dof, ends),
     )
 
 
