@@ -13,7 +13,7 @@ from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
 from crankorder.identify.lines.changing import remark_on
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
-from crankorder.identify.lines.line_phasors import Recording, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.settings import IdentifySettings, OrderSettings
 
@@ -220,7 +220,7 @@ def _line(
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
-        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(order_map) else LEAST_BINS)),
+        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(search) else LEAST_BINS)),
         seen=seen,
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,
@@ -236,10 +236,12 @@ def _line(
     )
 
 
-def _is_swept(order_map: xr.Dataset) -> bool:
-    """Whether the speeds are those of a run-up or coast-down, whose groups touch, and not steps."""
-    speed = np.sort(order_map["speed"].values)
-    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(order_map.attrs["speed_bin_rpm"]))
+def _is_swept(search: _Search) -> bool:
+    """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as its groups touch."""
+    if search.recordings:
+        return any(is_swept(item.speed_rpm) for item in search.recordings)
+    speed = np.sort(search.speed)
+    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(search.order_map.attrs["speed_bin_rpm"]))
 
 
 def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:
