@@ -27,7 +27,9 @@ class OrderLine:
     """One order in one channel, over the speeds (``seen``) at which it stands above the false-alarm level.
 
     ``degrees_of_freedom`` are those of ``amplitude_error``; ``phase_deg`` is NaN where there is no phase reference.
-    ``reservation`` says, where it is not empty, what speaks against the line.
+    ``reservation`` says, where it is not empty, what speaks against the line. ``ends`` (speeds, 2) are those of the
+    amplitude's 95 % intervals, over all values that it held, and ``phase_ci95_deg`` (speeds,) the half widths of those
+    of the phase; None where ``amplitude_error`` says it all. ``remark`` is what else there is to say of this channel.
     """
 
     channel: str
@@ -42,6 +44,9 @@ class OrderLine:
     evidence: Evidence
     level_over_floor_db: float
     reservation: str = ""
+    ends: NDArray[np.float64] | None = None
+    phase_ci95_deg: NDArray[np.float64] | None = None
+    remark: str = ""
 
     @property
     def strongest(self) -> int:

@@ -41,13 +41,13 @@ def _order_record(
     agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[Mapping[str, Any]], unit: str
 ) -> dict[str, Any]:
     best, law = largest(line), growth(line)
-    phase, freedom = float(line.phase_deg[best.at]), float(line.degrees_of_freedom[best.at])
-    spread = float(np.degrees(line.amplitude_error[best.at] / line.amplitude[best.at]))
+    phase = float(line.phase_deg[best.at])
     said = (
         line.evidence,
         f"{line.level_over_floor_db:.1f} dB over the local floor",
         agreed.reservation,
         line.reservation,
+        line.remark,
     )
     met_hz = _met_hz(agreed.order, line.channel, best.speed_rpm, meetings)
     return {
@@ -60,7 +60,7 @@ def _order_record(
         "amplitude": best.amplitude,
         "amplitude_ci95": [max(0.0, best.low), best.high],
         "phase_deg": None if np.isnan(phase) else phase,
-        "phase_deg_ci95": None if np.isnan(phase) else interval(phase, spread, freedom=freedom),
+        "phase_deg_ci95": None if np.isnan(phase) else _phase_ends(line, best.at),
         "unit": unit,
         "speed_rpm_at_max": best.speed_rpm,
         "speed_exponent": None if law is None else law.exponent,
@@ -73,6 +73,16 @@ def _order_record(
         "level_over_floor_db": line.level_over_floor_db,
         "explained_by": cause.text,
     }
+
+
+def _phase_ends(line: OrderLine, at: int) -> list[float]:
+    """95 % interval [deg] of the phase of ``line`` at the speed seen number ``at``: a turn where unknown."""
+    phase = float(line.phase_deg[at])
+    if line.phase_ci95_deg is None:
+        spread = float(np.degrees(line.amplitude_error[at] / line.amplitude[at]))
+        return interval(phase, spread, freedom=float(line.degrees_of_freedom[at]))
+    half = float(line.phase_ci95_deg[at])
+    return [phase - half, phase + half]
 
 
 def _once(*said: str) -> str:

@@ -96,3 +96,29 @@ def wider_of(
     several = np.sqrt(apart) * t_quantile(np.maximum(parts * freedom, 1.0))
     wider = (freedom > 0.0) & (several > reach)
     return np.where(wider, apart, power), np.where(wider, parts * freedom, dof)
+
+
+def ends_between(
+    ends: tuple[NDArray[np.float64], NDArray[np.float64]],
+    amplitude: NDArray[np.float64],
+    *,
+    within: tuple[NDArray[np.float64], NDArray[np.float64]],
+    wider: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Interval of an amplitude whose recordings scatter more than their frames.
+
+    From one recording to the next an amplitude changes by a factor, and no line that is seen comes to nothing by it:
+    Student's t is that of a factor, the interval reaches from the amplitude over it to the amplitude times it.
+
+    Parameters
+    ----------
+    ends : lower and upper end by the frames alone
+    amplitude : mean over the recordings
+    within : noise power and degrees of freedom by the frames
+    wider : the same as of :func:`wider_of`; where nothing is wider ``ends`` are given back
+    """
+    is_wider = (wider[0] != within[0]) & np.isfinite(wider[0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        reach = 1.0 + t_quantile(wider[1]) * np.sqrt(0.5 * wider[0]) / amplitude
+        low, high = np.minimum(ends[0], amplitude / reach), np.maximum(ends[1], amplitude * reach)
+    return np.where(is_wider, low, ends[0]), np.where(is_wider, high, ends[1])

@@ -159,6 +159,36 @@ def steepest_noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) 
     return np.asarray(np.where(larger > SLOPE_RATIO * np.minimum(*sides), larger, level))
 
 
+def helped_by_beside(
+    noise: NDArray[np.float64],
+    own: NDArray[np.float64],
+    *,
+    energy: NDArray[np.float64],
+    powers: NDArray[np.float64],
+    bins: NDArray[np.int64],
+    worth: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
+
+    Parameters
+    ----------
+    noise : (…, orders), by the frames' own scatter
+    own : (…, orders), its complex degrees of freedom
+    energy : (…, orders), mean power of the frames
+    powers : (…, orders), independent power spectra behind ``energy``
+    bins : (orders, several), as of :func:`beside_bins`
+    worth : (orders,), how many independent bins these are
+    """
+    few = own < FEW_CONTRASTS
+    if not few.any():
+        return noise, own
+    beside = steepest_noise_beside(energy, bins)
+    helping = np.where(few & np.isfinite(beside), worth * powers, 0.0)
+    both = own + helping
+    pooled = own * noise + helping * np.nan_to_num(beside)
+    return np.where(few, pooled / np.maximum(both, 1e-9), noise), both
+
+
 def _noise_bins(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Energies (…, orders, several) of ``bins``, and which of them are noise and no line."""
     beside = energy[..., bins]
@@ -185,24 +215,29 @@ def amplitude_interval(
     """Lower and upper end of the 95 % interval of the amplitude of a line in complex Gaussian noise.
 
     Far above the noise it is Student's t about the amplitude without what noise adds to it; near the noise the
-    Rician distribution is inverted, the lower end is 0 and the upper end at least what noise alone can hide.
+    Rician distribution is inverted. The lower end leaves 0 exactly where the line is seen (:func:`is_seen`), and grows
+    from there as the Rician distribution averaged over the noise powers that ``noise_power`` and ``dof`` allow (within
+    0.1 standard errors from 4 degrees of freedom on); the upper end is at least what noise alone can hide.
 
     Parameters
     ----------
     amplitude : magnitude of the complex estimate
     noise_power : mean square of its complex error; the standard error of the amplitude is the root of half of it
     dof : degrees of freedom of ``noise_power``; all three broadcast, and 0 or NaN gives 0 and infinity
-    seen : as of :func:`is_seen`, where more is known of the noise than ``noise_power`` and ``dof`` say
+    seen : where False the lower end is 0 though ``noise_power`` alone would not say so; None asks nothing more
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
-    t = t_quantile(dof)
-    clear = is_seen(amplitude, noise_power, dof) if seen is None else seen
+    tail = 0.5 * (1.0 - LEVEL)
     with np.errstate(invalid="ignore", divide="ignore"):
-        widened = np.sqrt(noise_power) * t / NORMAL
+        stretch = t_quantile(dof) / NORMAL
+        widened = np.sqrt(noise_power) * stretch
         ratio = amplitude / widened
-        low, high = _rician_ends(ratio)
-        low = np.where(clear, low * widened, 0.0)
-        high = high * widened
+        least = beyond_chance(dof, tail) / stretch**2  # square of the ratio from which the line is seen
+        shift = (least + np.log(tail)) * least / ratio**2
+        low = _rician_ends(np.sqrt(np.maximum(ratio**2 - shift, 0.0)))[0]
+        low = np.where(ratio**2 > least, low * widened, 0.0)
+        high = _rician_ends(ratio)[1] * widened
+    low = low if seen is None else np.where(seen, low, 0.0)
     exact = noise_power == 0.0
     low, high = np.where(exact, amplitude, low), np.where(exact, amplitude, high)
     unknown = ~(dof > 0.0) | ~np.isfinite(noise_power)
@@ -266,13 +301,13 @@ def is_seen(
 ) -> NDArray[np.bool_]:
     """Whether ``amplitude`` is more than noise of ``noise_power``, known with ``dof``, alone makes once in forty."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.square(amplitude) > noise_power * _noise_alone(dof))
+        return np.asarray(np.square(amplitude) > noise_power * beyond_chance(dof, 0.5 * (1.0 - LEVEL)))
 
 
-def _noise_alone(dof: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Power over the noise power that noise alone exceeds once in forty times: the F distribution with 2 and dof."""
+def beyond_chance(dof: NDArray[np.float64], chance: float) -> NDArray[np.float64]:
+    """Power over the noise power that noise alone exceeds with ``chance``: the F distribution with 2 and ``dof``."""
     dof = np.maximum(dof, 0.1)
-    return np.asarray(0.5 * dof * np.expm1(-2.0 / dof * np.log(0.5 * (1.0 - LEVEL))))
+    return np.asarray(0.5 * dof * np.expm1(-2.0 / dof * np.log(chance)))
 
 
 def _rician_ends(ratio: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,9 +9,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, wider_of
+from crankorder.orders.agreement import Bins, rows
+from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, ends_between, wider_of
 from crankorder.orders.common_frames import common_frames
 from crankorder.orders.grouped_frames import Frames, all_frames
+from crankorder.orders.held_values import held_values
 from crankorder.orders.intervals import (
     FEW_CONTRASTS,
     NEAREST_BINS,
@@ -21,15 +23,13 @@ from crankorder.orders.intervals import (
     contrasts,
     energy_interval,
     frame_correlation,
-    is_seen,
+    helped_by_beside,
     noise_of_mean,
     phase_interval_deg,
-    steepest_noise_beside,
 )
 from crankorder.orders.phase_marks import mark_of, one_mark, phases_compare
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.speed_groups import speed_groups
 
 SWEPT_SHARE = 0.1
 """Share of a speed bin from which frames in it are taken to differ in speed."""
@@ -49,7 +49,8 @@ class Average:
     powers where ``apart``, their number, is over one), ``noise`` the noise power of one frame by the frames' own
     scatter with ``own`` complex degrees of freedom, ``share`` what of it is left in ``coherent``, ``bias`` what
     it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones;
-    ``along``, ``across``, ``recordings`` and ``between`` (its share) are those of BetweenRecordings.
+    ``along``, ``across``, ``recordings`` and ``between`` (its share) are those of BetweenRecordings; ``least``,
+    ``most`` and ``turned`` those of Held.
     """
 
     energy: Columns
@@ -67,6 +68,9 @@ class Average:
     across: Columns
     recordings: Columns
     between: Columns
+    least: Columns
+    most: Columns
+    turned: Columns
 
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
@@ -74,24 +78,32 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
 
     ``frames`` need not be equally many; recordings whose frames are not as long as those of most others are left out
     and flagged "bad", and orders that not all hold are cut off, flagged "info". Frames within
-    ``settings.speed_bin_rpm`` are averaged twice: by energy (``amplitude``, which also sees lines that slip against
-    the shaft) and coherently (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken
-    only where all have one and the same phase reference (and, for half orders, a known cycle); else the recordings'
-    coherent powers are averaged and the phase is NaN. Intervals of several recordings at like speed are for the mean
-    over all such recordings that could be made, not for that of those at hand.
+    ``settings.speed_bin_rpm`` share a row, speeds that are held only where their numbers agree. A row is averaged
+    twice: by energy (``amplitude``, which also sees lines that slip against the shaft) and coherently
+    (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken only where all have one and
+    the same phase reference (and, for half orders, a known cycle); else the recordings' coherent powers are averaged
+    and the phase is NaN. Intervals of several recordings at like speed are for the mean over all such recordings that
+    could be made, not for that of those at hand. Amplitude and phase are means over the recording; where they surely
+    change within it their intervals reach over all values held, while ``standard_error`` stays that of the mean.
     """
     used, remarks = common_frames(frames)
     order = used[0]["order"].values
     every = all_frames(used)
-    groups = _groups(every.speed_rpm, every.owner, settings)
     comparable = phases_compare(used, order)
+    bins, worth = beside_bins(order, line_step=1.0 / int(used[0].attrs["revs_per_cycle"]), count=NEAREST_BINS)
+    groups = rows(
+        every,
+        bins=Bins(bins, worth, comparable),
+        revs_per_frame=float(used[0].attrs["revs_per_frame"]),
+        window=str(used[0].attrs["window"]),
+        speed_bin_rpm=settings.speed_bin_rpm,
+    )
     parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
     result = _dataset(used, order, speed, settings)
     result.attrs |= _accuracy(used)
     whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
-    bins, worth = beside_bins(order, line_step=1.0 / int(result.attrs["revs_per_cycle"]), count=NEAREST_BINS)
     made: Variables = {}
     _put_averages(made, whole, unit)
     _put_intervals(made, whole, unit, bins, worth)
@@ -131,23 +143,26 @@ def _put_intervals(
     noise, own = np.nan_to_num(whole.noise), whole.own
     few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
     if len(few):
-        beside = steepest_noise_beside(whole.energy[:, few], bins)
-        helping = np.where((own[:, few] < FEW_CONTRASTS) & np.isfinite(beside), worth * whole.powers[:, few], 0.0)
-        both = own[:, few] + helping
-        pooled = own[:, few] * noise[:, few] + helping * np.nan_to_num(beside)
-        noise[:, few] = pooled / np.maximum(both, 1e-9)
         own = own.copy()
-        own[:, few] = both
+        noise[:, few], own[:, few] = helped_by_beside(
+            noise[:, few],
+            own[:, few],
+            energy=whole.energy[:, few],
+            powers=whole.powers[:, few],
+            bins=bins,
+            worth=worth,
+        )
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)
     power = np.where(own > 0.0, noise * whole.share, np.nan)
     apart = BetweenRecordings(whole.along, whole.across, whole.recordings, whole.between)
-    seen = is_seen(coherent, power, dof) & is_seen(coherent, *wider_of(power, dof, apart.both, apart, parts=2))
     across, across_dof = wider_of(power, dof, apart.across, apart)
-    half = phase_interval_deg(coherent, across, across_dof, seen=seen)
+    half = np.fmax(phase_interval_deg(coherent, across, across_dof), np.degrees(whole.turned))
     noise_only = noise * whole.bias * power
-    power, dof = wider_of(power, dof, apart.along, apart)
-    low, high = amplitude_interval(coherent, power, dof, seen=seen)
+    low, high = amplitude_interval(coherent, power, dof)
+    within, (power, dof) = (power, dof), wider_of(power, dof, apart.along, apart)
+    low, high = ends_between((low, high), coherent, within=within, wider=(power, dof))
+    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most)
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
@@ -161,13 +176,6 @@ def _put_intervals(
         _put(result, name, dims, unit * values, f"{end} end of the 95 % interval of coherent_amplitude")
     half = np.where(whole.apart > 1, np.nan, half)
     _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
-
-
-def _groups(speed: NDArray[np.float64], owner: NDArray[np.int64], settings: OrderSettings) -> list[NDArray[np.int64]]:
-    """Frames of like speed; those of unknown speed by recording, for nothing says that two ran alike."""
-    known = speed_groups(speed, width_rpm=settings.speed_bin_rpm)
-    unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
-    return [*known, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
 
 
 def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings) -> Average:
@@ -211,7 +219,8 @@ def _average_whole(
         shape.dof / max(2.0 * len(shape.rows), 1.0)
     )
     share = np.full(columns, shape.mean_variance)
-    noise = noise_of_mean(spectrum, shape) / shape.mean_variance
+    held = held_values(spectrum, frames.owner, mean=mean, noise=noise_of_mean(spectrum, shape), shape=shape)
+    noise = held.noise / shape.mean_variance
     apart = between_recordings(spectrum, frames.owner, mean)
     made = Average(
         energy=energy,
@@ -229,6 +238,9 @@ def _average_whole(
         across=apart.across,
         recordings=apart.recordings,
         between=apart.share,
+        least=held.least,
+        most=held.most,
+        turned=held.turned,
     )
     if comparable.all() or (frames.owner == frames.owner[0]).all():
         return made
@@ -252,13 +264,17 @@ def _without_common_phase(
     weights = counts / counts.sum()
     power, noise, own, share, bias = (np.zeros(made.energy.shape) for _ in range(5))
     powers = []
+    least, most = (np.where(comparable, values, np.nan) for values in (made.least, made.most))
     for name, weight in zip(names, weights, strict=True):
         part = frames.of(frames.owner == name)
         shape = _shape(part, attrs, settings)
         mean = part.spectrum.mean(axis=1)
         powers.append(np.square(mean.real) + np.square(mean.imag))
         power += weight * powers[-1]
-        noise += 0.5 * shape.dof * np.nan_to_num(noise_of_mean(part.spectrum, shape) / shape.mean_variance)
+        held = held_values(part.spectrum, part.owner, mean=mean, noise=noise_of_mean(part.spectrum, shape), shape=shape)
+        least = np.where(comparable, least, np.fmin(least, held.least))
+        most = np.where(comparable, most, np.fmax(most, held.most))
+        noise += 0.5 * shape.dof * np.nan_to_num(held.noise / shape.mean_variance)
         own += 0.5 * shape.dof
         share += weight**2 * shape.mean_variance
         bias += weight * shape.mean_variance
@@ -274,6 +290,8 @@ def _without_common_phase(
         share=np.where(comparable, made.share, share),
         bias=np.where(comparable, made.bias, bias),
         along=np.where(comparable, made.along, scatter),
+        least=least,
+        most=most,
     )
 
 

@@ -12,8 +12,9 @@ from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.line_phasors import Recording, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
+from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
 from crankorder.quantities import flags_of
 from crankorder.settings import IdentifySettings
@@ -50,12 +51,22 @@ class _Test:
 
 @dataclass(frozen=True)
 class _Number:
-    """An order with its standard error, degrees of freedom, and by what it was told."""
+    """An order with its standard error, degrees of freedom, and by what it was told.
+
+    ``swept`` are the courses of its phase, each with its bin, where nothing but run-ups tells it.
+    """
 
     order: float
     error: float
     freedom: float
     by_phase: bool
+    swept: tuple[tuple[float, Course | None], ...] = ()
+
+    def slips_from(self, multiple: float) -> bool:
+        """Whether nothing but a slip makes the phase run away from that of ``multiple``."""
+        if not self.swept:
+            return True
+        return any(course is not None and course.slips_from(multiple - at) for at, course in self.swept)
 
 
 def orders_agreed(
@@ -121,9 +132,13 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
     by_lobe = _Number(mean, max(float(1.0 / np.sqrt(weights.max())), spread), np.inf, False)
     bin_order = test.resolution * round(mean / test.resolution)
     seen = _zooms(group, test, bin_order, mean)
+    if any(is_swept(item.speed_rpm) for item in test.recordings):
+        by_lobe = replace(by_lobe, swept=((bin_order, None),))
     if not seen:
         return [_named(by_lobe, group, test, "")]
     first = _joined([(bin_order + z.offset, z.variance, z.dof) for z in seen.values()])
+    if all(z.swept for z in seen.values()):
+        first = replace(first, swept=tuple((bin_order, z.course) for z in seen.values()))
     pairs = {k: z.second for k, z in seen.items() if z.second is not None}
     if pairs and 2 * len(pairs) >= len(seen):
         second = _joined([(bin_order + z.offset, z.variance, z.dof) for z in pairs.values()])
@@ -213,8 +228,12 @@ def _named(number: _Number, lines: list[OrderLine], test: _Test, reservation: st
     by_phase = number.by_phase and test.by_pulses
     lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
     needed = None
+    multiple = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
+    if lock == "slips" and not number.slips_from(multiple):
+        lock = "undecided"
+        reasons.append("the modes that it crosses may turn its phase as much as a slip would")
     if lock == "locked":
-        order = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
+        order = multiple
         # the interval holds the multiple, as the proof of the lock says
         within = sure_half_width(1.0, number.freedom) / half_width(number.freedom)
         error = max(error, abs(number.order - order) / within)
@@ -276,6 +295,9 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
                 amplitude_error=error[clear],
                 degrees_of_freedom=freedom[clear],
                 phase_deg=np.full(int(clear.sum()), np.nan),
+                ends=None,
+                phase_ci95_deg=None,
+                remark="",
             )
         )
     return lines or group

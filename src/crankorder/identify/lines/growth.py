@@ -12,6 +12,7 @@ from scipy.special import gammaincc, stdtr
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, known_freedom
+from crankorder.identify.lines.changing import WIDER
 
 SpeedLaw = Literal["grows with speed^n", "keeps its size", "follows no power law"]
 
@@ -229,9 +230,23 @@ def largest(line: OrderLine) -> Largest:
     wide = half_width(freedom, level=1.0 - SIMULTANEOUS / len(least))
     share = 0.5 * (0.05 - SIMULTANEOUS) / (1.0 - SIMULTANEOUS)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
-    low, high = (seen + one * _not_surprising(cut, wide, freedom, part) for part in parts)
+    below, above = (_not_surprising(cut, wide, freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
-    return Largest(at, speed, seen, max(0.0, low), max(high, seen + one))
+    low, high = max(0.0, seen + one * below), max(seen + one * above, seen + one)
+    if line.ends is None:
+        return Largest(at, speed, seen, low, high)
+    alone = [float(end) for end in line.ends[at]]
+    usual = half_width(freedom)
+    if 0.0 < alone[0] < seen and seen < alone[1] < np.inf:
+        # the choice stretches the interval of that speed alone; a factor, so that what is seen stays above 0
+        low = seen * float((alone[0] / seen) ** (-below / usual)) if below < 0.0 else seen
+        high = max(high, alone[1]) if len(others) == 0 or _is_stretched(alone, seen, one * usual) else high
+    return Largest(at, speed, seen, low, high)
+
+
+def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
+    """Whether ``ends`` of an interval about ``seen`` are farther than the ``reach`` of its noise."""
+    return max(seen - ends[0], ends[1] - seen) > WIDER * reach
 
 
 def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> float:

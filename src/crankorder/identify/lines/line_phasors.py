@@ -14,6 +14,9 @@ from crankorder.orders.common_frames import common_frames
 
 Floats = NDArray[np.float64]
 
+NOISE_BINS = (3, 5)
+"""Bins on each side of a line, from and to, whose median is the noise of a frame."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -85,8 +88,43 @@ def zooms(
     picked = phasors_at(recordings, channels=channels, at=at, speeds_rpm=speeds_rpm, speed_bin_rpm=speed_bin_rpm)
     found: dict[int, Zoomed] = {}
     for number, (item, phasors, centre, speed) in picked.items():
-        swept = bool(speed.max() > SWEPT_RATIO * speed.min())
-        line = zoomed(phasors, centre, revs=item.revs, hop_rev=item.hop_rev, swept=swept, near=near, alone=alone)
+        swept = is_swept(speed)
+        line = zoomed(
+            phasors,
+            centre,
+            revs=item.revs,
+            hop_rev=item.hop_rev,
+            swept=swept,
+            drift=_drift(centre, speed),
+            noise=_noise_beside(item, channels, at, centre) if swept else None,
+            near=near,
+            alone=alone,
+        )
         if line is not None:
             found[number] = line
     return found
+
+
+def is_swept(speed_rpm: Floats) -> bool:
+    """Whether frames at ``speed_rpm`` (frames,) are those of a run-up or coast-down; False where speed is not known."""
+    return bool(len(speed_rpm) > 1 and speed_rpm.max() > SWEPT_RATIO * speed_rpm.min())
+
+
+def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
+    """Share by which ``speed_rpm`` (frames,) drifts from the first to the last frame; 0 where it is not known."""
+    if not np.isfinite(speed_rpm).all() or not np.ptp(centre_rev) > 0.0:
+        return 0.0
+    turn = centre_rev - centre_rev.mean()
+    slope = float(turn @ np.log(speed_rpm)) / float(turn @ turn)
+    return abs(slope) * float(np.ptp(centre_rev))
+
+
+def _noise_beside(item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
+    """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
+    n_orders = item.spectrum.shape[2]
+    beside = [at + k for k in (*range(-NOISE_BINS[1], -NOISE_BINS[0] + 1), *range(NOISE_BINS[0], NOISE_BINS[1] + 1))]
+    bins = [k for k in beside if 1 < k < n_orders]
+    frames = np.isin(item.centre_rev, centre_rev)
+    power = np.square(np.abs(item.spectrum[channels][:, frames][:, :, bins].astype(np.complex128)))
+    median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
+    return np.asarray(np.nan_to_num(median))

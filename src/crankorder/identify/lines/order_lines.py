@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
+from crankorder.identify.lines.changing import remark_on
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
-from crankorder.identify.lines.line_phasors import Recording, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.settings import IdentifySettings, OrderSettings
 
@@ -207,7 +208,10 @@ def _line(
         amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
         error = order_map["standard_error"].values[channel, seen, peak]
         dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
+        ends = np.stack([order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")])
+        ends, half = ends.T, order_map["phase_ci95"].values[channel, seen, peak]
     else:
+        ends, half = None, None
         amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
         error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
         dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
@@ -216,7 +220,7 @@ def _line(
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
-        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(order_map) else LEAST_BINS)),
+        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(search) else LEAST_BINS)),
         seen=seen,
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,
@@ -226,13 +230,18 @@ def _line(
         evidence=evidence,
         level_over_floor_db=float(10.0 * np.log10(search.ratio[channel, seen, peak].max())),
         reservation=reservation,
+        ends=ends,
+        phase_ci95_deg=half,
+        remark="" if ends is None else remark_on(amplitude, error, dof, ends),
     )
 
 
-def _is_swept(order_map: xr.Dataset) -> bool:
-    """Whether the speeds are those of a run-up or coast-down, whose groups touch, and not steps."""
-    speed = np.sort(order_map["speed"].values)
-    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(order_map.attrs["speed_bin_rpm"]))
+def _is_swept(search: _Search) -> bool:
+    """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as its groups touch."""
+    if search.recordings:
+        return any(is_swept(item.speed_rpm) for item in search.recordings)
+    speed = np.sort(search.speed)
+    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(search.order_map.attrs["speed_bin_rpm"]))
 
 
 def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from crankorder.identify.lines.swept_phase import SURE_SIGMAS, Course, course_of
+
 GRID_PER_SPAN = 4
 """Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
 
@@ -24,8 +26,13 @@ NOISE_DEGREES = 6
 SWEPT_RATIO = 1.02
 """Fastest over slowest frame from which the phase of the structure's response may turn under way …"""
 
-SWEPT_TURN = 0.25
-"""… by this standard error, in revolutions of phase over the whole recording: a mode turns it by half of one."""
+SWEPT_TURN = 1.0
+"""… by this standard error, in revolutions of phase over a recording too short to be seen part by part: a mode turns
+it by half of one, several add up."""
+
+DRIFT_TURN, DRIFT_TURNS = 0.25, 40.0
+"""Standard error of the turn [rev] where a speed that is held drifts: so many times the drift, as a share, up to the
+first; that of the lightest mode, damped by 0.2 %, on which the line may stand."""
 
 SECOND_CHANCE = 1e-6
 """Chance that noise shows a second line beside the first."""
@@ -62,7 +69,7 @@ class Zoomed:
     ``amplitude`` (channels,) complex at crank angle 0 and its standard ``error``; ``span_rev`` from the first to the
     last frame's centre; ``snr`` the square of the mean's amplitude over its noise along one axis, over so many
     ``frames``; ``wander`` how much more of what is left after the line is slow than fast (NaN where not known);
-    ``second`` a line beside it.
+    ``second`` a line beside it; ``course`` how its phase runs over a run-up, None where the speed is held.
     """
 
     offset: float
@@ -75,16 +82,19 @@ class Zoomed:
     frames: float
     wander: float = np.nan
     second: Zoomed | None = None
+    course: Course | None = None
+    swept: bool = False
 
 
 @dataclass(frozen=True)
 class Frames:
     """Frames of a recording: their ``turn`` [rev] from its middle, their length ``revs``, and whether the speed is
-    ``swept``."""
+    ``swept``; ``drift`` is the share by which a speed that is held drifts."""
 
     turn: Floats
     revs: float
     swept: bool
+    drift: float = 0.0
 
     def noise_of(self, rows: Floats, offset: float) -> Floats:
         """Noise amplitude of each of ``rows`` (rows, frames) of a line at ``offset`` in white noise of unit power.
@@ -111,6 +121,8 @@ def zoomed(
     revs: float,
     hop_rev: float,
     swept: bool = False,
+    drift: float = 0.0,
+    noise: Floats | None = None,
     near: float | None = None,
     alone: bool = False,
 ) -> Zoomed | None:
@@ -127,6 +139,8 @@ def zoomed(
     revs : rev, length of a frame
     hop_rev : rev, from frame to frame: distances beyond half its reciprocal cannot be told from smaller ones
     swept : whether the speed changes so much that the structure may turn the phase
+    drift : share by which a speed that is held drifts from the first to the last frame
+    noise : (channels, frames), noise power of each in a run-up; without it only the phase as a whole is followed
     near : distance from the bin that is expected; None looks everywhere that can be told
     alone : whether no second line is looked for
     """
@@ -135,15 +149,15 @@ def zoomed(
         return None
     middle = 0.5 * (centre_rev[0] + centre_rev[-1])
     turn = centre_rev - middle
-    frames = Frames(turn, revs, swept)
+    frames, given = Frames(turn, revs, swept, drift), phasors
     if swept and len(turn) >= 8:
         phasors = _flattened(phasors, turn)
     trial = _trials(span, hop_rev, near)
     kernel = np.exp(-2j * np.pi * np.outer(turn, trial))
     power = np.square(np.abs(phasors @ kernel)) / len(turn)
     total = np.maximum(np.square(np.abs(phasors)).sum(axis=1), 1e-300)
-    noise = np.maximum(total - power.max(axis=1), 1e-9 * total)
-    found = float(trial[int(np.argmax((power / noise[:, None]).sum(axis=0)))])
+    left = np.maximum(total - power.max(axis=1), 1e-9 * total)
+    found = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
     line = _followed(phasors, frames, found)
     second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > BEATING_SQUARED else None
     if second is not None:
@@ -152,11 +166,22 @@ def zoomed(
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
         if second.snr < SEEN_SQUARED:
             second = None
-    if line.snr < SEEN_SQUARED:
+    course = course_of(given, turn, noise) if swept and noise is not None and second is None else None
+    if line.snr < SEEN_SQUARED and course is None:
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
     beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
+    if swept:
+        line = _through_modes(line, course)
     return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
+
+
+def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
+    """``line`` of a run-up with the order that its ``course`` tells between the modes that it crosses."""
+    if course is None:
+        return replace(line, swept=True)
+    variance = (course.half / SURE_SIGMAS) ** 2
+    return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
 
 def left_of_slow_waves(phasors: Complex, turn: Floats, *, hop_rev: float) -> float:
@@ -215,8 +240,8 @@ def _followed(phasors: Complex, frames: Frames, offset: float) -> Zoomed:
     dof = max(1.0, len(kept) - len(phasors) + 1.0)  # the weights of the channels were fitted to the same waves
     power = float(kept @ kept) / dof
     variance = power * level[1] ** 2 / (2.0 * np.pi * slope) ** 2
-    if frames.swept:
-        variance += (SWEPT_TURN / float(np.ptp(turn))) ** 2
+    unknown = SWEPT_TURN if frames.swept else min(DRIFT_TURN, DRIFT_TURNS * frames.drift)
+    variance += (unknown / float(np.ptp(turn))) ** 2
     snr = len(turn) / max(power * level[0] ** 2, 1e-24)
     error = level[0] * np.sqrt(held / len(kept) / len(turn))
     return Zoomed(offset, variance, dof, amplitude, error, float(np.ptp(turn)), snr, float(len(turn)))
