@@ -100,7 +100,7 @@ def crossings(
     found: list[Crossing] = []
     seen_of: list[list[_Seen]] = []
     for agreed in orders:
-        for number, mode in enumerate(modal.modes):
+        for number in range(len(modal.modes)):
             seen = _seen_of(agreed, number, modal, settings)
             found.append(_crossing(agreed, number, seen, modal, tested, speed_rpm, settings))
             seen_of.append(seen)

@@ -63,7 +63,7 @@ def _bound(block: Block, poles: Poles, least_damping: float, reach: float) -> Un
 
 
 def _over(base: Array, added: Array, noise: Array, block: Block) -> Array:
-    """Amplification (C, G): what is ``added`` and the ``base`` over the latter, or over the ``noise`` if that is more."""
+    """Amplification (C, G): what is ``added`` and the ``base`` over the latter, or over the ``noise`` if more."""
     if block.power:
         base, added, noise = np.sqrt(np.maximum(base, 0.0)), np.sqrt(added), np.sqrt(noise)
     return np.asarray((base + added) / np.maximum(np.maximum(base, noise), 1e-300))

@@ -119,7 +119,8 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     if not len(found):
         return None
     row = int(found[np.argmin(np.abs(names[found] - agreed.order))])
-    time, speed, bandwidth = (item[name].values.astype(np.float64) for name in ("time", "speed", "bandwidth_hz"))
+    time, speed = (item[name].values.astype(np.float64) for name in ("time", "speed"))
+    bandwidth = item["bandwidth_hz"].values[row].astype(np.float64)
     inside = (time - time[0] >= FROM_ENDS / bandwidth[0]) & (time[-1] - time >= FROM_ENDS / bandwidth[-1])
     amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)

@@ -50,14 +50,15 @@ Complex = NDArray[np.complexfloating]
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """One order in its ``channels``: ``amplitude`` (C, K) complex with ``error`` (C, K) per part, infinite where unknown.
+    """One order in its ``channels``: ``amplitude`` (C, K) with ``error`` (C, K) per part, infinite where unknown.
 
-    Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``)**``exponent``
-    times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed; beside the
-    modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as a share of the amplitude, beyond ``error``.
-    ``passage`` says how the order swept (None: every speed was held). ``power``: whether the phases say nothing, so
-    that ``amplitude`` holds squares. ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds
-    over which the polynomials run, where they are not those of the rows.
+    Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``) to the power
+    ``exponent`` times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed;
+    beside the modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as
+    a share of the amplitude, beyond ``error``. ``passage`` says how the order swept (None: every speed was held).
+    ``power``: whether the phases say nothing, so that ``amplitude`` holds squares. ``recording`` is that of a sweep, ""
+    of a whole test. ``law_span_rpm`` are the speeds over which the polynomials run, where they are not those of the
+    rows.
     """
 
     order: float
@@ -103,7 +104,7 @@ class Block:
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """How many amplitudes each channel (C,) has."""
-        return np.count_nonzero(np.isfinite(self.error), axis=1)
+        return np.asarray(np.count_nonzero(np.isfinite(self.error), axis=1))
 
     @property
     def parts(self) -> int:
@@ -139,10 +140,8 @@ class Block:
         if self.passage is not None:
             grown = force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
             return self.passage.response(grown, natural_hz, damping)
-        h = resonance(self.frequency_hz, natural_hz, damping)
-        if self.power:
-            h = np.stack([h.real, h.imag], axis=2).reshape(len(h), -1)
-        return np.asarray(self.growth[:, None] * h)
+        h: Complex = resonance(self.frequency_hz, natural_hz, damping)
+        return np.asarray(self.growth[:, None] * (_both_parts(h) if self.power else h))
 
     def modal_slopes(self, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
@@ -151,12 +150,19 @@ class Block:
         """
         if self.passage is not None:
             h, step = self.modal(natural_hz, damping), 1e-5
-            by_f = (self.modal(natural_hz * (1.0 + step * damping), damping) - h) / (step * damping)
-            return by_f, (self.modal(natural_hz, damping * (1.0 + step)) - h) / step
-        slopes = resonance_slopes(self.frequency_hz, natural_hz, damping)
+            near = self.modal(natural_hz * (1.0 + step * damping), damping)
+            return (near - h) / (step * damping), (self.modal(natural_hz, damping * (1.0 + step)) - h) / step
+        by_f, by_zeta = resonance_slopes(self.frequency_hz, natural_hz, damping)
         if self.power:
-            slopes = tuple(np.stack([x.real, x.imag], axis=2).reshape(len(x), -1) for x in slopes)
-        return self.growth[:, None] * slopes[0], self.growth[:, None] * slopes[1]
+            return self.growth[:, None] * _both_parts(by_f), self.growth[:, None] * _both_parts(by_zeta)
+        return self.growth[:, None] * by_f, self.growth[:, None] * by_zeta
+
+
+def _both_parts(columns: Complex) -> Complex:
+    """Real and imaginary parts (K, 2 M) of ``columns`` (K, M), in turn."""
+    made = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
+    made[:, ::2], made[:, 1::2] = columns.real, columns.imag
+    return made
 
 
 def smooth_shapes(speed_rpm: Array, span_rpm: tuple[float, float], degree: int) -> Array:
@@ -246,7 +252,7 @@ def resonance_slopes(frequency_hz: Array, natural_hz: Array, damping: Array) -> 
     x = frequency_hz[:, None] / natural_hz
     over = 1.0 / (1.0 - x**2 + 2j * damping * x)
     by_x = -2.0 * x * over + x**2 * (-2.0 * x + 2j * damping) * over**2
-    return -x * by_x, 2j * damping * x**3 * over**2
+    return np.asarray(-x * by_x, dtype=np.complex128), np.asarray(2j * damping * x**3 * over**2, dtype=np.complex128)
 
 
 def project(block: Block, poles: Poles) -> Projected:
@@ -255,7 +261,7 @@ def project(block: Block, poles: Poles) -> Projected:
     design = np.concatenate([block.smooth(), block.modal(poles.frequency_hz[reached], poles.damping[reached])], axis=1)
     weighted = design * weight[..., None]
     scale = np.maximum(np.linalg.norm(weighted, axis=1), 1e-300)
-    basis, triangle = np.linalg.qr(weighted / scale[:, None])
+    basis, triangle = (np.asarray(x, dtype=np.complex128) for x in np.linalg.qr(weighted / scale[:, None]))
     measured = np.where(weight > 0.0, block.amplitude, 0.0) * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
@@ -275,14 +281,14 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
         slopes = block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])
         for offset, slope in enumerate(slopes):
             turned = slope[None] * linear[:, None]
-            turned = turned.reshape(*turned.shape[:2], -1, per).sum(axis=3) * block.weight[..., None]
+            turned = turned.reshape(*turned.shape[:2], len(reached), per).sum(axis=3) * block.weight[..., None]
             made[..., 2 * reached + offset] = turned - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ turned)
     return _as_real(made, block)
 
 
 def _as_real(values: Complex, block: Block) -> Array:
     """``values`` (C, K, …) of ``block`` as rows of real numbers, real parts first; of squares these alone."""
-    rows = values.reshape(-1, *values.shape[2:])
+    rows = values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
     return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))
 
 
@@ -367,9 +373,10 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
     bent = bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent)
     rows, left = bent.reshape(-1, len(block.law)), part.left.ravel()
-    if block.power:
-        rows, left = rows.real, left.real
-    step = np.linalg.lstsq(rows, left, rcond=1e-6)[0]
+    solved = (
+        np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
+    )
+    step = solved[0]
     step *= min(1.0, MOST_BEND / max(float(np.abs(step).max()), 1e-300))
     return replace(block, law=tuple((np.array(block.law) + step).tolist()))
 
@@ -413,10 +420,10 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     item.law,
                     item.reference_rpm,
                     item.span_rpm,
-                    linear[number, :first],
+                    np.asarray(linear[number, :first], dtype=np.complex128),
                     residue,
                     part.reached,
-                    covariance[number],
+                    np.asarray(covariance[number], dtype=np.complex128),
                     part.freedom // len(item.channels),
                     float(np.median(item.error[number][np.isfinite(item.error[number])])),
                     part.freedom > 0 and item.scatter <= MOST_SCATTER,

@@ -249,7 +249,7 @@ def _gains(state: Fitted, tried: Tried) -> Array:
             made = columns * weight[:, None]
             made -= basis @ (basis.conj().T @ made)
             along = np.abs(left.conj() @ made) ** 2 / np.maximum(np.sum(np.abs(made) ** 2, axis=0), 1e-300)
-            along = along.reshape(-1, block.columns_per_mode).sum(axis=1)
+            along = along.reshape(len(near), block.columns_per_mode).sum(axis=1)
             share = np.minimum(along / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
             total[near] += np.maximum(-freedom * np.log1p(-share) - EXPECTED_GAIN, 0.0)
     return total
@@ -261,7 +261,7 @@ def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
     if block.passage is None:
         return np.asarray(damping)
     rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
-    return np.maximum(damping, 0.5 * np.sqrt(rate) / tried.frequency_hz[near])
+    return np.asarray(np.maximum(damping, 0.5 * np.sqrt(rate) / tried.frequency_hz[near]))
 
 
 def _moved(joint: Blocks, free: Poles) -> Poles:

@@ -42,7 +42,7 @@ class Passage:
     bandwidth_hz: Array
     poles: int
 
-    def response(self, growth: Array, natural_hz: Array, damping: Array) -> Complex:
+    def response(self, growth: Complex, natural_hz: Array, damping: Array) -> Complex:
         """Acceleration (K, M) of modes of unit residue behind a force of this order that is ``growth`` (T,) large.
 
         ``natural_hz`` and ``damping`` (M,): of the modes. The envelope a of the response relative to the order's phase
@@ -61,7 +61,7 @@ class Passage:
             made[:, number] = growth - weight * own - np.conj(weight) * growth / (1j * omega - np.conj(pole))
         return self.smoothed(made)
 
-    def steady(self, growth: Array, natural_hz: Array, damping: Array) -> Complex:
+    def steady(self, growth: Complex, natural_hz: Array, damping: Array) -> Complex:
         """As :meth:`response`, as if every speed were held: ``growth`` (T,), ``natural_hz`` and ``damping`` (M,)."""
         return self.smoothed(growth[:, None] * resonance(self.frequency_hz, natural_hz, damping))
 
@@ -98,7 +98,7 @@ def passage_of(order: float, time_s: Array, speed_rpm: Array, bandwidth_hz: Arra
     return Passage(step, order * speed / 60.0, speed, place, np.interp(at, time_s, bandwidth_hz), poles)
 
 
-def _envelope(step_s: float, omega: Array, growth: Array, pole: complex) -> Complex:
+def _envelope(step_s: float, omega: Array, growth: Complex, pole: complex) -> Complex:
     """Solution (T,) of a' = (λ − iω) a + growth from a steady start; λ is ``pole``, ``omega`` in rad/s."""
     from scipy.linalg import solve_banded
 
