@@ -59,7 +59,7 @@ def find(
     stated = [order for _, order in sources.gears]
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
     meetings = crossing_records(found)
-    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, settings=asked)
+    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )

@@ -112,6 +112,7 @@ class OrderResponse:
     from -1 to 1 in ln s over ``span_rpm``, and h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
     ``covariance`` (terms, terms) is that of the smooth terms and the residues of the modes ``reached``, per real part,
     with ``freedom`` degrees of freedom; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
+    ``recording`` is that of a sweep, "" of a whole test.
     """
 
     order: float
@@ -127,14 +128,14 @@ class OrderResponse:
     freedom: int
     error: float
     fits: bool
+    recording: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class UnseenBound:
-    """How many times a mode that nobody saw could amplify one order: ``amplification`` (channels, speeds)."""
+    """How many times a mode that nobody saw could amplify one order: ``amplification`` (speeds,) at ``speed_rpm``."""
 
     order: float
-    channels: tuple[str, ...]
     speed_rpm: NDArray[np.float64]
     amplification: NDArray[np.float64]
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +21,37 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class WithAndWithout:
-    """Amplitude of an order ``with_mode`` and ``without`` it (G,), and the standard error of both (G,)."""
+    """Amplitude of an order ``with_mode`` and ``without`` it, and the standard error of both, each (channels, G).
+
+    ``least`` (channels,) is what could be seen.
+    """
 
     with_mode: Floats
     without: Floats
     with_error: Floats
     without_error: Floats
-    least: float
+    least: Floats
 
     @property
     def ratio(self) -> Floats:
-        """Amplification (G,) as fitted, over what could be seen."""
-        return np.asarray(self.with_mode / np.maximum(self.without, self.least))
+        """Amplification (G,) as fitted: the largest amplitude of any channel over the largest without the mode."""
+        return np.asarray(self.with_mode.max(axis=0) / self._at_least(self.without))
 
     def ends(self, sigmas: float) -> tuple[Floats, Floats]:
         """Least and largest amplification (G,) within so many ``sigmas``."""
-        low = np.maximum(self.with_mode - sigmas * self.with_error, 0.0)
-        high = self.with_mode + sigmas * self.with_error
-        below = np.maximum(self.without - sigmas * self.without_error, self.least)
-        above = np.maximum(self.without + sigmas * self.without_error, self.least)
-        return low / above, high / below
+        low = np.maximum(self.with_mode - sigmas * self.with_error, 0.0).max(axis=0)
+        high = (self.with_mode + sigmas * self.with_error).max(axis=0)
+        below, above = self.without - sigmas * self.without_error, self.without + sigmas * self.without_error
+        return low / self._at_least(above), high / self._at_least(below)
+
+    def _at_least(self, amplitude: Floats) -> Floats:
+        return np.asarray(np.maximum(amplitude, self.least[:, None]).max(axis=0))
+
+
+def together(parts: Sequence[WithAndWithout]) -> WithAndWithout:
+    """``parts`` of several channels of one unit as one."""
+    joined = (np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(WithAndWithout))
+    return WithAndWithout(*joined)
 
 
 def shapes(frequency_hz: Floats, modal: ModalFit) -> Complex:
@@ -50,7 +62,7 @@ def shapes(frequency_hz: Floats, modal: ModalFit) -> Complex:
 
 
 def amplitude_at(response: OrderResponse, rpm: float, modal: ModalFit) -> float:
-    """Peak amplitude of ``response`` at ``rpm`` by the fit ``modal``, in the unit of its channel, as if it were held."""
+    """Peak amplitude of ``response`` at ``rpm`` by the fit ``modal``, in its unit, as if it were held."""
     smooth, parts, _ = _parts(response, np.array([rpm]), modal)
     return float(abs(smooth[0] + parts[0].sum()))
 
@@ -67,7 +79,8 @@ def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: M
         for x in (columns, fewer)
     ]
     without = np.abs(whole - parts[:, number])
-    return WithAndWithout(np.abs(whole), without, errors[0], errors[1], NOISE_SHARE * response.error)
+    rows = (np.abs(whole)[None], without[None], errors[0][None], errors[1][None])
+    return WithAndWithout(*rows, np.array([NOISE_SHARE * response.error]))
 
 
 def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Complex, Complex, Complex]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,14 +21,14 @@ from crankorder.identify.found import (
     SpeedVerdicts,
     UnseenBound,
 )
-from crankorder.identify.responses import amplitude_at, with_and_without
+from crankorder.identify.responses import amplitude_at, together, with_and_without
 from crankorder.settings import IdentifySettings
 
 BESIDE = 0.03
 """Share of a speed to avoid, on both sides of it, that is not called free."""
 
-ASKED = 400
-"""Speeds of the tested range that are asked about, besides those between the tested ones."""
+NEAR_DAMPINGS = 8.0
+"""Damping ratios on both sides of a crossing within which the order's amplification is that of the resonance."""
 
 Floats = NDArray[np.float64]
 
@@ -48,6 +48,7 @@ def speeds_to_avoid(
     modal: ModalFit,
     *,
     speed_rpm: tuple[float, float],
+    unit: Mapping[str, str],
     settings: IdentifySettings,
 ) -> SpeedVerdicts:
     """Speeds to avoid, worst first, the free bands of the tested range, and those that are open.
@@ -68,6 +69,7 @@ def speeds_to_avoid(
     orders : the orders of the test
     modal : the modes, the responses of the orders, and what could have stayed unseen
     speed_rpm : slowest and fastest speed of the test, rpm
+    unit : of each channel: the largest amplitude counts of those that have the same
     settings : ``crossing_band_rpm`` is the least width of a free band
     """
     largest = _largest(orders)
@@ -76,7 +78,11 @@ def speeds_to_avoid(
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
         return SpeedVerdicts(tuple(avoid), (), ())
-    opened = [*_by_avoided(avoid), *_by_modes(found, modal, settings), *_by_unseen(orders, modal, speed_rpm, settings)]
+    opened = [
+        *_by_avoided(avoid),
+        *_by_modes(found, modal, unit, settings),
+        *_by_unseen(orders, modal, speed_rpm, settings),
+    ]
     free, rest = _split(opened, speed_rpm, settings)
     return SpeedVerdicts(tuple(avoid), free, rest)
 
@@ -174,7 +180,9 @@ def _by_avoided(avoid: Sequence[AvoidedSpeed]) -> list[_Open]:
     ]  # fmt: skip
 
 
-def _by_modes(found: Sequence[Crossing], modal: ModalFit, settings: IdentifySettings) -> list[_Open]:
+def _by_modes(
+    found: Sequence[Crossing], modal: ModalFit, unit: Mapping[str, str], settings: IdentifySettings
+) -> list[_Open]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
     made: list[_Open] = []
     sigmas = float(ndtri(0.5 + 0.5 * settings.free_confidence))
@@ -183,36 +191,38 @@ def _by_modes(found: Sequence[Crossing], modal: ModalFit, settings: IdentifySett
         mode = modal.modes[number]
         what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
         known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
-        spans = [one for one in known if one.span_rpm[0] <= item.rpm <= one.span_rpm[1]]
-        if item.in_range and item.verdict not in ("not excited", "excited") and not spans:
+        held = [one for one in known if one.span_rpm[0] <= item.rpm <= one.span_rpm[1]]
+        if item.in_range and item.verdict not in ("not excited", "excited") and not held:
             half = max(width_rpm(item.rpm, mode, settings), BESIDE * item.rpm, item.rpm_ci95[1] - item.rpm)
             made.append(_Open(item.rpm - half, item.rpm + half, f"{what}: {item.verdict}"))
-        for response in known:
-            made += _amplified(response, number, modal, settings.free_amplification, sigmas, what)
+        alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
+        for key in sorted(alike):
+            group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
+            made += _amplified(group, number, modal, settings.free_amplification, sigmas, what)
     return made
 
 
 def _amplified(
-    response: OrderResponse, number: int, modal: ModalFit, factor: float, sigmas: float, what: str
+    group: list[OrderResponse], number: int, modal: ModalFit, factor: float, sigmas: float, what: str
 ) -> list[_Open]:
-    """Speeds of a response at which mode ``number`` may amplify it by more than ``factor``."""
-    rpm = 60.0 * modal.modes[number].frequency_hz / response.order
-    turn = np.sinh(np.linspace(-6.0, 6.0, 61)) / np.sinh(6.0)
-    low, high = response.span_rpm
-    grid = np.unique(np.concatenate([np.geomspace(low, high, 61), np.clip(rpm * (1.0 + 0.3 * turn), low, high)]))
-    both = with_and_without(response, number, grid, modal)
-    over = both.ends(sigmas)[1] > factor
+    """Speeds around the crossing at which mode ``number`` may amplify an order in its channels by more than ``factor``."""
+    mode = modal.modes[number]
+    rpm = 60.0 * mode.frequency_hz / group[0].order
+    reach = max(NEAR_DAMPINGS * mode.damping_ratio, BESIDE)
+    low, high = max(group[0].span_rpm[0], rpm * (1.0 - reach)), min(group[0].span_rpm[1], rpm * (1.0 + reach))
+    if low >= high:
+        return []
+    turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
+    grid = np.unique(np.clip(rpm * (1.0 + reach * turn), low, high))
+    least, most = together([with_and_without(one, number, grid, modal) for one in group]).ends(sigmas)
+    over = most > factor
     if not over.any():
         return []
-    sure = both.ends(sigmas)[0] > factor
-    made = []
-    for first, last in _runs(over):
-        said = "is amplified" if sure[first : last + 1].any() else "may be amplified"
-        begin, end = float(grid[max(first - 1, 0)]), float(grid[min(last + 1, len(grid) - 1)])
-        if begin <= rpm <= end:
-            begin, end = min(begin, rpm / (1.0 + BESIDE)), max(end, rpm * (1.0 + BESIDE))
-        made.append(_Open(begin, end, f"{what}: {said} more than {factor:g} times"))
-    return made
+    said = "is amplified" if (least > factor).any() else "may be amplified"
+    inside = np.flatnonzero(over)
+    begin, end = float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
+    begin, end = min(begin, rpm / (1.0 + BESIDE)), max(end, rpm * (1.0 + BESIDE))
+    return [_Open(begin, end, f"{what}: {said} more than {factor:g} times")]
 
 
 def _by_unseen(
@@ -234,7 +244,7 @@ def _by_unseen(
 
 
 def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
-    worst = bound.amplification.max(axis=0)
+    worst = bound.amplification
     made = []
     for first, last in _runs(~(worst <= factor)):
         begin = float(bound.speed_rpm[max(first - 1, 0)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,9 @@ ALONG_SWEEP = 160
 WIDER = (1.0, 3.0, 10.0)
 """Multiples of the least damping ratio that a hidden mode is tried with."""
 
+MATTERS = 0.03
+"""Share of the largest amplitude of any order below which no amplitude matters."""
+
 NOISE_SHARE = 2.0
 """Standard errors beneath which nothing is seen: amplitudes below it count as so large."""
 
@@ -29,44 +32,60 @@ Complex = NDArray[np.complexfloating]
 
 
 def least_seen(
-    blocks: Sequence[Block], poles: Poles, *, least_damping: float, confidence: float
+    blocks: Sequence[Block],
+    poles: Poles,
+    *,
+    unit: Mapping[str, str],
+    least_damping: float,
+    confidence: float,
 ) -> tuple[UnseenBound, ...]:
     """For each of ``blocks``, how much a mode beside the ``poles`` could amplify its order without being seen.
 
     At speeds between the tested ones a mode is imagined on the order, damped by ``least_damping`` or some times that;
     its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1). What it
-    adds at its peak, over what is there without it, is the amplification. A channel in which the order does not stand
-    out counts as if it stood at its noise.
+    adds at its peak, over what is there without it, is the amplification, in the channel that has most of each
+    ``unit``. Amplitudes below the noise, or below a small share of the largest of any order, count as so large.
     """
     from scipy.special import chdtri
 
     reach = float(np.sqrt(chdtri(2.0, 1.0 - confidence)))
-    return tuple(_bound(block, poles, least_damping, reach) for block in blocks)
+    largest: dict[str, float] = {}
+    for block in blocks:
+        size = np.sqrt(block.size) if block.power else block.size
+        for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
+            largest[unit[name]] = max(most, largest.get(unit[name], 0.0))
+    return tuple(_bound(block, poles, least_damping, reach, unit, largest) for block in blocks)
 
 
-def _bound(block: Block, poles: Poles, least_damping: float, reach: float) -> UnseenBound:
+def _bound(
+    block: Block,
+    poles: Poles,
+    least_damping: float,
+    reach: float,
+    unit: Mapping[str, str],
+    largest: Mapping[str, float],
+) -> UnseenBound:
     block, part = with_scatter(block, poles)
     speed = _asked(block)
-    hidden = np.full((len(block.channels), len(speed)), np.inf)
-    if part.freedom >= len(block.channels) * block.parts:
-        base = _fitted(block, part, poles, speed)
-        spread = max(1.0, part.chi2 / part.freedom)
-        hidden[:] = 0.0
-        for times in WIDER:
-            added = _added(block, part, speed, least_damping * times, reach * np.sqrt(spread))
-            hidden = np.maximum(hidden, added)
-        # the noise of the nearest row hides what is smaller
-        near = np.abs(np.log(speed[:, None] / block.speed_rpm)).argmin(axis=1)
-        noise = NOISE_SHARE * np.minimum(block.error, block.error[np.isfinite(block.error)].max())[:, near]
-        hidden = _over(base, hidden, noise, block)
-    return UnseenBound(block.order, block.channels, speed, hidden)
-
-
-def _over(base: Array, added: Array, noise: Array, block: Block) -> Array:
-    """Amplification (C, G): what is ``added`` and the ``base`` over the latter, or over the ``noise`` if more."""
+    if part.freedom < len(block.channels) * block.parts:
+        return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
+    spread = float(np.sqrt(max(1.0, part.chi2 / part.freedom)))
+    added = np.zeros((len(block.channels), len(speed)))
+    for times in WIDER:
+        added = np.maximum(added, _added(block, part, speed, least_damping * times, reach * spread))
+    # the noise of the nearest row hides what is smaller
+    near = np.abs(np.log(speed[:, None] / block.speed_rpm)).argmin(axis=1)
+    noise = NOISE_SHARE * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
+    base = _fitted(block, part, poles, speed)
     if block.power:
         base, added, noise = np.sqrt(np.maximum(base, 0.0)), np.sqrt(added), np.sqrt(noise)
-    return np.asarray((base + added) / np.maximum(np.maximum(base, noise), 1e-300))
+    most = np.zeros(len(speed))
+    for name in dict.fromkeys(unit[channel] for channel in block.channels):
+        own = np.array([unit[channel] == name for channel in block.channels])
+        least = np.maximum(noise[own].max(axis=0), MATTERS * largest[name])
+        without = np.maximum(base[own].max(axis=0), least)
+        most = np.maximum(most, np.maximum((base + added)[own].max(axis=0), least) / np.maximum(without, 1e-300))
+    return UnseenBound(block.order, speed, most)
 
 
 def _asked(block: Block) -> Array:

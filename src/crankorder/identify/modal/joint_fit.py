@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,7 +70,8 @@ def modal_fit(
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), proofs, strict=True))
         found, kept = _found(fitted, floor, proof, settings)
-    return _with_order_modes(found, kept, blocks, extra, covariance, settings)
+    unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
+    return _with_order_modes(found, kept, blocks, extra, covariance, unit, settings)
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
@@ -125,6 +126,7 @@ def _with_order_modes(
     blocks: tuple[Block, ...],
     extra: tuple[OrderPole, ...],
     covariance: Array,
+    unit: Mapping[str, str],
     settings: IdentifySettings,
 ) -> ModalFit:
     """``fit``, whose modes are the poles ``kept``, with those that only orders show, lowest first."""
@@ -146,7 +148,7 @@ def _with_order_modes(
         covariance=_side_by_side([fit.covariance, covariance[np.ix_(of_own, of_own)]])[np.ix_(at, at)],
         responses=responses_of(blocks, poles),
         unseen=least_seen(
-            blocks, poles, least_damping=settings.least_damping_ratio, confidence=settings.free_confidence
+            blocks, poles, unit=unit, least_damping=settings.least_damping_ratio, confidence=settings.free_confidence
         ),
     )
 

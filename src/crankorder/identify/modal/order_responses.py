@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +41,9 @@ MOST_BEND = 0.5
 MOST_ROUNDS = 3
 """Times that scatter and linear terms are told from one another."""
 
+MOST_KEPT = 64
+"""Columns along a sweep that are kept."""
+
 SPARE = 3
 """Complex amplitudes that an order must have over its unknowns."""
 
@@ -58,7 +61,7 @@ class Block:
     a share of the amplitude, beyond ``error``. ``passage`` says how the order swept (None: every speed was held).
     ``power``: whether the phases say nothing, so that ``amplitude`` holds squares. ``recording`` is that of a sweep, ""
     of a whole test. ``law_span_rpm`` are the speeds over which the polynomials run, where they are not those of the
-    rows.
+    rows. ``made`` keeps the columns along a sweep that were made last, by pole and law.
     """
 
     order: float
@@ -76,6 +79,7 @@ class Block:
     power: bool = False
     recording: str = ""
     law_span_rpm: tuple[float, float] | None = None
+    made: dict[tuple[object, ...], tuple[Complex, Complex, Complex]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def span_rpm(self) -> tuple[float, float]:
@@ -138,8 +142,7 @@ class Block:
     def modal(self, natural_hz: Array, damping: Array) -> Complex:
         """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
         if self.passage is not None:
-            grown = force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
-            return self.passage.response(grown, natural_hz, damping)
+            return self._along(natural_hz, damping, 0)
         h: Complex = resonance(self.frequency_hz, natural_hz, damping)
         return np.asarray(self.growth[:, None] * (_both_parts(h) if self.power else h))
 
@@ -149,13 +152,26 @@ class Block:
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
         if self.passage is not None:
-            h, step = self.modal(natural_hz, damping), 1e-5
-            near = self.modal(natural_hz * (1.0 + step * damping), damping)
-            return (near - h) / (step * damping), (self.modal(natural_hz, damping * (1.0 + step)) - h) / step
+            return self._along(natural_hz, damping, 1), self._along(natural_hz, damping, 2)
         by_f, by_zeta = resonance_slopes(self.frequency_hz, natural_hz, damping)
         if self.power:
             return self.growth[:, None] * _both_parts(by_f), self.growth[:, None] * _both_parts(by_zeta)
         return self.growth[:, None] * by_f, self.growth[:, None] * by_zeta
+
+    def _along(self, natural_hz: Array, damping: Array, which: int) -> Complex:
+        """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
+        assert self.passage is not None
+        made = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
+        for number, pole in enumerate(zip(natural_hz.tolist(), damping.tolist(), strict=True)):
+            key = (*pole, self.exponent, self.law)
+            if key not in self.made:
+                while len(self.made) >= MOST_KEPT:
+                    self.made.pop(next(iter(self.made)))
+                speed = self.passage.speed_rpm
+                grown = force(speed, self.span_rpm, self.reference_rpm, self.exponent, self.law)
+                self.made[key] = self.passage.response(grown, *pole)
+            made[:, number] = self.made[key][which]
+        return made
 
 
 def _both_parts(columns: Complex) -> Complex:
@@ -194,6 +210,14 @@ class Blocks:
 
     items: tuple[Block, ...]
     fixed: Poles = NO_POLES
+
+    def misfit(self, poles: Poles) -> float:
+        """Sum of the squared residuals in standard errors.
+
+        ``poles``: those of the fit.
+        """
+        every = poles.joined(self.fixed)
+        return float(sum(project(block, every).chi2 for block in self.items))
 
     def evaluate(self, poles: Poles) -> tuple[list[Array], list[Array], float]:
         """Jacobians by (ln f, ln ζ), residuals (both in standard errors, real parts first) and their squares' sum.
@@ -427,6 +451,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     part.freedom // len(item.channels),
                     float(np.median(item.error[number][np.isfinite(item.error[number])])),
                     part.freedom > 0 and item.scatter <= MOST_SCATTER,
+                    item.recording,
                 )
             )
     return tuple(made)

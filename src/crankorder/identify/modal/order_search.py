@@ -49,6 +49,9 @@ FEWEST_ROWS = 6
 LEAST_DAMPING = 1e-3
 """Smallest damping ratio that is looked for."""
 
+SETTLED = 0.05
+"""Square of a standard error that a step must gain to be followed by another."""
+
 STEPS = 12
 """Steps of a fit at most."""
 
@@ -111,8 +114,8 @@ def settled(
 ) -> tuple[tuple[Block, ...], tuple[Proof, ...], tuple[OrderPole, ...], Array]:
     """``blocks``, proofs of the ``known`` poles, the ``found`` ones moved once more behind them, and their covariance.
 
-    The covariance (2 M, 2 M) is that of (f_1, ζ_1, f_2, …), lowest first. Channels share what an order's force varies by: their
-    residuals are as alike as they are seen to be.
+    The covariance (2 M, 2 M) is that of (f_1, ζ_1, f_2, …), lowest first. Channels share what an order's force varies
+    by: their residuals are as alike as they are seen to be.
     """
     free = NO_POLES
     for item in found:
@@ -173,6 +176,12 @@ class Fitted:
         every = self.known.joined(free)
         return Fitted.of([with_bent_law(block, every) for block in self.blocks], self.known, free)
 
+    def with_pole(self, frequency_hz: float, damping: float) -> Fitted:
+        """With one free pole more, near a start, the others staying where they are."""
+        alone = Fitted.of(self.blocks, self.poles, NO_POLES.with_pole(frequency_hz, damping)).moved()
+        more = self.free.with_pole(float(alone.free.frequency_hz[0]), float(alone.free.damping[0]))
+        return Fitted.of(alone.blocks, self.known, more)
+
     def settled(self) -> Fitted:
         """With the laws told anew, and moved with them."""
         return Fitted.of([with_best_law(block, self.poles) for block in self.blocks], self.known, self.free).moved()
@@ -214,13 +223,13 @@ def _one_more(state: Fitted, tried: Tried, *, chance: float, most_damping: float
             break
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
-        trial = Fitted.of(state.blocks, state.known, state.free.with_pole(f, zeta)).moved()
+        trial = state.with_pole(f, zeta)
         saved = trial.saves(state)
         if saved > most and not moved_out(trial.free, tried, most_damping):
             best, most = trial, saved
     if best is None:
         return None
-    best = best.settled()
+    best = best.moved().settled()
     return best if best.saves(state) > _limit(best.blocks, chance / TRIALS) else None
 
 
@@ -275,13 +284,13 @@ def _moved(joint: Blocks, free: Poles) -> Poles:
         shift = np.clip(by[:, 0], -2.0 * free.damping, 2.0 * free.damping)
         damping = np.clip(free.damping * np.exp(np.clip(by[:, 1], -0.7, 0.7)), LEAST_DAMPING, 0.6)
         trial = Poles(free.frequency_hz * np.exp(shift), damping, free.tone)
-        trial_jacobians, trial_residuals, trial_cost = joint.evaluate(trial)
-        gained = cost - trial_cost
+        gained = cost - joint.misfit(trial)
         if gained >= 0.0:
-            free, jacobians, residuals, cost = trial, trial_jacobians, trial_residuals, trial_cost
+            free = trial
             factor = max(0.2 * factor, 1e-6)
-            if gained < 0.01:
+            if gained < SETTLED:
                 break
+            jacobians, residuals, cost = joint.evaluate(free)
         else:
             factor *= 8.0
             if factor > 1e4:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.resonance import resonance
 from crankorder.orders.vold_kalman.bandwidth import structural_weight
 
-MOST_TURN = 0.005
-"""Largest product of the rate of the angular frequency and the square of a step: the response is exact to 1e-3 of it."""
+MOST_TURN = 0.02
+"""Largest product of the rate of the angular frequency and the square of a step: an error of 1e-3 of the response."""
 
-STEPS_PER_ROW = 4
+STEPS_PER_ROW = 2
 """Steps of the grid from row to row at least."""
 
-STEPS_PER_BANDWIDTH = 8.0
+STEPS_PER_BANDWIDTH = 6.0
 """Steps of the grid in a reciprocal bandwidth of the filter at least."""
 
 MOST_STEPS = 200_000
@@ -42,39 +42,78 @@ class Passage:
     bandwidth_hz: Array
     poles: int
 
-    def response(self, growth: Complex, natural_hz: Array, damping: Array) -> Complex:
-        """Acceleration (K, M) of modes of unit residue behind a force of this order that is ``growth`` (T,) large.
+    def response(self, growth: Complex, natural_hz: float, damping: float) -> tuple[Complex, Complex, Complex]:
+        """Acceleration (K,) of a mode of unit residue behind a force ``growth`` (T,), and its slopes by ln f and ln ζ.
 
-        ``natural_hz`` and ``damping`` (M,): of the modes. The envelope a of the response relative to the order's phase
-        obeys a' = (λ − iω(t)) a + growth, whose steps are solved as if ω were steady within each (Lewis 1932 has the
-        solution for a steady rate); the counter-rotating part is that of steady running. It is then smoothed as the
-        tracking filter smooths it.
+        ``natural_hz`` and ``damping``: of the mode. The envelope a of the response relative to the order's phase obeys
+        a' = (λ − iω(t)) a + growth, whose steps are solved as if ω were steady within each (Lewis 1932 has the solution
+        for a steady rate); so does its slope by λ, with a in place of the force. The counter-rotating part is that of
+        steady running. All is then smoothed as the tracking filter smooths it.
         """
         omega = 2.0 * np.pi * self.frequency_hz
-        made = np.empty((len(omega), len(natural_hz)), dtype=np.complex128)
-        for number, (f, zeta) in enumerate(zip(natural_hz.tolist(), damping.tolist(), strict=True)):
-            natural = 2.0 * np.pi * f
-            damped = natural * np.sqrt(max(1.0 - zeta**2, 1e-12))
-            pole = complex(-zeta * natural, damped)
-            weight = -(pole**2) / (2j * damped)
-            own = _envelope(self.step_s, omega, growth, pole)
-            made[:, number] = growth - weight * own - np.conj(weight) * growth / (1j * omega - np.conj(pole))
-        return self.smoothed(made)
-
-    def steady(self, growth: Complex, natural_hz: Array, damping: Array) -> Complex:
-        """As :meth:`response`, as if every speed were held: ``growth`` (T,), ``natural_hz`` and ``damping`` (M,)."""
-        return self.smoothed(growth[:, None] * resonance(self.frequency_hz, natural_hz, damping))
+        natural, turned = 2.0 * np.pi * natural_hz, np.sqrt(max(1.0 - damping**2, 1e-12))
+        pole = natural * complex(-damping, turned)
+        # of ln ζ, natural held: the real part grows with ζ, the imaginary one falls
+        by_damping = natural * complex(-damping, -(damping**2) / turned)
+        weight = -(pole**2) / (2j * pole.imag)
+        back = 1.0 / (1j * omega - np.conj(pole))
+        own, slope = self._envelopes(growth, pole)
+        made = growth - weight * own - np.conj(weight) * growth * back
+        parts = [made]
+        for step in (pole, by_damping):
+            bend = weight * (2.0 * step / pole - step.imag / pole.imag)
+            counter = np.conj(bend) * back + np.conj(weight * step) * back**2
+            parts.append(-bend * own - weight * step * slope - growth * counter)
+        through = self.smoothed(np.stack(parts, axis=1))
+        return through[:, 0], through[:, 1], through[:, 2]
 
     def smoothed(self, envelope: Complex) -> Complex:
         """``envelope`` (T, M) of the grid as the filter lets it through, at the rows (K, M)."""
-        from scipy.linalg import solveh_banded
+        from scipy.linalg import cho_solve_banded
 
-        rate = 1.0 / self.step_s
-        weight = 2.0 * structural_weight(np.minimum(self.bandwidth_hz, 0.9 * rate), rate_hz=rate, poles=self.poles)
-        through = solveh_banded(_normal_band(weight, self.poles), envelope, lower=True)
+        through = cho_solve_banded((self._filter, True), envelope, check_finite=False)
         low = np.clip(np.floor(self.place).astype(np.int64), 0, len(through) - 2)
         share = (self.place - low)[:, None]
         return np.asarray((1.0 - share) * through[low] + share * through[low + 1])
+
+    @cached_property
+    def _filter(self) -> Array:
+        """Cholesky factor of the filter's normal equations on the grid."""
+        from scipy.linalg import cholesky_banded
+
+        rate = 1.0 / self.step_s
+        weight = 2.0 * structural_weight(np.minimum(self.bandwidth_hz, 0.9 * rate), rate_hz=rate, poles=self.poles)
+        return np.asarray(cholesky_banded(_normal_band(weight, self.poles), lower=True, check_finite=False))
+
+    @cached_property
+    def _turn(self) -> tuple[Array, Complex]:
+        """Angular frequency (T - 1,) in the middle of the steps, and by how much the order turns in each."""
+        middle = np.pi * (self.frequency_hz[1:] + self.frequency_hz[:-1])
+        return middle, np.exp(-1j * middle * self.step_s)
+
+    def _envelopes(self, growth: Complex, pole: complex) -> tuple[Complex, Complex]:
+        """Solution (T,) of a' = (λ − iω) a + ``growth`` from a steady start, λ the ``pole``, and its slope by λ."""
+        from scipy.linalg import solve_banded
+
+        middle, turn = self._turn
+        step = self.step_s
+        z = (pole - 1j * middle) * step
+        grown = turn * np.exp(pole * step)
+        over = (grown - 1.0) / z
+        slope = (over - 1.0) / z  # the force is linear within a step: exact for a steady frequency
+        band = np.ones((2, len(growth)), dtype=np.complex128)
+        band[1, :-1] = -grown
+        band[1, -1] = 0.0
+        start = 1.0 / (2j * np.pi * self.frequency_hz[0] - pole)
+        pushed = step * (growth[:-1] * over + (growth[1:] - growth[:-1]) * slope)
+        own = solve_banded((1, 0), band, np.concatenate([[growth[0] * start], pushed]), check_finite=False)
+        # the slope of each step by λ, the step itself being exact
+        by_grown = step * grown
+        by_over = step * (grown - over) / z
+        by_slope = step * ((grown - over) / z - slope) / z
+        pushed = by_grown * own[:-1] + step * (growth[:-1] * by_over + (growth[1:] - growth[:-1]) * by_slope)
+        bent = solve_banded((1, 0), band, np.concatenate([[growth[0] * start**2], pushed]), check_finite=False)
+        return np.asarray(own), np.asarray(bent)
 
 
 def passage_of(order: float, time_s: Array, speed_rpm: Array, bandwidth_hz: Array, *, poles: int) -> Passage:
@@ -96,24 +135,6 @@ def passage_of(order: float, time_s: Array, speed_rpm: Array, bandwidth_hz: Arra
     step = span / count
     place = (time_s - time_s[0]) / step
     return Passage(step, order * speed / 60.0, speed, place, np.interp(at, time_s, bandwidth_hz), poles)
-
-
-def _envelope(step_s: float, omega: Array, growth: Complex, pole: complex) -> Complex:
-    """Solution (T,) of a' = (λ − iω) a + growth from a steady start; λ is ``pole``, ``omega`` in rad/s."""
-    from scipy.linalg import solve_banded
-
-    middle = pole - 0.5j * (omega[1:] + omega[:-1])
-    z = middle * step_s
-    grown = np.exp(z)
-    over = np.expm1(z) / z
-    # the force is linear within a step: exact for a steady frequency
-    slope = (over - 1.0) / z
-    pushed = step_s * (growth[:-1] * over + (growth[1:] - growth[:-1]) * slope)
-    band = np.ones((2, len(omega)), dtype=np.complex128)
-    band[1, :-1] = -grown
-    band[1, -1] = 0.0
-    start = growth[0] / (1j * omega[0] - pole)
-    return np.asarray(solve_banded((1, 0), band, np.concatenate([[start], pushed]), check_finite=False))
 
 
 def _normal_band(weight: Array, poles: int) -> Array:
