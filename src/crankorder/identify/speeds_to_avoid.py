@@ -205,7 +205,7 @@ def _by_modes(
 def _amplified(
     group: list[OrderResponse], number: int, modal: ModalFit, factor: float, sigmas: float, what: str
 ) -> list[_Open]:
-    """Speeds around the crossing at which mode ``number`` may amplify an order in its channels by more than ``factor``."""
+    """Speeds around the crossing at which mode ``number`` may amplify an order by more than ``factor``."""
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / group[0].order
     reach = max(NEAR_DAMPINGS * mode.damping_ratio, BESIDE)

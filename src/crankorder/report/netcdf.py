@@ -46,7 +46,8 @@ _UNIT_OF = {
     "_mm": "mm",
 }  # fmt: skip
 _TABLES = (
-    "channels", "orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "bearings", "lines", "quality",
+    "channels", "orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "open_bands", "bearings", "lines",
+    "quality",
 )  # fmt: skip
 
 

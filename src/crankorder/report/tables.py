@@ -51,14 +51,17 @@ def tables_of(findings: dict[str, Any], *, limit: int) -> list[tuple[str, Table]
 
 
 def _avoid(findings: dict[str, Any], limit: int) -> Table:
-    """Speeds to avoid, ranked, and under them the bands that are free; empty where the findings have no such lists."""
-    free = [
+    """Speeds to avoid, ranked, and under them the other bands; empty where the findings have no such lists."""
+    bands = [(band, "free") for band in findings.get("free_bands") or []]
+    bands += [(band, "not free, or not known") for band in findings.get("open_bands") or []]
+    other = [
         [
             speeds_text((band.get("low_rpm"), band.get("high_rpm"))),
             _whole(_width(band)),
-            named(band.get("remark") or "–", limit=4 * limit),
+            verdict,
+            named(band.get("remark") or "–", limit=8 * limit),
         ]
-        for band in findings.get("free_bands") or []
+        for band, verdict in sorted(bands, key=lambda item: float(item[0].get("low_rpm") or 0.0))
     ]
     rows = [
         [
@@ -75,11 +78,11 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
         for record in findings.get("speeds_to_avoid") or []
     ]
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
-    bands = table_of("Speed bands free of excited crossings", "Free, rpm#|Width, rpm#|Remark", free, empty="")
+    beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     known = findings.get("speeds_to_avoid") is not None
-    empty = "No order was seen to excite a natural frequency inside the tested speeds." if known else ""
+    empty = "No order was seen to rise at a natural frequency inside the tested speeds." if known else ""
     note = "The worst first." if len(rows) > 1 else ""
-    return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=bands if free else None)
+    return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
 
 
 def _width(band: dict[str, Any]) -> float | None:

@@ -144,7 +144,7 @@ class Block:
         if self.passage is not None:
             return self._along(natural_hz, damping, 0)
         h: Complex = resonance(self.frequency_hz, natural_hz, damping)
-        return np.asarray(self.growth[:, None] * (_both_parts(h) if self.power else h))
+        return np.asarray(self.growth[:, None] * (_of_squares(h, self._ratio(natural_hz)) if self.power else h))
 
     def modal_slopes(self, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
@@ -155,8 +155,15 @@ class Block:
             return self._along(natural_hz, damping, 1), self._along(natural_hz, damping, 2)
         by_f, by_zeta = resonance_slopes(self.frequency_hz, natural_hz, damping)
         if self.power:
-            return self.growth[:, None] * _both_parts(by_f), self.growth[:, None] * _both_parts(by_zeta)
+            x = self._ratio(natural_hz)
+            h: Complex = resonance(self.frequency_hz, natural_hz, damping)
+            by_f = by_f + 1j * h.imag  # the imaginary part is over x, which moves with f
+            return self.growth[:, None] * _of_squares(by_f, x), self.growth[:, None] * _of_squares(by_zeta, x)
         return self.growth[:, None] * by_f, self.growth[:, None] * by_zeta
+
+    def _ratio(self, natural_hz: Array) -> Array:
+        """Frequencies of the rows over those of the modes (K, M)."""
+        return np.asarray(self.frequency_hz[:, None] / natural_hz)
 
     def _along(self, natural_hz: Array, damping: Array, which: int) -> Complex:
         """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
@@ -174,10 +181,13 @@ class Block:
         return made
 
 
-def _both_parts(columns: Complex) -> Complex:
-    """Real and imaginary parts (K, 2 M) of ``columns`` (K, M), in turn."""
+def _of_squares(columns: Complex, ratio: Array) -> Complex:
+    """Real part and imaginary part over ``ratio`` (K, 2 M) of ``columns`` (K, M), in turn.
+
+    They span the square of any response with real residues, beside a constant.
+    """
     made = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
-    made[:, ::2], made[:, 1::2] = columns.real, columns.imag
+    made[:, ::2], made[:, 1::2] = columns.real, columns.imag / ratio
     return made
 
 

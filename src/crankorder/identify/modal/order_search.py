@@ -137,7 +137,7 @@ def _covariance(state: Fitted) -> Array:
         if block.scatter > MOST_SCATTER:
             continue
         rows = jacobian(block, state.poles, part)[:, own]
-        rows = rows.reshape(block.parts, len(block.channels), -1, size)
+        rows = rows.reshape(block.parts, *block.amplitude.shape, size)
         hessian += np.einsum("pcki,pckj->ij", rows, rows)
         norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)

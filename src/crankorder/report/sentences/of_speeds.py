@@ -1,4 +1,4 @@
-"""What is said of speeds: which to avoid, and which bands are free of excited crossings."""
+"""What is said of speeds: which to avoid, which are free, and of which nothing can be said."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from crankorder.report.notation import (
     NAME_CHARACTERS,
     frequency_text,
     is_number,
+    is_undecided,
     listed,
     named,
     nominal_order,
@@ -19,6 +20,7 @@ from crankorder.report.notation import (
 _TOGETHER_RPM = 30.0  # crossings closer than this share one sentence
 _JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
+_ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
@@ -33,13 +35,26 @@ def avoid_sentences(findings: dict[str, Any]) -> list[str]:
         ranges = [record["rpm_range"] for record in group if is_range(record.get("rpm_range"))]
         span = f" ({min(low for low, _ in ranges):.0f} to {max(high for _, high in ranges):.0f} rpm)" if ranges else ""
         pairs = [
-            f"order {order_name({'order': order}, findings)} excites the {frequency_text(mode_hz)} Hz natural frequency"
+            _excites(order, mode_hz, findings)
             for order, mode_hz in dict.fromkeys(pair for record in group for pair in meetings(record))
         ]
         said = listed(pairs[:_PAIRS]) + (f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else "")
         text = f"Avoid steady running near {rpm:.0f} rpm{span}, where {said}"
         sentences.append(f"{text}{_peak(findings, group[0])}.")
     return sentences
+
+
+def _excites(order: float, mode_hz: float, findings: dict[str, Any]) -> str:
+    """That an order excites a natural frequency, or peaks where one may be."""
+    name, hertz = order_name({"order": order}, findings), frequency_text(mode_hz)
+    nearest: dict[str, Any] = min(
+        (mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))),
+        key=lambda mode: abs(float(mode["frequency_hz"]) - mode_hz),
+        default={},
+    )
+    if is_undecided(nearest):
+        return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
+    return f"order {name} excites the {hertz} Hz natural frequency"
 
 
 def meetings(record: dict[str, Any]) -> list[tuple[float, float]]:
@@ -93,20 +108,21 @@ def _peak(findings: dict[str, Any], record: dict[str, Any]) -> str:
 
 
 def free_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
-    """Speed ranges [rpm] of ``findings`` that no excited crossing touches, slowest first."""
-    bands = [
-        (float(band["low_rpm"]), float(band["high_rpm"]))
-        for band in findings.get("free_bands") or []
+    """Speed ranges [rpm] of ``findings`` in which no order can be amplified much, slowest first."""
+    return sorted((float(band["low_rpm"]), float(band["high_rpm"])) for band in _bands(findings, "free_bands"))
+
+
+def open_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
+    """Speed ranges [rpm] of ``findings`` that are neither free nor to be avoided, slowest first."""
+    return sorted((float(band["low_rpm"]), float(band["high_rpm"])) for band in _bands(findings, "open_bands"))
+
+
+def _bands(findings: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    return [
+        band
+        for band in findings.get(key) or []
         if is_number(band.get("low_rpm")) and is_number(band.get("high_rpm")) and band["high_rpm"] > band["low_rpm"]
     ]
-    return sorted(bands)
-
-
-def _open(findings: dict[str, Any]) -> bool:
-    """True where a free band holds crossings that were not judged, or with what may be no natural frequency."""
-    if any(band.get("remark") for band in findings.get("free_bands") or []):
-        return True
-    return any(low <= rpm <= high for low, high in free_bands(findings) for rpm in not_judged_rpm(findings))
 
 
 def not_judged_rpm(findings: dict[str, Any]) -> list[float]:
@@ -119,16 +135,24 @@ def not_judged_rpm(findings: dict[str, Any]) -> list[float]:
 
 
 def free_sentences(findings: dict[str, Any]) -> list[str]:
-    """Where ``findings`` allow steady running, the widest bands; that all of the range is free, where it is."""
-    bands = free_bands(findings)
-    if not bands:
-        return []
-    if not findings.get("speeds_to_avoid") and len(bands) == 1:
-        low, high = bands[0]
-        but = "; some crossings could not be judged, see the table of crossings" if _open(findings) else ""
-        return [f"No order was seen to excite a natural frequency between {low:.0f} and {high:.0f} rpm{but}."]
-    widest = sorted(sorted(bands, key=lambda band: band[0] - band[1])[:_SHOWN])
-    more = " and narrower bands" if len(bands) > _SHOWN else ""
-    if _open(findings):
-        more += "; some crossings there could not be judged, see the table of crossings"
-    return [f"Free of excited crossings: {listed([f'{low:.0f} to {high:.0f}' for low, high in widest])} rpm{more}."]
+    """Where ``findings`` allow steady running, the widest bands; and where they cannot tell, with the first reason."""
+    free, unknown = free_bands(findings), _bands(findings, "open_bands")
+    said = []
+    if free:
+        widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
+        more = " and narrower bands" if len(free) > _SHOWN else ""
+        ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
+        remark = str(_bands(findings, "free_bands")[0].get("remark") or "")
+        said.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
+    speeds = [float(one) for one in findings.get("speed_range_rpm") or [] if is_number(one)]
+    if not free and speeds and max(speeds) - min(speeds) < _ONE_SPEED_RPM:
+        return ["A test at one speed cannot tell which speeds are free of resonances."]
+    if not free and (unknown or findings.get("open_bands") is not None) and not findings.get("speeds_to_avoid"):
+        said.append("No speed of the tested range can be called free of resonances.")
+    if unknown:
+        widest_open = max(unknown, key=lambda band: float(band["high_rpm"]) - float(band["low_rpm"]))
+        reason = named(str(widest_open.get("remark") or "").split("; ")[0], limit=4 * NAME_CHARACTERS)
+        ends = f"{float(widest_open['low_rpm']):.0f} to {float(widest_open['high_rpm']):.0f}"
+        others = f" (and {len(unknown) - 1} more {'bands' if len(unknown) > 2 else 'band'})" if len(unknown) > 1 else ""
+        said.append(f"Not free, or not known: {ends} rpm{others}: {reason}.")
+    return said
