@@ -172,7 +172,7 @@ def _profiles(
     profiles = []
     for _ in range(repeats):
         stretch = 1.0 if repeats == 1 else rng.uniform(0.95, 1.05)
-        knots = tuple(round(stretch * value, 3) for value in time_s)
+        knots = tuple(round(float(stretch * value), 3) for value in time_s)
         profiles.append(Profile(knots, tuple(float(value) for value in rpm), float(rng.uniform(0.0, 2.0))))
     return tuple(profiles)
 

@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import csd, welch
+from scipy.signal import csd, hilbert, welch
 
 from machines.draw import CLASSES, draw_machine
 from machines.folder import write_folder
 from machines.machine import Encoder, Machine, Mode, Order, Profile
-from machines.signals import broadband, order_envelope, sample_times
+from machines.signals import broadband, order_envelope, ringing, sample_times
 
 STILL = Encoder("speed", "speed")
 
@@ -82,6 +82,16 @@ def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], dam
     envelope, carrier = order_envelope(machine, profile, 0)
     ours = (envelope[0] * carrier).real
     assert np.abs(ours - (0.02 * bent + 0.01 * driven)).max() < 1e-6 * np.abs(ours).max()
+
+
+def test_what_rings_at_the_start_decays_as_the_mode_does() -> None:
+    machine = replace(one_mode(damping=0.01), ring=(2.0,), rate_hz=4000.0)
+    time_s = np.arange(8000) / machine.rate_hz
+    size = np.abs(hilbert(ringing(machine, time_s, np.random.default_rng(3))[0]))
+    inside = (time_s > 0.1) & (time_s < 1.0)
+    slope, level = np.polyfit(time_s[inside], np.log(size[inside]), 1)
+    assert slope == pytest.approx(machine.modes[0].pole.real, rel=0.01)
+    assert np.exp(level) == pytest.approx(2.0, rel=0.02)
 
 
 def test_the_angle_is_the_integral_of_the_speed() -> None:
