@@ -63,7 +63,10 @@ def campaign(
         short = tuple(name for name in classes if _is_short(scores, name, intervals, most))
         if not short:
             break
-        scores += score_scenes(drawn_scenes(5 * len(short), short, seed + more), jobs=jobs, told=told)
+        try:
+            scores += score_scenes(drawn_scenes(5 * len(short), short, seed + more), jobs=jobs, told=told)
+        except Interrupted as stopped:
+            raise Interrupted(scores + stopped.scores) from None
     return scores
 
 
@@ -140,14 +143,31 @@ def _load_program() -> None:
 def score_scenes(scenes: list[Scene], *, jobs: int, told: bool = False, keep: Path | None = None) -> list[SceneScore]:
     """Scores of ``scenes``, ``jobs`` at a time; each is ``told`` on stderr when done, its files kept in ``keep``."""
     _load_program()
-    scores = []
+    scores: list[SceneScore] = []
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
-        for done, score in enumerate(pool.map(partial(score_scene, keep=keep), scenes), start=1):
-            scores.append(score)
-            if told:
-                state = score.message or f"{sum(not one.good for one in score.marks)} wrong"
-                print(f"{done}/{len(scenes)} {score.class_name} {score.seed}: {state}", file=sys.stderr, flush=True)
+        try:
+            for score in pool.map(partial(score_scene, keep=keep), scenes):
+                scores.append(score)
+                if told:
+                    _tell(score, f"{len(scores)}/{len(scenes)}")
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise Interrupted(scores) from None
     return scores
+
+
+class Interrupted(Exception):  # no error: the user has seen enough
+    """Ctrl-C; ``scores`` are those that were done."""
+
+    def __init__(self, scores: list[SceneScore]) -> None:
+        """Keep ``scores``."""
+        super().__init__("interrupted")
+        self.scores = scores
+
+
+def _tell(score: SceneScore, place: str) -> None:
+    state = score.message or f"{sum(not one.good for one in score.marks)} wrong"
+    print(f"{place} {score.class_name} {score.seed}: {state}", file=sys.stderr, flush=True)
 
 
 def main() -> None:
@@ -164,12 +184,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for every judgement")
     asked = parser.parse_args()
     seed = secrets.randbits(31) if asked.seed is None else asked.seed
-    if asked.scene_seed:
-        scenes = [Scene(name, one) for name in asked.classes for one in asked.scene_seed]
-        scores = score_scenes(scenes, jobs=asked.jobs, told=True, keep=asked.keep)
-    else:
-        classes = tuple(asked.classes)
-        scores = campaign(asked.scenes, classes, seed, jobs=asked.jobs, intervals=asked.intervals, told=True)
+    try:
+        if asked.scene_seed:
+            scenes = [Scene(name, one) for name in asked.classes for one in asked.scene_seed]
+            scores = score_scenes(scenes, jobs=asked.jobs, told=True, keep=asked.keep)
+        else:
+            classes = tuple(asked.classes)
+            scores = campaign(asked.scenes, classes, seed, jobs=asked.jobs, intervals=asked.intervals, told=True)
+    except Interrupted as stopped:
+        scores = stopped.scores
     text = table_text(scores, seed=seed)
     print(text)
     if asked.out:

@@ -128,6 +128,7 @@ def test_the_floors_of_two_channels_are_as_coherent_as_stated() -> None:
 def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_path: Path) -> None:
     machine = draw_machine(class_name, 11)
     assert machine == draw_machine(class_name, 11)
+    machine = replace(machine, profiles=machine.profiles[:2])
     takes = write_folder(machine, tmp_path / "a")
     files = sorted((tmp_path / "a").glob("rec_*.h5"))
     assert len(files) == len(takes) == len(machine.profiles)
@@ -140,7 +141,7 @@ def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_p
 
 def test_orders_stay_below_half_the_sampling_rate_in_every_class() -> None:
     for class_name in CLASSES:
-        for seed in range(20):
+        for seed in range(6):
             machine = draw_machine(class_name, seed)
             fastest = max(rpm for profile in machine.profiles for rpm in profile.rpm)
             assert max(order.order for order in machine.orders) * fastest / 60.0 < 0.45 * machine.rate_hz
