@@ -28,6 +28,8 @@ Z95, SMALLEST_SLIP, KNOWN_FREQUENCY = 1.96, 0.003, 0.002
 LARGEST_TURN_RAD = 3.0
 """Of a force between two samples of the coarse grid of a sweep."""
 MOST_ROWS = 3000
+CLEAR = 8.0
+"""Amplitude over its standard error at which an order stands clear of the noise."""
 FORCE_POWERS = 3
 """Powers of speed in the unknown smooth factor of each force."""
 STEP = 1e-3
@@ -109,53 +111,61 @@ class _Rows:
     frequency_hz: FloatArray
     force: ComplexArray
     angle: FloatArray
-    responses: list[tuple[ComplexArray, ComplexArray, ComplexArray]]
+    responses: list[tuple[ComplexArray, ...]]
     """By mode: response for unit shape, its derivatives by frequency and damping, (row,)."""
 
 
 def _from_order(machine: Machine, number: int) -> tuple[FloatArray, float, bool]:
     """Information on all poles from order ``number``; error of its order; whether it stands clear of the noise."""
     parts = [_rows(machine, profile, number) for profile in machine.profiles]
-    order, n_modes, n_channels = machine.orders[number], len(machine.modes), len(machine.channels)
     weight = np.concatenate([part.weight_s for part in parts])
-    force = np.concatenate([part.force for part in parts])
-    inverse = np.linalg.inv(machine.floor_psd(np.concatenate([part.frequency_hz for part in parts])))
-    columns: list[ComplexArray] = []  # each (channel, row)
-    for kind in (1, 2):
-        for place, mode in enumerate(machine.modes):
-            slope = np.concatenate([part.responses[place][kind] for part in parts])
-            columns.append(np.asarray(mode.drive[number] * np.asarray(mode.shape)[:, None] * slope))
-    basis = [np.concatenate([part.responses[place][0] for part in parts]) for place in range(n_modes)] + [force]
-    total = np.asarray(order.direct)[:, None] * force
-    for place, mode in enumerate(machine.modes):
-        total = total + mode.drive[number] * np.asarray(mode.shape)[:, None] * basis[place]
-    for channel in range(n_channels):
-        for response in basis:
-            column = np.zeros((n_channels, weight.size), dtype=complex)
-            column[channel] = response
-            columns += [column, 1j * column]
-    speed = np.concatenate([part.frequency_hz for part in parts])
-    middle, half = 0.5 * (speed.max() + speed.min()), max(0.5 * np.ptp(speed), 1e-3 * speed.max())
-    for power in range(1, FORCE_POWERS + 1):
-        bent = total * ((speed - middle) / half) ** power
-        columns += [bent, 1j * bent]
-    stacked = np.stack(columns)
-    whitened = np.einsum("rcd,pdr->pcr", inverse, stacked, optimize=True) * weight
-    gram = np.einsum("pcr,qcr->pq", np.conj(stacked), whitened, optimize=True).real
+    hertz = np.concatenate([part.frequency_hz for part in parts])
+    inverse = np.linalg.inv(machine.floor_psd(hertz))
+    columns, total = _columns(machine, number, parts)
+    whitened = np.einsum("rcd,pdr->pcr", inverse, columns, optimize=True) * weight
+    gram = np.einsum("pcr,qcr->pq", np.conj(columns), whitened, optimize=True).real
     density = np.einsum("cr,rcd,dr->r", np.conj(total), inverse, total, optimize=True).real * weight
-    turning, at = 0.0, 0
-    for part in parts:
+    turning, strongest, at = 0.0, 0.0, 0
+    for part in parts:  # each recording has a phase of its own, for a slipping order keeps none between them
         own = density[at : at + part.weight_s.size]
         at += part.weight_s.size
         centre = float((own * part.angle).sum() / max(own.sum(), 1e-300))
         turning += float((own * (2.0 * np.pi * (part.angle - centre)) ** 2).sum())
-    clear = max(float(density[_slice(parts, place)].sum()) for place in range(len(parts))) >= 64.0
-    return _without_nuisance(gram, 2 * n_modes), 1.0 / np.sqrt(max(turning, 1e-300)), clear
+        strongest = max(strongest, float(own.sum()))
+    error = 1.0 / np.sqrt(max(turning, 1e-300))
+    return _without_nuisance(gram, 2 * len(machine.modes)), error, strongest >= CLEAR**2
 
 
-def _slice(parts: list[_Rows], place: int) -> slice:
-    start = sum(part.weight_s.size for part in parts[:place])
-    return slice(start, start + parts[place].weight_s.size)
+def _columns(machine: Machine, number: int, parts: list[_Rows]) -> tuple[ComplexArray, ComplexArray]:
+    """Derivatives of the envelopes by every parameter, (parameter, channel, row), and the envelopes, (channel, row).
+
+    First the poles: frequencies, then damping ratios; then how strongly each mode and the direct path show, by channel;
+    then the smooth factor of the force.
+    """
+    order, n_channels = machine.orders[number], len(machine.channels)
+    force = np.concatenate([part.force for part in parts])
+    columns: list[ComplexArray] = []
+    joined = [
+        [np.concatenate([part.responses[place][kind] for part in parts]) for place in range(len(machine.modes))]
+        for kind in range(3)
+    ]
+    strength = [mode.drive[number] * np.asarray(mode.shape)[:, None] for mode in machine.modes]
+    for kind in (1, 2):
+        columns += [np.asarray(strong * slope) for strong, slope in zip(strength, joined[kind], strict=True)]
+    total = np.asarray(order.direct)[:, None] * force
+    for strong, response in zip(strength, joined[0], strict=True):
+        total = total + strong * response
+    for channel in range(n_channels):
+        for response in (*joined[0], force):
+            column = np.zeros((n_channels, force.size), dtype=complex)
+            column[channel] = response
+            columns += [column, 1j * column]
+    hertz = np.concatenate([part.frequency_hz for part in parts])
+    middle, half = 0.5 * (hertz.max() + hertz.min()), max(0.5 * float(np.ptp(hertz)), 1e-3 * float(hertz.max()))
+    for power in range(1, FORCE_POWERS + 1):
+        bent = total * ((hertz - middle) / half) ** power
+        columns += [bent, 1j * bent]
+    return np.stack(columns), np.asarray(total)
 
 
 def _without_nuisance(gram: FloatArray, wanted: int) -> FloatArray:
@@ -179,7 +189,7 @@ def _steady_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
     """A recording at one speed: a few rows that differ in angle only."""
     order, rpm = machine.orders[number], float(np.mean(profile.rpm))
     frequency = np.array([order.order * rpm / 60.0])
-    ones = np.ones(16)
+    ones, steady = np.ones(16), np.ones(16, dtype=np.complex128)
     angle = rpm / 60.0 * profile.duration_s * (np.arange(16) + 0.5) / 16
     force = complex(order.force(rpm))
 
@@ -191,8 +201,8 @@ def _steady_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
         df, dz = _steps(mode)
         by_f = (unit(_moved(mode, frequency=df)) - unit(_moved(mode, frequency=-df))) / (2.0 * df)
         by_z = (unit(_moved(mode, damping=dz)) - unit(_moved(mode, damping=-dz))) / (2.0 * dz)
-        responses.append((unit(mode) * ones, by_f * ones, by_z * ones))
-    return _Rows(profile.duration_s / 16 * ones, frequency[0] * ones, force * ones, angle, responses)
+        responses.append(tuple(np.asarray(value * steady) for value in (unit(mode), by_f, by_z)))
+    return _Rows(profile.duration_s / 16 * ones, frequency[0] * ones, np.asarray(force * steady), angle, responses)
 
 
 def _swept_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
@@ -219,7 +229,7 @@ def _swept_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
         swing = (s**2 * up - np.conj(s**2) * down) / (2j * s.imag)
         return np.asarray(swing * np.conj(carrier[thin]) + envelope[thin])
 
-    responses = []
+    responses: list[tuple[ComplexArray, ...]] = []
     for mode in machine.modes:
         df, dz = _steps(mode)
         middle = unit(mode)

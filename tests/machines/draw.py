@@ -24,6 +24,9 @@ STEADY = CLASSES[:5]
 LOWEST_MODE_HZ, HIGHEST_MODE_HZ = 25.0, 450.0
 MOST_SAMPLES = 1_500_000
 """Of one channel over a whole test, so that a test takes seconds."""
+CLOSEST_ORDERS, LONGEST_BEAT = 0.025, 1.5
+"""Orders are at least so far apart, and a steady recording lasts so many beats of the two closest."""
+GEAR_CHANCE, RING_CHANCE = 0.12, 0.15
 RATES_HZ = (2000.0, 2560.0, 4096.0, 5000.0, 6400.0, 8192.0, 10240.0, 12800.0, 20000.0, 25600.0)
 
 
@@ -31,7 +34,8 @@ def draw_machine(class_name: str, seed: int) -> Machine:
     """The machine of ``class_name`` (one of CLASSES) that ``seed`` gives: the same on every computer."""
     rng = np.random.default_rng([seed, CLASSES.index(class_name)])
     n_channels = int(rng.integers(1, 4))
-    numbers = _order_numbers(rng)
+    teeth = int(rng.integers(21, 46)) if rng.random() < GEAR_CHANCE else 0
+    numbers = _order_numbers(rng, teeth)
     speeds = _speed_range(rng, class_name)
     mains_hz = float(rng.choice([50.0, 60.0]))
     has_mains = bool(rng.random() < 0.4)
@@ -56,6 +60,7 @@ def draw_machine(class_name: str, seed: int) -> Machine:
         force_density=(1.0,) * sources,
         mains_hz=mains_hz,
         steady=class_name in STEADY,
+        gear_teeth=teeth,
     )
     return _with_levels(rng, machine, has_mains)
 
@@ -68,15 +73,19 @@ def _broadband_chance(class_name: str) -> float:
     return 0.25 if class_name in ("coarse steps", "on resonance") else 0.5
 
 
-def _order_numbers(rng: np.random.Generator) -> tuple[float, ...]:
-    """Two to five half orders up to 12, sometimes with one that slips, sometimes with a close neighbour."""
+def _order_numbers(rng: np.random.Generator, teeth: int) -> tuple[float, ...]:
+    """Two to five half orders up to 12, sometimes with one that slips or a close neighbour; the mesh of ``teeth``."""
     chosen = set(rng.choice(np.arange(1, 25), size=int(rng.integers(2, 6)), replace=False) / 2.0)
     if rng.random() < 0.3:
         base = float(rng.choice(np.arange(3, 24))) / 2.0
-        chosen.add(round(base * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.003, 0.02)), 4))
+        slipping = round(base * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.003, 0.02)), 4)
+        if min(abs(slipping - number) for number in chosen) >= CLOSEST_ORDERS:
+            chosen.add(slipping)
     if rng.random() < 0.15:
         half = float(rng.choice([2.5, 3.5, 5.5, 7.5]))
         chosen |= {half, round(half * (1.0 - rng.uniform(0.005, 0.012)), 4)}
+    if teeth:
+        chosen.add(float(teeth))
     return tuple(float(number) for number in sorted(chosen))
 
 
@@ -156,13 +165,14 @@ def _profiles(
     if class_name in STEADY:
         means = _steady_speeds(rng, class_name, speeds, numbers, modes)
         shortest = rng.uniform(5.0, 15.0) if len(means) <= 3 else rng.uniform(2.0, 4.0)
-        return tuple(_steady(rng, rpm, max(shortest, 40.0 * 60.0 / rpm)) for rpm in means)
+        beat = LONGEST_BEAT / float(np.diff(numbers).min()) if len(numbers) > 1 else 0.0
+        return tuple(_steady(rng, rpm, max(shortest, max(40.0, beat) * 60.0 / rpm)) for rpm in means)
     time_s, rpm = _sweep(rng, class_name, speeds)
     repeats = int(rng.integers(2, 5)) if class_name == "repeated sweep" else 1
     profiles = []
     for _ in range(repeats):
         stretch = 1.0 if repeats == 1 else rng.uniform(0.95, 1.05)
-        knots = tuple(round(stretch * value, 3) for value in time_s)
+        knots = tuple(round(float(stretch * value), 3) for value in time_s)
         profiles.append(Profile(knots, tuple(float(value) for value in rpm), float(rng.uniform(0.0, 2.0))))
     return tuple(profiles)
 
@@ -278,12 +288,16 @@ def _with_levels(rng: np.random.Generator, machine: Machine, has_mains: bool) ->
         rms = np.sqrt(np.trace(unit, axis1=1, axis2=2).real.sum() * 0.05 / len(machine.channels))
         density = (weakest * _log_uniform(rng, 0.05, 1.0) / rms,) * len(machine.force_density)
     tones = _mains(rng, machine, weakest) if has_mains else ()
+    ring: tuple[float, ...] = ()
+    if rng.random() < RING_CHANCE:
+        ring = tuple(float(value) for value in weakest * rng.uniform(0.1, 3.0, len(machine.modes)))
     return replace(
         machine,
         orders=tuple(orders),
         noise_density=tuple(float(noise * rng.uniform(0.7, 1.4)) for _ in machine.channels),
         force_density=tuple(float(value) for value in density),
         tones=tones,
+        ring=ring,
     )
 
 

@@ -120,6 +120,8 @@ def manifest(machine: Machine) -> str:
         f'\ndirection = "+{name}"'
         for name in machine.channels
     ]
+    if machine.gear_teeth:
+        lines.append(f'[[gears]]\nname = "pump drive"\nteeth = {machine.gear_teeth}')
     source, kind = {
         "speed": ("speed", "speed"),
         "trace": ("encoder", "square"),

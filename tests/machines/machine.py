@@ -142,6 +142,10 @@ class Machine:
     mains_hz: float
     steady: bool
     """Whether every recording keeps one speed."""
+    ring: tuple[float, ...] = ()
+    """Acceleration, m/s², with which each mode still rings when a recording starts; empty: not at all."""
+    gear_teeth: int = 0
+    """Teeth of a stated wheel on the shaft, whose mesh is one of the orders; 0: none."""
 
     @cached_property
     def tested_rpm(self) -> tuple[float, ...]:

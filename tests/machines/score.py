@@ -17,6 +17,7 @@ import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -62,7 +63,10 @@ def campaign(
         short = tuple(name for name in classes if _is_short(scores, name, intervals, most))
         if not short:
             break
-        scores += score_scenes(drawn_scenes(5 * len(short), short, seed + more), jobs=jobs, told=told)
+        try:
+            scores += score_scenes(drawn_scenes(5 * len(short), short, seed + more), jobs=jobs, told=told)
+        except Interrupted as stopped:
+            raise Interrupted(scores + stopped.scores) from None
     return scores
 
 
@@ -71,9 +75,15 @@ def _is_short(scores: list[SceneScore], name: str, intervals: int, most: int) ->
     return len(own) < most and pooled(own, INTERVALS).of < intervals
 
 
-def score_scene(scene: Scene) -> SceneScore:
-    """Draw ``scene``, run the program on it, judge what it says; a crash is a result too."""
+def score_scene(scene: Scene, keep: Path | None = None) -> SceneScore:
+    """Draw ``scene``, run the program on it, judge what it says; a crash is a result too.
+
+    With ``keep`` the test and what the program wrote stay in a folder of its own there.
+    """
     place = Path(tempfile.mkdtemp(prefix="machine_"))
+    if keep is not None:
+        place = keep / f"{scene.class_name.replace(' ', '-')}-{scene.seed}"
+        shutil.rmtree(place, ignore_errors=True)
     started = time.perf_counter()
     try:
         machine = draw_machine(scene.class_name, scene.seed)
@@ -90,7 +100,8 @@ def score_scene(scene: Scene) -> SceneScore:
         told = f"scorer: {type(error).__name__}: {error}"
         return SceneScore(scene.class_name, scene.seed, time.perf_counter() - started, told, ())
     finally:
-        shutil.rmtree(place, ignore_errors=True)
+        if keep is None:
+            shutil.rmtree(place, ignore_errors=True)
 
 
 def run_program(folder: Path, out: Path) -> str:
@@ -129,17 +140,34 @@ def _load_program() -> None:
     import crankorder.batch.publish  # noqa: F401
 
 
-def score_scenes(scenes: list[Scene], *, jobs: int, told: bool = False) -> list[SceneScore]:
-    """Scores of ``scenes``, ``jobs`` at a time; each is ``told`` on stderr as it is done."""
+def score_scenes(scenes: list[Scene], *, jobs: int, told: bool = False, keep: Path | None = None) -> list[SceneScore]:
+    """Scores of ``scenes``, ``jobs`` at a time; each is ``told`` on stderr when done, its files kept in ``keep``."""
     _load_program()
-    scores = []
+    scores: list[SceneScore] = []
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
-        for done, score in enumerate(pool.map(score_scene, scenes), start=1):
-            scores.append(score)
-            if told:
-                state = score.message or f"{sum(not one.good for one in score.marks)} wrong"
-                print(f"{done}/{len(scenes)} {score.class_name} {score.seed}: {state}", file=sys.stderr, flush=True)
+        try:
+            for score in pool.map(partial(score_scene, keep=keep), scenes):
+                scores.append(score)
+                if told:
+                    _tell(score, f"{len(scores)}/{len(scenes)}")
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise Interrupted(scores) from None
     return scores
+
+
+class Interrupted(Exception):  # no error: the user has seen enough
+    """Ctrl-C; ``scores`` are those that were done."""
+
+    def __init__(self, scores: list[SceneScore]) -> None:
+        """Keep ``scores``."""
+        super().__init__("interrupted")
+        self.scores = scores
+
+
+def _tell(score: SceneScore, place: str) -> None:
+    state = score.message or f"{sum(not one.good for one in score.marks)} wrong"
+    print(f"{place} {score.class_name} {score.seed}: {state}", file=sys.stderr, flush=True)
 
 
 def main() -> None:
@@ -151,16 +179,20 @@ def main() -> None:
     parser.add_argument("--scene-seed", type=int, nargs="+", help="these machines alone, by their own seeds")
     parser.add_argument("--intervals", type=int, default=0, help="more scenes until every class has so many intervals")
     parser.add_argument("--jobs", type=int, default=2, help="scenes at a time")
+    parser.add_argument("--keep", type=Path, help="with --scene-seed: folder in which tests and results are kept")
     parser.add_argument("--out", type=Path, help="file for the table")
     parser.add_argument("--json", type=Path, help="file for every judgement")
     asked = parser.parse_args()
     seed = secrets.randbits(31) if asked.seed is None else asked.seed
-    if asked.scene_seed:
-        scenes = [Scene(name, one) for name in asked.classes for one in asked.scene_seed]
-        scores = score_scenes(scenes, jobs=asked.jobs, told=True)
-    else:
-        classes = tuple(asked.classes)
-        scores = campaign(asked.scenes, classes, seed, jobs=asked.jobs, intervals=asked.intervals, told=True)
+    try:
+        if asked.scene_seed:
+            scenes = [Scene(name, one) for name in asked.classes for one in asked.scene_seed]
+            scores = score_scenes(scenes, jobs=asked.jobs, told=True, keep=asked.keep)
+        else:
+            classes = tuple(asked.classes)
+            scores = campaign(asked.scenes, classes, seed, jobs=asked.jobs, intervals=asked.intervals, told=True)
+    except Interrupted as stopped:
+        scores = stopped.scores
     text = table_text(scores, seed=seed)
     print(text)
     if asked.out:

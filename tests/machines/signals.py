@@ -91,6 +91,16 @@ def broadband(machine: Machine, n_samples: int, rng: np.random.Generator) -> Flo
     return np.asarray(irfft(spectrum, length)[:, :n_samples])
 
 
+def ringing(machine: Machine, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """What still rings of the modes of ``machine`` at ``time_s``, m/s², (channel, sample); ``rng`` gives the phases."""
+    total = np.zeros((len(machine.channels), time_s.size))
+    for mode, size in zip(machine.modes, machine.ring, strict=False):
+        shape = np.asarray(mode.shape) / np.abs(mode.shape).max()
+        decay = size * np.exp(mode.pole * time_s + 2j * np.pi * rng.random())
+        total += (shape[:, None] * decay).real
+    return total
+
+
 def recorded(machine: Machine, profile: Profile, rng: np.random.Generator) -> tuple[FloatArray, list[ComplexArray]]:
     """Samples (channel, sample), m/s², of one recording of ``machine``, and the envelope of each order in it.
 
@@ -103,6 +113,7 @@ def recorded(machine: Machine, profile: Profile, rng: np.random.Generator) -> tu
         envelope, carrier = order_envelope(machine, profile, number)
         samples += (envelope * carrier).real
         envelopes.append(envelope)
+    samples += ringing(machine, time_s, rng)
     for tone in machine.tones:
         phase = 2.0 * np.pi * tone.frequency_hz * time_s + np.asarray(tone.phase)[:, None]
         samples += np.asarray(tone.amplitude)[:, None] * np.cos(phase)

@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import csd, welch
+from scipy.signal import csd, hilbert, welch
 
 from machines.draw import CLASSES, draw_machine
 from machines.folder import write_folder
 from machines.machine import Encoder, Machine, Mode, Order, Profile
-from machines.signals import broadband, order_envelope, sample_times
+from machines.signals import broadband, order_envelope, ringing, sample_times
 
 STILL = Encoder("speed", "speed")
 
@@ -84,6 +84,16 @@ def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], dam
     assert np.abs(ours - (0.02 * bent + 0.01 * driven)).max() < 1e-6 * np.abs(ours).max()
 
 
+def test_what_rings_at_the_start_decays_as_the_mode_does() -> None:
+    machine = replace(one_mode(damping=0.01), ring=(2.0,), rate_hz=4000.0)
+    time_s = np.arange(8000) / machine.rate_hz
+    size = np.abs(hilbert(ringing(machine, time_s, np.random.default_rng(3))[0]))
+    inside = (time_s > 0.1) & (time_s < 1.0)
+    slope, level = np.polyfit(time_s[inside], np.log(size[inside]), 1)
+    assert slope == pytest.approx(machine.modes[0].pole.real, rel=0.01)
+    assert np.exp(level) == pytest.approx(2.0, rel=0.02)
+
+
 def test_the_angle_is_the_integral_of_the_speed() -> None:
     profile = Profile((0.0, 1.0, 1.5, 4.0), (900.0, 1500.0, 1200.0, 3000.0), 0.25, 7.0, 0.9, 0.4)
     time_s = np.linspace(0.0, 4.0, 400_001)
@@ -118,6 +128,7 @@ def test_the_floors_of_two_channels_are_as_coherent_as_stated() -> None:
 def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_path: Path) -> None:
     machine = draw_machine(class_name, 11)
     assert machine == draw_machine(class_name, 11)
+    machine = replace(machine, profiles=machine.profiles[:2])
     takes = write_folder(machine, tmp_path / "a")
     files = sorted((tmp_path / "a").glob("rec_*.h5"))
     assert len(files) == len(takes) == len(machine.profiles)
@@ -130,7 +141,7 @@ def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_p
 
 def test_orders_stay_below_half_the_sampling_rate_in_every_class() -> None:
     for class_name in CLASSES:
-        for seed in range(20):
+        for seed in range(6):
             machine = draw_machine(class_name, seed)
             fastest = max(rpm for profile in machine.profiles for rpm in profile.rpm)
             assert max(order.order for order in machine.orders) * fastest / 60.0 < 0.45 * machine.rate_hz
@@ -152,6 +163,9 @@ def test_the_encoder_tells_the_angle_that_was_driven(encoder: str, tmp_path: Pat
             times = (np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz
     turned = (machine.profiles[0].angle(times) + 40.0 / 360.0) * 60
     late = turned - np.round(turned - 0.3)
-    assert (late > -1e-9).all()
-    assert late.max() < 900.0 / 60.0 * 60 * (1e-4 if encoder == "trace" else 1e-6) + 1e-6
+    teeth_per_s = 900.0 / 60.0 * 60
+    # a trace shows an edge at the first sample behind it; a counter gives the nearest tick of its 1 MHz
+    earliest, latest = (0.0, 1e-4) if encoder == "trace" else (-0.5e-6, 0.5e-6)
+    assert late.min() > teeth_per_s * earliest - 1e-6
+    assert late.max() < teeth_per_s * latest + 1e-6
     assert set(np.unique(np.mod(np.round(turned - 0.3), 60)).astype(int)) == set(range(58))

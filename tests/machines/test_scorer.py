@@ -219,9 +219,12 @@ def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound() -> None:
     profile, rng = machine.profiles[0], np.random.default_rng(4)
     truth = order_envelope(machine, profile, 0)[0][0]
     columns = []
-    for change in ({"frequency_hz": 60.0 + 1e-4}, {"damping_ratio": 0.01 + 1e-6}):
-        other = replace(machine, modes=(replace(machine.modes[0], **change),))
-        step = next(iter(change.values())) - (60.0 if "frequency_hz" in change else 0.01)
+    mode = machine.modes[0]
+    for moved, step in (
+        (replace(mode, frequency_hz=mode.frequency_hz + 1e-4), 1e-4),
+        (replace(mode, damping_ratio=mode.damping_ratio + 1e-6), 1e-6),
+    ):
+        other = replace(machine, modes=(moved,))
         columns.append((order_envelope(other, profile, 0)[0][0] - truth) / step)
     direct = machine.orders[0].force(profile.speed(sample_times(machine, profile)))
     x = (profile.speed(sample_times(machine, profile)) - 1800.0) / 200.0
