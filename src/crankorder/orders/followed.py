@@ -186,10 +186,9 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
     its own row. The coordinate ``track_method`` says of each order how it was followed; flags of ``followed`` join.
     """
     items = [item for item in followed if "amplitude" in item and not item.attrs.get("swept", 0)]
-    method = np.full(tracks.sizes["order"], "frames", dtype="<U16")
-    tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
     if not items:
         return tracks
+    method = tracks["track_method"].values.copy()
     groups, remarks = _frames_of_speeds(tracks, items)
     for row, order in enumerate(tracks["order"].values):
         place = np.flatnonzero(np.abs(items[0]["order"].values - order) < SAME_ORDER)

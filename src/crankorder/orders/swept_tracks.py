@@ -13,6 +13,7 @@ from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.track_means import POLES
+from crankorder.orders.vold_kalman.bandwidth import impulse_response
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
 from crankorder.orders.vold_kalman.noise import FRAME_BANDWIDTHS, level_dof, student_factor
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
@@ -37,6 +38,9 @@ KNOTS = 8
 
 MOST_VALUES = 1 << 22
 """Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
+
+MEMORY = 4.0
+"""Reciprocal bandwidths after which the filter has all but forgotten."""
 
 MARGIN = 6.0
 """Reciprocal bandwidths that a piece overlaps into the next: the filter's memory."""
@@ -155,6 +159,26 @@ def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[NDArray
     return amplitude, error
 
 
+def _smoothing(amplitude: NDArray[np.complex128], plan: _Plan) -> NDArray[np.complex128]:
+    """What the filter would take of ``amplitude`` (channels, orders, rows) once more: nearly what it took at first."""
+    width = plan.widths(plan.rows_s)
+    # rows are half a reciprocal of the widest bandwidth apart
+    step = 0.5 * width / width.max(axis=0)
+    place = np.cumsum(step, axis=1)
+    reach = min(amplitude.shape[2] - 1, int(np.ceil(MEMORY / step.min())))
+    known = np.isfinite(amplitude)
+    filled, held = np.where(known, amplitude, 0.0), known.astype(np.float64)
+    total, weight = np.zeros_like(filled), np.zeros(filled.shape)
+    for lag in range(-reach, reach + 1):
+        here = slice(max(0, -lag), amplitude.shape[2] - max(0, lag))
+        there = slice(max(0, lag), amplitude.shape[2] - max(0, -lag))
+        gain = impulse_response(place[:, there] - place[:, here], POLES) * step[:, there]
+        total[..., here] += gain * filled[..., there]
+        weight[..., here] += gain * held[..., there]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(amplitude - total / weight)
+
+
 def _piece(
     band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: NDArray[np.int64]
 ) -> tuple[VoldKalmanTracks, NDArray[np.int64]] | None:
@@ -227,6 +251,9 @@ def _dataset(
         "degrees_of_freedom": np.where(np.isfinite(error), freedom, 0.0),
     }
     put_track_values(found, values)
+    taken = np.concatenate([_smoothing(one, plan) for plan, one, _ in made] or [np.empty(shape, dtype=complex)], axis=2)
+    words = {"units": "see unit", "long_name": "what the filter takes of amplitude once more: nearly its bias"}
+    found["smoothing"] = (("channel", "order", "frame"), taken, words)
     found.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
     found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}
