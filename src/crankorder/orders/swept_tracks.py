@@ -17,7 +17,7 @@ from crankorder.orders.vold_kalman.bandwidth import impulse_response
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
 from crankorder.orders.vold_kalman.noise import FRAME_BANDWIDTHS, level_dof, student_factor
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
-from crankorder.shaft.angle import angle_at, knots_of
+from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.smoothed_speed import SpeedCourse, smoothed_speed, speed_course
 
 RESOLVED_DAMPING = 0.01
@@ -106,10 +106,14 @@ def bandwidths_hz(orders: Array, course: SpeedCourse) -> Array:
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
-    """First and last time [s] that samples and angle both know."""
+    """First and last time [s] that samples and angle both know, without the tooth beyond the first and last pulse."""
     start, rate = float(band.attrs.get("start_s", 0.0)), float(band.attrs["rate_hz"])
-    known = shaft["time"].values
-    return max(start, float(known[0])), min(start + (band["signal"].shape[1] - 1) / rate, float(known[-1]))
+    knots = knots_of(shaft)
+    teeth = float(shaft.attrs.get("teeth_per_rev", 0.0))
+    beyond = 1.0 / teeth if teeth > 0.0 else 0.0
+    ends = knots["knot_angle_rev"][[0, -1]] + np.array([beyond, -beyond])
+    first, last = time_at(ends, **knots) if ends[1] > ends[0] else knots["knot_time_s"][[0, -1]]
+    return max(start, float(first)), min(start + (band["signal"].shape[1] - 1) / rate, float(last))
 
 
 def _rows(course: SpeedCourse, width_hz: Array, span_s: tuple[float, float]) -> Array:

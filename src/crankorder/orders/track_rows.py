@@ -63,7 +63,7 @@ class OrderRows:
 
     @classmethod
     def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
-        """Rows in which nothing is known."""
+        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
         given = [np.full((n_channels, n_rows), np.nan) for _ in fields(cls)]
         given[3] = np.zeros((n_channels, n_rows))
         return cls(*given)
