@@ -242,10 +242,17 @@ def findings(
 
 
 @stage
-def tracks(order_map: OrderMap, findings: Findings, followed: AllRecordingTracks, settings: Settings) -> OrderTracks:
-    """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` or as they were ``followed``."""
+def tracks(
+    order_map: OrderMap,
+    findings: Findings,
+    frames: AllOrderFrames,
+    followed: AllRecordingTracks,
+    settings: Settings,
+) -> OrderTracks:
+    """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
     orders = followed_orders(order_map, findings, settings.orders)
-    return OrderTracks(with_followed(order_tracks(order_map, orders, settings=settings.orders), followed))
+    made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed)
+    return OrderTracks(with_followed(made, followed))
 
 
 @stage

@@ -26,7 +26,8 @@ from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
 from crankorder.orders.vold_kalman.noise import level_dof, student_factor
 from crankorder.quantities import QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of
+from crankorder.shaft.angle import angle_at, knots_of, time_at
+from crankorder.shaft.smoothed_speed import smoothed_speed, speed_course
 
 LEAST_USABLE = 0.5
 """Share of a frame's samples that must be usable for the filter to be read in its middle."""
@@ -78,10 +79,10 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     """Complex amplitudes (channel, order, frame) by the Vold–Kalman filter, in the middle of frames of whole cycles.
 
     ``band``, ``shaft`` and ``settings`` are those of :func:`followed_tracks`. ``speed`` is that in the middle of each
-    frame; ``bandwidth_rev`` (frame,) is the bandwidth in cycles per revolution, which says how much neighbouring
-    frames have in common. NaN are orders beyond half the sample rate, channels with too few usable samples, and frames
-    that are for the most part not usable. Raises InputError for a recording by crank angle of unknown speed, or where
-    not one cycle was recorded, and RequestError where orders cannot be told apart within the bandwidth.
+    frame, over a reciprocal bandwidth; ``bandwidth_rev`` (frame,) is the bandwidth in cycles per revolution, which says
+    how much neighbouring frames have in common. NaN are orders beyond half the sample rate, channels with too few
+    usable samples, and frames that are for the most part not usable. Raises InputError for a recording by crank angle
+    of unknown speed, or where not one cycle was recorded, and RequestError where orders cannot be told apart within the bandwidth.
     """
     rate, angle, speed = _of_samples(band, shaft)
     known = np.flatnonzero(np.isfinite(angle))
@@ -121,9 +122,20 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
         "degrees_of_freedom": np.where(seen & np.isfinite(error), freedom, 0.0),
     }
     made = tracks_in_frames(band, shaft, orders, spans, values, method="vold_kalman")
-    _put_middles(made, speed[middle], width[middle])
+    _put_middles(made, _speeds_of_rows(shaft, spans, speed[middle], width[middle]), width[middle])
     beyond, some_short = np.delete(orders, carried), len(enough) < len(signals)
     return with_flags(made, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
+
+
+def _speeds_of_rows(shaft: xr.Dataset, spans: Spans, speed_rpm: Array, bandwidth_hz: Array) -> Array:
+    """Speed [rpm] in the middle of ``spans`` by ``shaft``, over the time that the filter looks at.
+
+    ``speed_rpm`` is that of a recording by crank angle, where nothing else is known.
+    """
+    if shaft.attrs.get("domain", "time") == "crank_angle":
+        return speed_rpm
+    middle = time_at(0.5 * (spans[0] + spans[1]), **knots_of(shaft))
+    return smoothed_speed(shaft, middle, 1.0 / bandwidth_hz)
 
 
 def _put_middles(made: xr.Dataset, speed_rpm: Array, bandwidth_hz: Array) -> None:
@@ -163,8 +175,8 @@ def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, NDArray[np.
     knots = knots_of(shaft)
     time_s = float(band.attrs.get("start_s", 0.0)) + np.arange(n) / rate
     angle = angle_at(time_s, **knots)
-    speed = np.interp(time_s, knots["knot_time_s"], knots["knot_speed_rpm"])
-    return rate, angle, np.maximum(speed, 1e-6)
+    course = speed_course(shaft)
+    return rate, angle, np.interp(time_s, course.time_s, course.speed_rpm)
 
 
 def _flags(recording: str, notes: tuple[str, ...], beyond: Array, some_short: bool) -> list[QualityFlag]:
@@ -186,10 +198,9 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
     its own row. The coordinate ``track_method`` says of each order how it was followed; flags of ``followed`` join.
     """
     items = [item for item in followed if "amplitude" in item and not item.attrs.get("swept", 0)]
-    method = np.full(tracks.sizes["order"], "frames", dtype="<U16")
-    tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
     if not items:
         return tracks
+    method = tracks["track_method"].values.copy()
     groups, remarks = _frames_of_speeds(tracks, items)
     for row, order in enumerate(tracks["order"].values):
         place = np.flatnonzero(np.abs(items[0]["order"].values - order) < SAME_ORDER)

@@ -182,9 +182,9 @@ def _flags(
         rate = float(np.median(course.rate_rpm_per_s[course.runs]))
         detail = f"the speed changes by {rate:.3g} rpm/s: frames of {wanted} instead of {settings.revs_per_frame}"
         remarks.append(("frames_shortened", f"{detail} revolutions"))
-    if layout.standing:
-        detail = f"{layout.standing} of {layout.standing + len(layout.begin_rev)} frames in which the shaft stands"
-        remarks.append(("standstill", f"{detail} are left out"))
+    if layout.left_out:
+        detail = f"{layout.left_out} of {layout.left_out + len(layout.begin_rev)} frames in which the shaft stands, or"
+        remarks.append(("frames_left_out", f"{detail} starts, stops or steps, stand for no speed"))
     if layout.revs < wanted:
         detail = f"frames of {layout.revs} instead of {settings.revs_per_frame} revolutions"
         remarks.append(("short_recording", detail))

@@ -16,6 +16,7 @@ from crankorder.orders.least_squares import JointOrders, joint_orders
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
+from crankorder.shaft.smoothed_speed import speed_at_angle
 
 Spans = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Crank angles [rev] at which frames begin and end."""
@@ -229,7 +230,7 @@ def tracks_in_frames(
     begin, end = spans
     made = xr.Dataset(coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})})
     speed, time_s = _speed_and_time(shaft, spans)
-    made.coords["speed"] = ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"})
+    made.coords["speed"] = ("frame", speed, {"units": "min-1", "long_name": "speed in the middle of the frame"})
     made.coords["crank_angle"] = ("frame", begin, {"units": "rev", "long_name": "crank angle at the start"})
     made.coords["revs"] = ("frame", np.round(end - begin), {"units": "rev", "long_name": "length of the frame"})
     made.coords["time"] = ("frame", time_s, {"units": "s", "long_name": "time at the start of the frame"})
@@ -251,10 +252,8 @@ def put_track_values(made: xr.Dataset, values: dict[str, NDArray[Any]]) -> None:
 
 
 def _speed_and_time(shaft: xr.Dataset, spans: Spans) -> Spans:
-    """Mean speed [rpm] and first time [s] of the frames of ``spans`` by ``shaft``."""
+    """Speed in the middle [rpm] and first time [s] of the frames of ``spans`` by ``shaft``."""
     begin, end = spans
     if shaft.attrs.get("domain", "time") == "crank_angle":
         return np.full(len(begin), float(shaft["speed"].values.mean())), np.full(len(begin), np.nan)
-    knots = knots_of(shaft)
-    first = time_at(begin, **knots)
-    return 60.0 * (end - begin) / (time_at(end, **knots) - first), first
+    return speed_at_angle(shaft, 0.5 * (begin + end), end - begin), time_at(begin, **knots_of(shaft))

@@ -43,6 +43,11 @@ SLOWEST_SHARE = 0.25
 """Least speed in a frame over its mean below which the shaft is said to stand in it."""
 
 
+MOST_CHANGED, UNUSUAL_CHANGE = 0.3, 3.0
+"""Range of the speed in a frame over its mean, if also so many times that of most frames, from which the frame stands
+for no speed: a step, a start, a stop."""
+
+
 @dataclass(frozen=True)
 class OrderMethod:
     """A way from samples to order spectra and what it costs in accuracy.
@@ -62,8 +67,8 @@ class OrderMethod:
 class FrameLayout:
     """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev.
 
-    They are ``hop_rev`` apart, or further where frames were left out in which the shaft stands (``standing``, how
-    many); ``shortened`` says whether the sweep asked for less than the settings.
+    They are ``hop_rev`` apart, or further where frames were left out that stand for no speed (``left_out``, how many);
+    ``shortened`` says whether the sweep asked for less than the settings.
     """
 
     method: OrderMethod
@@ -71,7 +76,7 @@ class FrameLayout:
     hop_rev: int
     begin_rev: NDArray[np.float64]
     shortened: bool = False
-    standing: int = 0
+    left_out: int = 0
 
 
 def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: int) -> int:
@@ -96,7 +101,7 @@ def frame_layout(
     """Frames of whole cycles that ``band`` and ``shaft`` hold, by the method that ``settings`` ask for.
 
     Where a ``course`` of the speed is given they are as short as its sweep asks for (:func:`swept_revs`) and, if that
-    is shorter than the settings', a quarter of their length apart; frames in which the shaft stands are left out.
+    is shorter than the settings', a quarter of their length apart; frames that stand for no speed are left out.
     Left to itself ("auto") the choice falls on resampling, the cheapest, unless its kernel misses the tolerance,
     takes away the ends of a recording that has too few revolutions anyway, or does not carry the orders wanted.
     Raises InputError where not even one cycle was recorded.
@@ -129,21 +134,22 @@ def frame_layout(
     begin = first + hop * np.arange(count, dtype=np.float64)
     turning = np.ones(count, dtype=bool) if course is None else _turning(begin, revs[chosen], shaft, course)
     return FrameLayout(
-        method, revs[chosen], hop, begin[turning], shortened=wanted < asked, standing=int(count - turning.sum())
+        method, revs[chosen], hop, begin[turning], shortened=wanted < asked, left_out=int(count - turning.sum())
     )
 
 
 def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, course: SpeedCourse) -> NDArray[np.bool_]:
-    """Whether the shaft turns throughout each frame, at no less than a quarter of its mean speed there; or all."""
+    """Whether the shaft turns throughout each frame, and its speed changes little or as it mostly does; or all."""
     knots = knots_of(shaft)
     ends = np.minimum(begin_rev + revs, knots["knot_angle_rev"][-1])
     times = np.array([time_at(begin_rev, **knots), time_at(ends, **knots)])
     mean = 60.0 * revs / np.diff(times, axis=0)[0]
     first, last = np.searchsorted(course.time_s, times)
-    slowest = np.array(
-        [course.speed_rpm[max(a - 1, 0) : b + 1].min() for a, b in zip(first, last, strict=True)], dtype=np.float64
-    )
-    turning = slowest >= SLOWEST_SHARE * mean
+    within = [course.speed_rpm[max(a - 1, 0) : b + 1] for a, b in zip(first, last, strict=True)]
+    slowest, fastest = (np.array([end(part) for part in within], dtype=np.float64) for end in (np.min, np.max))
+    change = (fastest - slowest) / mean
+    steady = change <= max(MOST_CHANGED, UNUSUAL_CHANGE * float(np.median(change)))
+    turning = (slowest >= SLOWEST_SHARE * mean) & steady
     return turning if turning.any() else np.ones(len(begin_rev), dtype=bool)
 
 

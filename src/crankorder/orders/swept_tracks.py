@@ -13,10 +13,11 @@ from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.track_means import POLES
+from crankorder.orders.vold_kalman.bandwidth import impulse_response
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
 from crankorder.orders.vold_kalman.noise import FRAME_BANDWIDTHS, level_dof, student_factor
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
-from crankorder.shaft.angle import angle_at, knots_of
+from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.smoothed_speed import SpeedCourse, smoothed_speed, speed_course
 
 RESOLVED_DAMPING = 0.01
@@ -37,6 +38,9 @@ KNOTS = 8
 
 MOST_VALUES = 1 << 22
 """Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
+
+MEMORY = 4.0
+"""Reciprocal bandwidths after which the filter has all but forgotten."""
 
 MARGIN = 6.0
 """Reciprocal bandwidths that a piece overlaps into the next: the filter's memory."""
@@ -102,10 +106,14 @@ def bandwidths_hz(orders: Array, course: SpeedCourse) -> Array:
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
-    """First and last time [s] that samples and angle both know."""
+    """First and last time [s] that samples and angle both know, without the tooth beyond the first and last pulse."""
     start, rate = float(band.attrs.get("start_s", 0.0)), float(band.attrs["rate_hz"])
-    known = shaft["time"].values
-    return max(start, float(known[0])), min(start + (band["signal"].shape[1] - 1) / rate, float(known[-1]))
+    knots = knots_of(shaft)
+    teeth = float(shaft.attrs.get("teeth_per_rev", 0.0))
+    beyond = 1.0 / teeth if teeth > 0.0 else 0.0
+    ends = knots["knot_angle_rev"][[0, -1]] + np.array([beyond, -beyond])
+    first, last = time_at(ends, **knots) if ends[1] > ends[0] else knots["knot_time_s"][[0, -1]]
+    return max(start, float(first)), min(start + (band["signal"].shape[1] - 1) / rate, float(last))
 
 
 def _rows(course: SpeedCourse, width_hz: Array, span_s: tuple[float, float]) -> Array:
@@ -153,6 +161,26 @@ def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[NDArray
     hidden = ~_usable_rows(band, plan)
     amplitude[np.broadcast_to(hidden[:, None], shape)], error[np.broadcast_to(hidden[:, None], shape)] = np.nan, np.nan
     return amplitude, error
+
+
+def _smoothing(amplitude: NDArray[np.complex128], plan: _Plan) -> NDArray[np.complex128]:
+    """What the filter would take of ``amplitude`` (channels, orders, rows) once more: nearly what it took at first."""
+    width = plan.widths(plan.rows_s)
+    # rows are half a reciprocal of the widest bandwidth apart
+    step = 0.5 * width / width.max(axis=0)
+    place = np.cumsum(step, axis=1)
+    reach = min(amplitude.shape[2] - 1, int(np.ceil(MEMORY / step.min())))
+    known = np.isfinite(amplitude)
+    filled, held = np.where(known, amplitude, 0.0), known.astype(np.float64)
+    total, weight = np.zeros_like(filled), np.zeros(filled.shape)
+    for lag in range(-reach, reach + 1):
+        here = slice(max(0, -lag), amplitude.shape[2] - max(0, lag))
+        there = slice(max(0, lag), amplitude.shape[2] - max(0, -lag))
+        gain = impulse_response(place[:, there] - place[:, here], POLES) * step[:, there]
+        total[..., here] += gain * filled[..., there]
+        weight[..., here] += gain * held[..., there]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(amplitude - total / weight)
 
 
 def _piece(
@@ -227,6 +255,9 @@ def _dataset(
         "degrees_of_freedom": np.where(np.isfinite(error), freedom, 0.0),
     }
     put_track_values(found, values)
+    taken = np.concatenate([_smoothing(one, plan) for plan, one, _ in made] or [np.empty(shape, dtype=complex)], axis=2)
+    words = {"units": "see unit", "long_name": "what the filter takes of amplitude once more: nearly its bias"}
+    found["smoothing"] = (("channel", "order", "frame"), taken, words)
     found.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
     found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}

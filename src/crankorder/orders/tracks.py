@@ -2,78 +2,94 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.intervals import beside_bins, energy_interval, noise_beside
+from crankorder.orders.track_rows import OrderRows, TrackReader
 from crankorder.quantities import flags_of, with_flags
 from crankorder.settings import OrderSettings
-
-MAIN_LOBE_BINS = 4.0
-"""Width of the main lobe of a Hann window: what lies within it is the line's."""
-
 
 BAND_HELD = 0.5
 """Share of a band, or of a main lobe, that must hold numbers for its sum to say something."""
 
-LOBE_NOISE, LOBE_SCATTER, LOBE_BEAT = 4.0 / 1.5, 3.0, 1.3
-"""What noise adds to the energy of a Hann window's main lobe, the variance that it has there without a line, and the
-power with which a line beats with it, in noise powers of a bin (their squares for the variance)."""
 
-
-def order_tracks(order_map: xr.Dataset, orders: list[float], *, settings: OrderSettings) -> xr.Dataset:
-    """OrderTracks of ``orders`` (cycles per crank revolution) from the OrderMap ``order_map``.
+def order_tracks(
+    order_map: xr.Dataset,
+    orders: list[float],
+    *,
+    settings: OrderSettings,
+    frames: Sequence[xr.Dataset] = (),
+    followed: Sequence[xr.Dataset] = (),
+) -> xr.Dataset:
+    """OrderTracks of ``orders`` (cycles per crank revolution) from the OrderMap ``order_map``, each where it is.
 
     On a bin of the map, amplitude, phase and 95 % intervals are those of the coherent average; between bins the
-    amplitude is that of the energy in the main lobe and the phase is NaN. ``band_rms`` is the RMS of everything
-    within ``settings.band_width_orders`` around the order, NaN where the map holds less than half of that. Orders
-    above the map give NaN. The flags are those of the map.
+    amplitude is that of the ``frames`` (OrderFrames, or of the map's energy without them) at the exact order, apart
+    from lines close by, and the phase is NaN. An order that was ``followed`` through a sweep (RecordingTracks) has the
+    rows of that, at speeds of their own. ``band_rms`` is the RMS of everything within ``settings.band_width_orders``
+    around the order, NaN where the map holds less than half of that. Orders above the map give NaN. The flags are
+    those of the map and of what was followed. Speeds rise.
     """
+    reader = TrackReader(order_map, frames=frames, followed=followed)
     axis, asked = order_map["order"].values, np.asarray(orders, dtype=float)
     resolution = float(axis[1] - axis[0])
-    nearest = np.clip(np.rint(asked / resolution).astype(int), 0, len(axis) - 1)
-    on_bin = np.abs(axis[nearest] - asked) < 1e-6
     outside = asked > axis[-1] + 0.5 * resolution
-    enbw = float(order_map.attrs["enbw_bins"])
+    at = np.argsort(reader.speed_rpm, kind="stable")
+    rows = [reader.rows(order, [other for other in orders if other != order]) for order in orders]
+    values = {item.name: [getattr(one, item.name)[:, at] for one in rows] for item in fields(OrderRows)}
+    band = _band_rms(order_map, asked, settings.band_width_orders)
+    nearest = _nearest_row(reader.map_rpm, reader.speed_rpm)[at]
+    values["band_rms"] = [band[:, nearest, number] for number in range(len(orders))]
+    used = np.any([np.isfinite(one) for one in values["amplitude"]], axis=(0, 1)) if orders else np.ones(len(at), bool)
+    # rows of the map that only sweeps went through hold nothing once all orders are followed
+    kept = np.flatnonzero(used | (at < len(reader.map_rpm)) & ~_replaced(reader, at, values["amplitude"]))
+    tracks = xr.Dataset(coords={k: v for k, v in order_map.coords.items() if "speed" not in v.dims and k != "order"})
+    tracks["order"] = ("order", asked, {"units": "1", "long_name": "order"})
+    tracks["speed"] = ("speed", reader.speed_rpm[at][kept], order_map["speed"].attrs)
+    for name, units, long_name in _VARIABLES:
+        shape = (order_map.sizes["channel"], len(kept))
+        given = np.array([one[:, kept] for one in values[name]]).reshape(len(orders), *shape)
+        shown = np.where(outside[:, None, None], 0.0 if name == "degrees_of_freedom" else np.nan, given)
+        words = {"units": units, "long_name": long_name}
+        tracks[name] = (("channel", "order", "speed"), np.moveaxis(shown, 0, 1), words)
+    method = np.array(["vold_kalman" if reader.follows(order) else "frames" for order in orders], dtype="<U16")
+    tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
+    tracks.attrs = {key: order_map.attrs[key] for key in ("amplitude_scaling", "phase_reference", "cycle_known")}
+    tracks.attrs |= {"band_width_orders": settings.band_width_orders, "speed_bin_rpm": settings.speed_bin_rpm}
+    flags = flags_of(order_map)
+    return with_flags(tracks, flags + [flag for item in reader.items for flag in flags_of(item) if flag not in flags])
+
+
+def _replaced(reader: TrackReader, at: NDArray[np.int64], amplitude: list[NDArray[np.float64]]) -> NDArray[np.bool_]:
+    """Which rows hold no number of any order although there are sweeps whose rows stand in their place."""
+    if not reader.items or not amplitude:
+        return np.zeros(len(at), dtype=bool)
+    return np.asarray(~np.any(np.isfinite(amplitude), axis=(0, 1)))
+
+
+def _nearest_row(known_rpm: NDArray[np.float64], speed_rpm: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Number of the row of ``known_rpm`` nearest to each of ``speed_rpm``, whose first ones they are themselves."""
+    apart = np.abs(speed_rpm[:, None] - known_rpm)
+    nearest = np.where(np.isnan(apart), np.inf, apart).argmin(axis=1)
+    nearest[: len(known_rpm)] = np.arange(len(known_rpm))
+    return np.asarray(nearest)
+
+
+def _band_rms(order_map: xr.Dataset, orders: NDArray[np.float64], width_orders: float) -> NDArray[np.float64]:
+    """RMS (channels, speeds, orders) of everything within ``width_orders`` around each of ``orders``."""
     level = order_map["amplitude"].values
     largest = np.nanmax(level, axis=(1, 2), keepdims=True, initial=0.0)
     unit = np.where(largest > 0.0, np.ldexp(1.0, np.frexp(largest)[1] - 1), 1.0)
-    power = (level / unit) ** 2
-    found = _between_bins(order_map, power, asked / resolution, nearest)
-    values = {
-        name: np.where(on_bin, order_map[source].values[..., nearest], unit * found[name] if scaled else found[name])
-        for name, source, scaled in _SOURCES
-    }
-    half = 0.5 * settings.band_width_orders / resolution
-    band = _band_sum(power, asked / resolution, 2.0 * half, least_share=BAND_HELD)
-    values["band_rms"] = unit * np.sqrt(band / (2.0 * enbw))
-    tracks = xr.Dataset(coords={**{k: v for k, v in order_map.coords.items() if k != "order"}})
-    tracks["order"] = ("order", asked, {"units": "1", "long_name": "order"})
-    for name, units, long_name in _VARIABLES:
-        shown = np.where(outside, 0.0 if name == "degrees_of_freedom" else np.nan, values[name])
-        tracks[name] = (
-            ("channel", "order", "speed"),
-            np.moveaxis(shown, 2, 1),
-            {"units": units, "long_name": long_name},
-        )
-    tracks.attrs = {key: order_map.attrs[key] for key in ("amplitude_scaling", "phase_reference", "cycle_known")}
-    tracks.attrs |= {"band_width_orders": settings.band_width_orders, "speed_bin_rpm": settings.speed_bin_rpm}
-    return with_flags(tracks, flags_of(order_map))
+    axis = order_map["order"].values
+    resolution = float(axis[1] - axis[0])
+    band = _band_sum((level / unit) ** 2, orders / resolution, width_orders / resolution, least_share=BAND_HELD)
+    return np.asarray(unit * np.sqrt(band / (2.0 * float(order_map.attrs["enbw_bins"]))))
 
-
-_SOURCES = (
-    ("amplitude", "coherent_amplitude", True),
-    ("phase", "phase", False),
-    ("standard_error", "standard_error", True),
-    ("degrees_of_freedom", "degrees_of_freedom", False),
-    ("amplitude_low", "coherent_amplitude_low", True),
-    ("amplitude_high", "coherent_amplitude_high", True),
-    ("phase_ci95", "phase_ci95", False),
-)
-"""Variables of a track, where the map holds them on a bin, and whether they scale with the channel."""
 
 _VARIABLES = (
     ("amplitude", "see unit", "peak amplitude"),
@@ -87,44 +103,19 @@ _VARIABLES = (
 )
 
 
-def _between_bins(
-    order_map: xr.Dataset, power: NDArray[np.float64], place: NDArray[np.float64], nearest: NDArray[np.int64]
-) -> dict[str, NDArray[np.float64]]:
-    """Amplitude, its error and interval (channels, speeds, orders) of lines ``place`` bins up, between two bins.
-
-    ``power`` (channels, speeds, bins) is the energy average, ``nearest`` the nearest bin of each order; the noise is
-    that of the bins beside, and what it adds to the energy of the main lobe is taken off.
-    """
-    bins, worth = beside_bins(order_map["order"].values, line_step=1.0 / int(order_map.attrs["revs_per_cycle"]))
-    noise = noise_beside(power, bins[nearest])
-    independent = order_map["n_independent"].values[None, :, None]
-    lobe = _band_sum(power, place, MAIN_LOBE_BINS, least_share=BAND_HELD) / float(order_map.attrs["enbw_bins"])
-    bias, beat = LOBE_NOISE * noise, LOBE_BEAT * noise / independent
-    dof = np.where(np.isnan(lobe), 0.0, np.round(2.0 * worth[nearest] * independent))
-    scatter = LOBE_SCATTER * noise**2 / independent
-    low, high = energy_interval(lobe, noise=beat, bias=bias, noise_variance=scatter, dof=dof)
-    line = np.sqrt(np.maximum(lobe - bias, 0.0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        error = np.sqrt(2.0 * line**2 * beat + scatter) / (2.0 * np.sqrt(lobe))
-    # without noise the error is 0; without energy nothing is known of it but the upper end
-    error = np.where(np.isnan(lobe) | (noise > 0.0), np.where(lobe > 0.0, error, np.nan), 0.0)
-    nothing = np.full(lobe.shape, np.nan)
-    ends = {"amplitude_low": low, "amplitude_high": high, "phase_ci95": nothing, "degrees_of_freedom": dof}
-    return {"amplitude": line, "phase": nothing, "standard_error": error, **ends}
-
-
 def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:
     """Orders to follow: those that ``findings`` name and those that ``settings`` ask for.
 
-    An order that is locked to the shaft, and any within a quarter of a bin of ``order_map``, is followed on its bin,
-    where its phase is known; one that slips is followed where it was found.
+    An order that is locked to the shaft, or may be (its interval holds a multiple of the cycle's frequency in
+    ``order_map``), stands on that multiple, where its phase is known; any other where it was found.
     """
-    resolution = 1.0 / float(order_map.attrs["revs_per_frame"])
+    cycle = int(order_map.attrs["revs_per_cycle"])
     orders = {round(float(order), 9) for order in settings.track_orders}
     for record in findings["orders"]:
-        on_bin = round(record["order"] / resolution) * resolution
-        close = record["lock"] == "locked" or abs(record["order"] - on_bin) < 0.25 * resolution
-        orders.add(round(on_bin if close else record["order"], 6))
+        multiple = round(record["order"] * cycle) / cycle
+        low, high = record["order_ci95"]
+        locked = record["lock"] == "locked" or (record["lock"] == "undecided" and low <= multiple <= high)
+        orders.add(round(multiple if locked else record["order"], 6))
     return sorted(orders)
 
 

@@ -24,6 +24,8 @@ STANDSTILL_RPM, STANDSTILL_SHARE = 30.0, 0.1
 SAME_COUNT_TEETH = 0.5
 # The speed beside a hole is the median over this many intervals.
 BESIDE = 4
+# By this factor these intervals grow into a stop and shrink out of it.
+SLOWED = 1.2
 
 # A repair costs as much as a change of the logarithm of the speed by this; each further tooth lost in a row the second.
 REPAIR_COST, NEXT_LOST_COST = 0.9, 0.15
@@ -96,7 +98,17 @@ def _beside(step: FloatArray, at: int) -> tuple[float, float]:
 
 def _same_count(step: FloatArray, at: int, limit: float) -> bool:
     before, after = _beside(step, at)
+    if _stops_and_starts(step, at):
+        return False
     return max(before, after) < limit and abs(step[at] / before - step[at] / after) < SAME_COUNT_TEETH
+
+
+def _stops_and_starts(step: FloatArray, at: int) -> bool:
+    """Whether the shaft slows down into the hole ``at`` and speeds up out of it: symmetric, but no steady running."""
+    before, after = step[max(0, at - BESIDE) : at], step[at + 1 : at + 1 + BESIDE]
+    if min(before.size, after.size) < 2:
+        return False
+    return bool(before[-1] > SLOWED * before[0] and after[0] > SLOWED * after[-1])
 
 
 def _speed_is_low(step: FloatArray, at: int, limit: float) -> bool:

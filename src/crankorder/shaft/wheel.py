@@ -23,6 +23,10 @@ from crankorder.shaft.uneven import Wheel, displaced_teeth, gap_is_absent, times
 SPLIT_SHARE = 0.25
 # A tooth lost at the same place in this share of the revolutions is damage, not chance.
 DAMAGE_SHARE = 0.5
+# Neighbouring intervals that differ by less than this factor are those of a shaft that runs.
+STEADY_RATIO = 1.3
+# An interval that would hold more teeth than this at the speed before it is a hole, however fast the shaft slows down.
+MOST_COASTED = 6
 # So many false pulses between two true ones are a burst of interference, not ringing.
 GLITCH_PULSES = 3
 # The first tooth is not certain where another choice changes the log of the speed by less than this more in all.
@@ -123,11 +127,35 @@ def _followed_even(
 ) -> tuple[IntArray, IntArray]:
     """Pulses that are true and the number of the tooth of each, on a wheel of even teeth."""
     window = max(2, min(8, teeth // 8))
-    recent = np.full(window, np.median(np.diff(time_s[: 4 * window + 8])))
-    kept, tooth = np.zeros(time_s.size, dtype=np.int64), np.zeros(time_s.size, dtype=np.int64)
     slack_s = noise_s * math.sqrt(12.0)
-    n = _count(time_s, recent, settings.double_pulse_ratio, settings.lost_pulse_ratio, slack_s, kept, tooth)
-    return kept[:n], tooth[:n]
+    step = np.diff(time_s)
+    near = step[: 4 * window + 8]
+    usual = float(np.median(near))
+    ratios = settings.double_pulse_ratio, settings.lost_pulse_ratio
+
+    def counted(times: FloatArray, tooth_s: float) -> tuple[IntArray, IntArray]:
+        kept, tooth = np.zeros(times.size, dtype=np.int64), np.zeros(times.size, dtype=np.int64)
+        n = _count(times, np.full(window, tooth_s), *ratios, slack_s, kept, tooth)
+        return kept[:n], tooth[:n]
+
+    steady = bool(near.max() < STEADY_RATIO * usual)
+    start = -1 if steady else _steady_start(step, window)
+    if start < 0:
+        return counted(time_s, usual)
+    # a start from rest looks like lost pulses beside the median of what follows, but not counted back from there
+    after, number = counted(time_s[start:], float(step[start]))
+    before, back = counted(-time_s[start::-1], float(step[start]))
+    kept = np.concatenate([start - before[:0:-1], start + after])
+    return kept, np.concatenate([-back[:0:-1], number]) + back[-1]
+
+
+def _steady_start(step: FloatArray, window: int) -> int:
+    """First pulse from which a few neighbouring intervals are alike; -1 where there is none."""
+    alike = np.abs(np.diff(np.log(np.maximum(step, 1e-12)))) < math.log(STEADY_RATIO)
+    length = window + 1
+    runs = np.convolve(alike, np.ones(length), mode="valid") > length - 0.5 if alike.size >= length else np.zeros(0)
+    found = np.flatnonzero(runs)
+    return int(found[0]) if found.size else -1
 
 
 def _followed_uneven(time_s: FloatArray, wheel: Wheel, settings: ShaftSettings) -> tuple[IntArray, IntArray, bool]:
@@ -202,6 +230,8 @@ def _count(time_s, recent, double_ratio, lost_ratio, slack_s, kept, tooth):  # t
         if interval > lost_ratio * tooth_s + slack_s:
             teeth = int(interval / tooth_s + 0.5)
             teeth = teeth if teeth > 1 else 1
+            if teeth <= MOST_COASTED and _coasts(recent, slot, interval):
+                teeth = 1
             interval /= teeth
         elif interval < (1.0 - SPLIT_SHARE) * tooth_s - slack_s:
             if interval < double_ratio * tooth_s - slack_s or interval <= 0.0:
@@ -224,6 +254,31 @@ def _count(time_s, recent, double_ratio, lost_ratio, slack_s, kept, tooth):  # t
         if slot == window:
             slot = 0
     return m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _coasts(recent, slot, interval):  # type: ignore[no-untyped-def]
+    """Whether a shaft that goes on slowing down as in the ``recent`` intervals turns but one tooth in ``interval``.
+
+    ``slot`` is the oldest of them. The speed goes on falling evenly in time, to zero at the last.
+    """
+    n = recent.size
+    half = n // 2
+    older = newer = 0.0
+    for k in range(half):
+        older += recent[(slot + k) % n]
+        newer += recent[(slot + n - half + k) % n]
+    middle = 0.0
+    for k in range(half, n - half):
+        middle += recent[(slot + k) % n]
+    slower = (half / older - half / newer) / (0.5 * (older + newer) + middle)
+    if not slower > 0.0:
+        return False
+    speed = half / newer - slower * 0.5 * newer
+    if not speed > 0.0:
+        return True
+    time = min(interval, speed / slower)
+    return speed * time - 0.5 * slower * time * time < 1.5
 
 
 def _growing(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, IntArray]:

@@ -49,6 +49,25 @@ def noise_correlation(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArra
     return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table))
 
 
+def impulse_response(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArray[np.float64]:
+    """What the filter gives ``lag_bandwidths`` (any shape) reciprocal bandwidths after an impulse, far below the rate.
+
+    The cosine transform of the gain, as of ``poles``; its integral over the lag is one.
+    """
+    grid, table = _response_table(poles)
+    return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table, right=0.0))
+
+
+@functools.cache
+def _response_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lags in reciprocal bandwidths, and the response there."""
+    x = np.linspace(0.0, 40.0, 8001)
+    gain = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles))
+    gain[0] *= 0.5
+    grid = np.linspace(0.0, FARTHEST_LAG, 1025)
+    return grid, np.asarray(np.cos(np.pi * np.outer(grid, x)) @ gain) * float(x[1])
+
+
 @functools.cache
 def _correlation_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lags in reciprocal bandwidths, and the correlation there."""

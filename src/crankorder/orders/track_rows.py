@@ -1,0 +1,278 @@
+"""Rows of one exact order against speed: one place for all who read an order's amplitudes.
+
+Steady recordings are read in the order map and its frames, at like speed; a recording whose speed sweeps gives rows of
+its own, as the order was followed through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.fft.scaling import power_of_two
+from crankorder.orders.common_frames import common_frames
+from crankorder.orders.intervals import (
+    amplitude_interval,
+    beside_bins,
+    energy_interval,
+    noise_beside,
+    phase_interval_deg,
+)
+from crankorder.orders.phase_marks import LOCATED
+
+ON_BIN = 1e-6
+"""An order this close to a bin of the map stands on it."""
+
+REACH_BINS = 2
+"""Bins on each side of a line that are read: the main lobe of a Hann window."""
+
+TOGETHER_BINS = 4.0
+"""Lines closer than this are solved together: their main lobes touch."""
+
+LEAST_APART_BINS = 0.4
+"""Lines closer than this cannot be told apart in one frame: what is read is their sum."""
+
+HANN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)
+"""Correlation of white noise in bins 0, 1, 2 apart of a Hann window whose phase counts from its middle."""
+
+OF_BANDWIDTH = 0.2
+"""A followed order this near, in bandwidths, is the order itself: the filter lets it pass with a phase that turns."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OrderRows:
+    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
+
+    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
+    """
+
+    amplitude: Array
+    phase: Array
+    standard_error: Array
+    degrees_of_freedom: Array
+    amplitude_low: Array
+    amplitude_high: Array
+    phase_ci95: Array
+
+    @classmethod
+    def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
+        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
+        given = [np.full((n_channels, n_rows), np.nan) for _ in fields(cls)]
+        given[3] = np.zeros((n_channels, n_rows))
+        return cls(*given)
+
+    def of(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> OrderRows:
+        """Those of the rows that ``which`` picks."""
+        return OrderRows(*(getattr(self, item.name)[:, which] for item in fields(self)))
+
+    def beside(self, other: OrderRows) -> OrderRows:
+        """These rows, then those of ``other``."""
+        names = [item.name for item in fields(self)]
+        return OrderRows(*(np.concatenate([getattr(self, name), getattr(other, name)], axis=1) for name in names))
+
+
+class TrackReader:
+    """Reads any order of a test, row by row.
+
+    ``speed_rpm`` (rows,): first the speeds of the map, then the rows of each recording that sweeps.
+    """
+
+    def __init__(
+        self, order_map: xr.Dataset, *, frames: Sequence[xr.Dataset] = (), followed: Sequence[xr.Dataset] = ()
+    ) -> None:
+        """The rows of a test.
+
+        ``order_map`` the OrderMap, ``frames`` the OrderFrames of its recordings (without them lines between bins are
+        read off the energy of the map), ``followed`` their RecordingTracks (those of sweeps count).
+        """
+        self.order_map = order_map
+        self.items = [item for item in followed if item.attrs.get("swept", 0) and item.sizes.get("frame", 0)]
+        self._frames = list(frames)
+        self.map_rpm: Array = order_map["speed"].values
+        self.speed_rpm: Array = np.concatenate([self.map_rpm, *(item["speed"].values for item in self.items)])
+
+    def rows(self, order: float, others: Sequence[float] = ()) -> OrderRows:
+        """OrderRows of ``order`` (cycles per crank revolution, exact), told from ``others`` that are close to it."""
+        places = [_place_in(item, order) for item in self.items]
+        made = self._of_map(order, others)
+        hidden = self._rows_of_sweeps([item for item, place in zip(self.items, places, strict=True) if place >= 0])
+        if hidden.any():
+            nothing = OrderRows.nothing(len(made.amplitude), len(hidden))
+            made = made.beside(nothing).of(
+                np.where(hidden, np.arange(len(hidden)) + len(hidden), np.arange(len(hidden)))
+            )
+        for item, place in zip(self.items, places, strict=True):
+            made = made.beside(_followed_rows(item, place, order))
+        return made
+
+    def follows(self, order: float) -> bool:
+        """Whether ``order`` was followed through a sweep."""
+        return any(_place_in(item, order) >= 0 for item in self.items)
+
+    def _rows_of_sweeps(self, followed: list[xr.Dataset]) -> NDArray[np.bool_]:
+        """Rows of the map in which all frames are of recordings that ``followed`` holds: theirs are better."""
+        names = {str(item.attrs["recording"]) for item in followed}
+        if not names or not self._frames:
+            return np.zeros(len(self.map_rpm), dtype=bool)
+        swept, total = np.zeros((2, len(self.map_rpm)))
+        for item, rows in zip(self._used, self._row_of_frames, strict=True):
+            count = np.bincount(rows, minlength=len(self.map_rpm))
+            total += count
+            swept += count * (str(item.attrs["recording"]) in names)
+        return np.asarray((swept > 0.0) & (swept == total))
+
+    @cached_property
+    def _used(self) -> list[xr.Dataset]:
+        """Frames of one length, as the map was made of them."""
+        return common_frames(self._frames)[0]
+
+    @cached_property
+    def _row_of_frames(self) -> list[NDArray[np.int64]]:
+        """Row of the map nearest in speed to each frame; those of unknown speed by recording, as the map has them."""
+        known = np.flatnonzero(np.isfinite(self.map_rpm))
+        unnamed = iter(np.flatnonzero(~np.isfinite(self.map_rpm)))
+        rows = []
+        for item in self._used:
+            speed = item["speed"].values
+            if np.isfinite(speed).all() and len(known):
+                rows.append(known[np.abs(speed[:, None] - self.map_rpm[known]).argmin(axis=1)])
+            else:
+                rows.append(np.full(len(speed), next(unnamed, len(self.map_rpm) - 1)))
+        return rows
+
+    def _of_map(self, order: float, others: Sequence[float]) -> OrderRows:
+        """Rows of the map: its coherent average on a bin, else the frames at the exact order, by energy."""
+        axis = self.order_map["order"].values
+        step = float(axis[1] - axis[0])
+        nearest = round(order / step)
+        if not 0 <= nearest < len(axis):
+            return OrderRows.nothing(self.order_map.sizes["channel"], len(self.map_rpm))
+        if abs(axis[nearest] - order) < ON_BIN:
+            return OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
+        return self._between_bins(order / step, [other / step for other in others], nearest)
+
+    def _between_bins(self, place: float, others: list[float], nearest: int) -> OrderRows:
+        """Rows of a line ``place`` bins up, between two bins, solved with the ``others`` (in bins) that are near."""
+        close = [other for other in others if LEAST_APART_BINS < abs(other - place) < TOGETHER_BINS]
+        power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
+        bins, worth = self._beside
+        noise = noise_beside(power, bins[nearest][None])[..., 0]
+        energy, share = self._energy(place, close)
+        independent = self.order_map["n_independent"].values
+        bias, beat = share * noise, share * noise / independent
+        scatter = (share * noise) ** 2 / independent
+        dof = np.where(np.isnan(energy), 0.0, np.round(2.0 * worth[nearest] * independent))
+        low, high = energy_interval(energy, noise=beat, bias=bias, noise_variance=scatter, dof=dof)
+        line = np.sqrt(np.maximum(energy - bias, 0.0))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            error = np.sqrt(2.0 * line**2 * beat + scatter) / (2.0 * np.sqrt(energy))
+        # without noise the error is 0; without energy nothing is known of it but the upper end
+        error = np.where(np.isnan(energy) | (noise > 0.0), np.where(energy > 0.0, error, np.nan), 0.0)
+        nothing = np.full(energy.shape, np.nan)
+        unit = self._unit
+        return OrderRows(unit * line, nothing, unit * error, dof, unit * low, unit * high, nothing)
+
+    @cached_property
+    def _beside(self) -> tuple[NDArray[np.int64], Array]:
+        """Bins beside each bin that hold noise, and how many independent ones they are worth."""
+        cycle = int(self.order_map.attrs["revs_per_cycle"])
+        return beside_bins(self.order_map["order"].values, line_step=1.0 / cycle)
+
+    @cached_property
+    def _unit(self) -> Array:
+        """Power of two (channels, 1) by which amplitudes are divided before they are squared."""
+        return power_of_two(self.order_map["amplitude"].values)[..., 0]
+
+    def _energy(self, place: float, close: list[float]) -> tuple[Array, float]:
+        """Mean squared amplitude (channels, rows) of the line ``place`` bins up, and its share of a bin's noise power.
+
+        Each frame is solved for the line and those ``close`` to it by generalised least squares over the bins of their
+        main lobes; without frames the map's energy is taken for that of the line alone.
+        """
+        lines = np.array([place, *close])
+        middle = np.rint(lines).astype(int)
+        last = self.order_map.sizes["order"] - 1
+        used = np.arange(max(0, middle.min() - REACH_BINS), min(last, middle.max() + REACH_BINS) + 1)
+        lobes = _hann_lobe(used[:, None] - lines)
+        apart = np.abs(used[:, None] - used)
+        noise = np.select([apart == k for k in range(3)], HANN_CORRELATION, 0.0)
+        weighted = np.linalg.solve(noise, lobes)
+        covariance = np.linalg.inv(lobes.T @ weighted)
+        solve, share = (covariance @ weighted.T)[0], float(covariance[0, 0])
+        shape = (self.order_map.sizes["channel"], len(self.map_rpm))
+        if not self._frames:
+            squares = np.square(lobes[:, 0])
+            energy = np.square(self.order_map["amplitude"].values[..., used] / self._unit[..., None]) @ squares
+            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares))
+        total, count = np.zeros(shape), np.zeros(shape)
+        for item, rows in zip(self._used, self._row_of_frames, strict=True):
+            revs = float(item.attrs["revs_per_frame"])
+            centre = item["crank_angle"].values + 0.5 * revs
+            values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
+            squared = np.abs((values @ solve) / self._unit) ** 2
+            seen = np.isfinite(squared)
+            for channel in range(shape[0]):
+                some = seen[channel]
+                total[channel] += np.bincount(rows[some], squared[channel, some], minlength=shape[1])
+                count[channel] += np.bincount(rows[some], minlength=shape[1])
+        with np.errstate(invalid="ignore"):
+            return total / count, share
+
+
+_ON_BIN_NAMES = (
+    "coherent_amplitude",
+    "phase",
+    "standard_error",
+    "degrees_of_freedom",
+    "coherent_amplitude_low",
+    "coherent_amplitude_high",
+    "phase_ci95",
+)
+"""Variables of the map that stand for the fields of OrderRows."""
+
+
+def _hann_lobe(off_bins: Array) -> Array:
+    """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
+    edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.sinc(off_bins) / (1.0 - off_bins**2)
+    return np.asarray(np.where(edge, 0.5, found))
+
+
+def _place_in(item: xr.Dataset, order: float) -> int:
+    """Number of the order that the RecordingTracks ``item`` follow and that is ``order``; -1 where there is none."""
+    orders = item["order"].values
+    if not len(orders):
+        return -1
+    nearest = int(np.abs(orders - order).argmin())
+    width = item["bandwidth_hz"].values[nearest] * 60.0 / item["speed"].values
+    return nearest if abs(orders[nearest] - order) < OF_BANDWIDTH * float(width.min()) else -1
+
+
+def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
+    """Rows of the order number ``place`` of ``item`` (-1: nothing is known), its phase as that of ``order``.
+
+    What the filter took of a narrow peak (``smoothing``) is put back, and is part of the error.
+    """
+    if place < 0:
+        return OrderRows.nothing(item.sizes["channel"], item.sizes["frame"])
+    taken = item["smoothing"].values[:, place]
+    value = item["amplitude"].values[:, place] + taken
+    error = np.hypot(item["standard_error"].values[:, place], np.abs(taken))
+    dof = item["degrees_of_freedom"].values[:, place]
+    magnitude, power = np.abs(value), 2.0 * error**2
+    low, high = amplitude_interval(magnitude, power, dof)
+    turned = value * np.exp(
+        2j * np.pi * ((float(item["order"].values[place]) - order) * item["crank_angle"].values % 1.0)
+    )
+    phase, half = np.degrees(np.angle(turned)), phase_interval_deg(magnitude, power, dof)
+    if item.attrs["phase_reference"] not in LOCATED:
+        phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
+    return OrderRows(magnitude, phase, error, dof, low, high, half)

@@ -1,0 +1,152 @@
+"""Sweeps of every kind, with every encoder: rows at the right speeds, amplitudes inside their intervals, no crash."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.orders.followed import followed_tracks, with_followed
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
+from crankorder.orders.swept_tracks import swept_tracks
+from crankorder.orders.track_rows import TrackReader
+from crankorder.orders.tracks import order_tracks
+from crankorder.quantities import flags_of
+from crankorder.settings import load_settings
+from made.sweeps import ENCODERS, Course, recording_of
+
+SETTINGS = load_settings().orders
+COURSES = {
+    "run-up": Course((0, 20.0), (900, 2700)),
+    "slow run-up": Course((0, 30.0), (1500, 1560)),
+    "fast run-up": Course((0, 5.0), (900, 5500)),
+    "run-down": Course((0, 10.0), (3000, 700)),
+    "through zero": Course((0, 8.0, 10.0, 18.0), (2500, 0, 0, 2500)),
+    "from rest": Course((0, 1.0, 10.0), (0, 0, 3000)),
+    "step": Course((0, 6.0, 6.5, 12.0), (1000, 1000, 1800, 1800)),
+}
+
+
+def resonance(at_rpm, width_rpm, height):
+    return lambda speed: 1.0 + height / (1.0 + 1j * (speed - at_rpm) / width_rpm)
+
+
+def drawn(seed):
+    draw = np.random.default_rng(seed)
+    orders = draw.choice([1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.5, 6.0], 3, replace=False)
+    return {
+        float(order): resonance(draw.uniform(1200, 2200), draw.uniform(150, 400), draw.uniform(0, 3))
+        for order in orders
+    }
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize("course", COURSES)
+def test_rows_and_frames_stand_at_the_speeds_that_were_run(course, encoder):
+    laws = drawn(len(course) + len(encoder))
+    band, shaft = recording_of(COURSES[course], laws, encoder=encoder, seed=1)
+    at, _, speed = COURSES[course].known()
+    frames = order_frames(band, shaft, settings=SETTINGS)
+    assert frames.attrs["swept"] == 1
+    middle = frames["crank_angle"].values + 0.5 * frames.attrs["revs_per_frame"]
+    time_s = np.interp(middle, shaft["crank_angle"].values, shaft["time"].values)
+    # a frame across a corner of the course has no one speed: that is allowed a twentieth
+    error = np.abs(frames["speed"].values - np.interp(time_s, at, speed)) / frames["speed"].values
+    assert np.quantile(error, 0.9) < 0.002
+    assert error.max() < 0.05
+    tracks = swept_tracks(band, shaft, list(laws))
+    true_rpm = np.interp(tracks["time"].values, at, speed)
+    error = np.abs(tracks["speed"].values - true_rpm) / true_rpm
+    assert np.quantile(error, 0.9) < 0.002
+    assert error.max() < 0.1
+    assert tracks["speed"].values.min() > 20.0
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize("course", ["run-up", "slow run-up", "run-down"])
+def test_all_methods_agree_within_their_intervals(course, encoder):
+    laws = drawn(7 * len(course) + len(encoder))
+    band, shaft = recording_of(COURSES[course], laws, encoder=encoder, seed=2, noise=0.05)
+    frames = [order_frames(band, shaft, settings=SETTINGS)]
+    made = order_map(frames, settings=SETTINGS)
+    orders = sorted(laws)
+    tracks = {}
+    for method in ("least_squares", "vold_kalman", "auto"):
+        asked = SETTINGS.model_copy(update={"track_method": method, "track_orders": tuple(orders)})
+        tracks[method] = followed_tracks(band, shaft, settings=asked, swept=True)
+    inner = np.linspace(1000.0, 2400.0, 8) if course != "slow run-up" else np.linspace(1510.0, 1550.0, 8)
+    for order in orders:
+        for speed in inner:
+            truth = float(np.abs(laws[order](speed)))
+            for method, item in tracks.items():
+                at = int(np.abs(item["speed"].values - speed).argmin())
+                here = float(np.abs(laws[order](item["speed"].values[at])))
+                value = abs(complex(item["amplitude"].sel(order=order).values[0, at]))
+                # quantised edges turn phases at random: what that takes and gives is of all lines
+                room = 0.02 * max(4.0, truth) + 5.0 * float(item["standard_error"].sel(order=order).values[0, at])
+                assert abs(value - here) < room, (order, speed, method, value, here)
+    joined = with_followed(order_tracks(made, orders, settings=SETTINGS, frames=frames), [tracks["least_squares"]])
+    assert set(joined["track_method"].values.tolist()) == {"least_squares"}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_amplitudes_through_a_sweep_lie_inside_their_intervals(seed):
+    draw = np.random.default_rng(500 + seed)
+    rate = 10.0 ** draw.uniform(0.3, 3.0)
+    first, last = (1000.0, 2600.0) if draw.random() < 0.5 else (2600.0, 1000.0)
+    duration = min(abs(last - first) / rate, 30.0)
+    course = Course((0.0, duration), (first, first + np.sign(last - first) * rate * duration))
+    laws = drawn(seed)
+    band, shaft = recording_of(course, laws, encoder="360", seed=seed, noise=0.1)
+    followed = swept_tracks(band, shaft, list(laws))
+    frames = [order_frames(band, shaft, settings=SETTINGS)]
+    reader = TrackReader(order_map(frames, settings=SETTINGS), frames=frames, followed=[followed])
+    inside, error = [], []
+    for order, law in laws.items():
+        rows = reader.rows(order)
+        seen = np.isfinite(rows.amplitude[0]) & (np.arange(len(reader.speed_rpm)) >= len(reader.map_rpm))
+        truth = np.abs(law(reader.speed_rpm[seen]))
+        low, high = rows.amplitude_low[0, seen], rows.amplitude_high[0, seen]
+        inside += ((low <= truth) & (truth <= high)).tolist()
+        error += ((rows.amplitude[0, seen] - truth) / truth.max()).tolist()
+    assert np.mean(inside) > 0.88
+    assert np.abs(np.median(error)) < 0.01
+
+
+def test_repeated_run_ups_and_steps_of_one_test_all_take_part():
+    laws = {2.0: resonance(1500.0, 200.0, 2.0), 4.0: resonance(1900.0, 200.0, 1.0)}
+    pairs = [
+        recording_of(COURSES[name], laws, encoder="360", seed=k, name=name)
+        for k, name in enumerate(("run-up", "fast run-up", "run-down"))
+    ]
+    pairs.append(recording_of(Course((0, 8.0), (1234, 1234)), laws, encoder="360", seed=9, name="steady"))
+    frames = [order_frames(*pair, settings=SETTINGS) for pair in pairs]
+    assert len({item.attrs["revs_per_frame"] for item in frames}) > 1
+    assert [item.attrs["swept"] for item in frames] == [1, 1, 1, 0]
+    followed = [
+        followed_tracks(*pair, settings=SETTINGS, swept=bool(item.attrs["swept"]), standing_out=list(laws))
+        for pair, item in zip(pairs, frames, strict=True)
+    ]
+    made = order_map(frames, settings=SETTINGS)
+    assert not [flag for flag in flags_of(made) if flag["severity"] == "bad"]
+    tracks = order_tracks(made, list(laws), settings=SETTINGS, frames=frames, followed=followed)
+    speed = tracks["speed"].values
+    for order, law in laws.items():
+        value = tracks["amplitude"].sel(order=order).values[0]
+        seen = np.isfinite(value)
+        assert seen.sum() >= sum(item.sizes["frame"] for item in followed if item.sizes)
+        truth = np.abs(law(speed[seen]))
+        assert np.quantile(np.abs(value[seen] - truth) / truth.max(), 0.95) < 0.05
+
+
+def test_a_shaft_that_hardly_turns_is_no_sweep_to_crash_in():
+    for course in (Course((0, 3.0), (0, 100)), Course((0, 2.0, 4.0), (300, 0, 0.0))):
+        try:
+            band, shaft = recording_of(course, {1.0: lambda speed: 0 * speed + 1.0}, encoder="60 quantised", seed=3)
+            frames = order_frames(band, shaft, settings=SETTINGS)
+        except InputError:
+            continue  # less than a cycle, or not enough pulses: said, not crashed
+        tracks = swept_tracks(band, shaft, [1.0, 2.0])
+        assert frames.sizes["frame"] >= 1
+        assert (tracks["speed"].values > 0.0).all()

@@ -1,0 +1,79 @@
+"""Every track stands at the order that was found: amplitudes at exact orders, beside others, and through sweeps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
+from crankorder.orders.swept_tracks import swept_tracks
+from crankorder.orders.track_rows import TrackReader
+from crankorder.orders.tracks import order_tracks
+from crankorder.settings import load_settings
+from made.recordings import line, run_up, steady, total
+
+SETTINGS = load_settings().orders
+NOISE = 0.05
+
+
+def steady_test(parts, *, seed, noise=NOISE, speeds=(1180.0, 1440.0, 1900.0)):
+    draw = np.random.default_rng(seed)
+    frames = []
+    for number, speed in enumerate(speeds):
+        band, shaft = steady([total(*parts)], speed_rpm=speed, duration_s=12.0, rate_hz=2048.0)
+        band["signal"].values[:] += noise * draw.normal(size=band["signal"].shape)
+        band.attrs["recording"] = f"step {number}"
+        frames.append(order_frames(band, shaft, settings=SETTINGS))
+    return frames, order_map(frames, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_line_between_bins_reads_its_amplitude_at_its_exact_order(seed):
+    draw = np.random.default_rng(100 + seed)
+    order, amplitude = draw.uniform(0.7, 18.0), draw.uniform(0.5, 5.0)
+    order += 0.01 * (abs(order * 16 - round(order * 16)) < 0.1)
+    frames, made = steady_test([line(order, amplitude, 1.0)], seed=seed)
+    tracks = order_tracks(made, [order], settings=SETTINGS, frames=frames)
+    value = tracks["amplitude"].values[0, 0]
+    assert value == pytest.approx(amplitude, rel=0.01)
+    low, high = tracks["amplitude_low"].values[0, 0], tracks["amplitude_high"].values[0, 0]
+    assert np.mean((low <= amplitude) & (amplitude <= high)) > 0.5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_line_beside_a_stronger_one_is_told_from_it(seed):
+    draw = np.random.default_rng(200 + seed)
+    locked = float(draw.integers(1, 10))
+    order = locked + draw.choice([-1, 1]) * draw.uniform(0.045, 0.12)
+    frames, made = steady_test([line(locked, 3.0), line(order, 1.0, 2.0)], seed=seed)
+    tracks = order_tracks(made, [locked, order], settings=SETTINGS, frames=frames)
+    value = tracks["amplitude"].sel(order=order).values[0]
+    assert value == pytest.approx(1.0, rel=0.05)
+
+
+def test_rows_of_a_sweep_stand_at_their_own_speeds_and_steps_keep_theirs():
+    def law(time_s, angle):
+        speed = np.gradient(angle, time_s) * 60.0
+        return (1.0 + 4.0 / (1.0 + ((speed - 2000.0) / 60.0) ** 2)) * np.cos(2 * np.pi * 2.0 * angle + 0.5)
+
+    band, shaft = run_up([law], from_rpm=1000.0, to_rpm=3000.0, duration_s=20.0, rate_hz=2048.0)
+    band["signal"].values[:] += 0.01 * np.random.default_rng(0).normal(size=band["signal"].shape)
+    band.attrs["recording"] = shaft.attrs["recording"] = "sweep"
+    steps, _ = steady_test([line(2.0, 1.0, 0.5)], seed=0, noise=0.01, speeds=(700.0, 800.0))
+    frames = [*steps, order_frames(band, shaft, settings=SETTINGS)]
+    followed = [swept_tracks(band, shaft, [2.0])]
+    reader = TrackReader(order_map(frames, settings=SETTINGS), frames=frames, followed=followed)
+    rows = reader.rows(2.0)
+    seen = np.isfinite(rows.amplitude[0])
+    speed, amplitude = reader.speed_rpm[seen], rows.amplitude[0, seen]
+    assert (np.abs(speed - 700.0) < 1.0).sum() == (np.abs(speed - 800.0) < 1.0).sum() == 1
+    swept = speed > 900.0
+    assert swept.sum() == followed[0].sizes["frame"]
+    wanted = 1.0 + 4.0 / (1.0 + ((speed - 2000.0) / 60.0) ** 2)
+    inner = swept & (speed > 1050.0) & (speed < 2950.0)
+    np.testing.assert_allclose(amplitude[inner], wanted[inner], rtol=0.02)
+    np.testing.assert_allclose(rows.phase[0, seen][inner], np.degrees(0.5), atol=1.0)
+    tracks = order_tracks(reader.order_map, [2.0], settings=SETTINGS, frames=frames, followed=followed)
+    assert float(tracks["amplitude"].max()) == pytest.approx(float(np.nanmax(rows.amplitude)), rel=1e-12)
+    assert (np.diff(tracks["speed"].values) >= 0).all()
