@@ -106,7 +106,8 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
         reservation = f"seen at {len(seen)} of {len(search.speed)} speeds only"
     evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
-        evidence = UNPROVEN if is_unprovable(search.order_map, peak) else "steady, not locked"
+        steady: Evidence = "follows the speed" if _is_swept(search) else "steady, not locked"
+        evidence = UNPROVEN if is_unprovable(search.order_map, peak) else steady
     if evidence is None and _swells_slowly(search, channel, peak, seen):
         evidence, reservation = (
             UNPROVEN,
