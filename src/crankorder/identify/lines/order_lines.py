@@ -131,7 +131,6 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.
         speeds_rpm=search.speed[seen],
         speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
         near=0.0,
-        alone=True,
     )
     return keeps_one_order(list(found.values()), false_alarm_probability=chance)
 

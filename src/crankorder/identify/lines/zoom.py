@@ -26,9 +26,9 @@ NOISE_DEGREES = 6
 SWEPT_RATIO = 1.02
 """Fastest over slowest frame from which the phase of the structure's response may turn under way …"""
 
-SWEPT_TURN = 1.0
-"""… by this standard error, in revolutions of phase over a recording too short to be seen part by part: a mode turns
-it by half of one, several add up."""
+SWEPT_TURN, SWEPT_TURNS = 0.25, 1.0
+"""… by this standard error, in revolutions of phase over the whole recording: a mode turns it by half of one; several
+add up to the second, where a line stands alone and cannot be seen part by part."""
 
 DRIFT_TURN, DRIFT_TURNS = 0.25, 40.0
 """Standard error of the turn [rev] where a speed that is held drifts: so many times the drift, as a share, up to the
@@ -172,14 +172,15 @@ def zoomed(
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
     beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
     if swept:
-        line = _through_modes(line, course)
+        line = _through_modes(replace(line, second=beside_it), course)
     return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
 
 
 def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
     """``line`` of a run-up with the order that its ``course`` tells between the modes that it crosses."""
     if course is None:
-        return replace(line, swept=True)
+        several = 0.0 if line.second is not None else (SWEPT_TURNS / line.span_rev) ** 2
+        return replace(line, swept=True, variance=line.variance + several)
     variance = (course.half / SURE_SIGMAS) ** 2
     return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
