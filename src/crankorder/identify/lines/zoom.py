@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from crankorder.identify.lines.close_pair import solved_pair
 from crankorder.identify.lines.swept_phase import SURE_SIGMAS, Course, course_of
 
 GRID_PER_SPAN = 4
@@ -166,6 +167,8 @@ def zoomed(
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
         if second.snr < SEEN_SQUARED:
             second = None
+        elif not swept:
+            line, second = _solved_together(phasors, frames, line, second)
     course = course_of(given, turn, noise) if swept and noise is not None and second is None else None
     if line.snr < SEEN_SQUARED and course is None:
         return None
@@ -309,6 +312,29 @@ def _refined_pair(phasors: Complex, frames: Frames, line: Zoomed, offset: float)
         first = _followed(phasors - _waves(second, turn), frames, first.offset)
         second = _followed(phasors - _waves(first, turn), frames, second.offset)
     return second
+
+
+def _solved_together(phasors: Complex, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
+    """``line`` and ``second`` as the least squares of both say; as they are where these do not settle."""
+    pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
+    if pair is None:
+        return line, second
+    drift = (min(DRIFT_TURN, DRIFT_TURNS * frames.drift) / line.span_rev) ** 2
+    made = []
+    for k, one in enumerate((line, second)):
+        snr = float(np.max(np.square(np.abs(pair.amplitude[:, k]) / np.maximum(pair.error[:, k], 1e-300))))
+        made.append(
+            replace(
+                one,
+                offset=float(pair.offset[k]),
+                variance=float(pair.variance[k]) + drift,
+                dof=pair.freedom,
+                amplitude=pair.amplitude[:, k],
+                error=pair.error[:, k],
+                snr=min(snr, 1e24),
+            )
+        )
+    return made[0], made[1]
 
 
 def _in_both_halves(phasors: Complex, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
