@@ -10,11 +10,18 @@ from scipy.special import fdtri
 
 from crankorder.orders.intervals import Contrasts
 
-LEAST_POWER = 10.0
+BESIDE_WORTH = 2.0
+"""Independent bins that the bins beside are worth."""
+
+LEAST_POWER = 4.0
 """A line is looked at whose power is so many times the noise power of its mean."""
 
 CHANGE_CHANCE = 0.002
 """Chance with which the noise of a steady line looks like a change of its amplitude, or of its phase."""
+
+BOTH_RATIO, BOTH_CHANCE = 30.0, 1e-6
+"""Slow waves so many times the noise beside, which it makes with such a chance, change amplitude and phase at once:
+two lines too close to be parted do. A resonance within a bin seldom stands so far over the bins beside."""
 
 MOST_BLOCKS = 8
 """Stretches of a recording whose means are the values that it held."""
@@ -43,6 +50,7 @@ def held_values(
     mean: NDArray[np.complex128],
     noise: Columns,
     shape: Contrasts,
+    beside: Columns | None = None,
 ) -> Held:
     """Values that lines held within the recordings where these surely differ, and the ``noise`` without them.
 
@@ -56,6 +64,7 @@ def held_values(
     mean : (channels, orders), mean over the frames
     noise : (channels, orders), noise power of ``mean`` as of :func:`~crankorder.orders.intervals.noise_of_mean`
     shape : contrasts of the frames
+    beside : (channels, orders), noise power of a frame by the bins beside; None where it is not known
     """
     nothing = np.full(mean.shape, np.nan)
     held = Held(noise.copy(), nothing, nothing.copy(), np.zeros(mean.shape))
@@ -77,13 +86,31 @@ def held_values(
     along, across = np.square(waves.real).sum(axis=1), np.square(waves.imag).sum(axis=1)
     surely = float(fdtri(freedom, freedom, 1.0 - CHANGE_CHANCE))
     swells, turns = along > surely * across, across > surely * along
+    both = _changes_both(along + across, channel, order, beside=beside, shape=shape)
     low, high, turn = _extremes(spectrum[channel, :, order] * (centre.conj() / size)[:, None], owner)
-    held.least[channel[swells], order[swells]] = low[swells]
-    held.most[channel[swells], order[swells]] = high[swells]
-    held.turned[channel[turns], order[turns]] = turn[turns]
+    longer, turned = swells | both, turns | both
+    held.least[channel[longer], order[longer]] = low[longer]
+    held.most[channel[longer], order[longer]] = high[longer]
+    held.turned[channel[turned], order[turned]] = turn[turned]
     alone = 2.0 * np.minimum(along, across) / len(shape.rows) * (0.5 * shape.dof / freedom)
     held.noise[channel, order] = np.where(swells | turns, alone, noise[channel, order])
     return held
+
+
+def _changes_both(
+    waves: NDArray[np.float64],
+    channel: NDArray[np.int64],
+    order: NDArray[np.int64],
+    *,
+    beside: Columns | None,
+    shape: Contrasts,
+) -> NDArray[np.bool_]:
+    """Where the power of slow ``waves`` (lines,) is far more than the noise ``beside`` makes."""
+    if beside is None:
+        return np.zeros(len(waves), dtype=np.bool_)
+    ratio = waves / len(shape.rows) / np.maximum(beside[channel, order] * shape.mean_variance, 1e-300)
+    surely = float(fdtri(shape.dof, 2.0 * shape.independent_powers * BESIDE_WORTH, 1.0 - BOTH_CHANCE))
+    return np.asarray(ratio > max(BOTH_RATIO, surely))
 
 
 def _extremes(

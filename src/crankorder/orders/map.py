@@ -26,6 +26,7 @@ from crankorder.orders.intervals import (
     helped_by_beside,
     noise_of_mean,
     phase_interval_deg,
+    steepest_noise_beside,
 )
 from crankorder.orders.phase_marks import mark_of, one_mark, phases_compare
 from crankorder.quantities import channel_coords, flags_of, with_flags
@@ -98,7 +99,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
         window=str(used[0].attrs["window"]),
         speed_bin_rpm=settings.speed_bin_rpm,
     )
-    parts = [_average(every.of(group), comparable, used[0].attrs, settings) for group in groups]
+    parts = [_average(every.of(group), comparable, used[0].attrs, settings, bins) for group in groups]
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
     result = _dataset(used, order, speed, settings)
     result.attrs |= _accuracy(used)
@@ -178,14 +179,20 @@ def _put_intervals(
     _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
 
 
-def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings) -> Average:
+def _average(
+    frames: Frames,
+    comparable: NDArray[np.bool_],
+    attrs: dict[str, Any],
+    settings: OrderSettings,
+    bins: NDArray[np.int64],
+) -> Average:
     """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
 
     Where some are, columns (one channel, one order) with the same frames are averaged together.
     """
     seen = np.isfinite(frames.spectrum.real)
     if seen.all():
-        return _average_whole(frames, comparable, attrs, settings)
+        return _average_whole(frames, comparable, attrs, settings, bins)
     n_channels, _, n_orders = frames.spectrum.shape
     columns = np.moveaxis(frames.spectrum, 1, 2).reshape(n_channels * n_orders, -1)
     patterns, which = np.unique(np.moveaxis(seen, 1, 2).reshape(n_channels * n_orders, -1), axis=0, return_inverse=True)
@@ -205,9 +212,16 @@ def _average(frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any
 
 
 def _average_whole(
-    frames: Frames, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings
+    frames: Frames,
+    comparable: NDArray[np.bool_],
+    attrs: dict[str, Any],
+    settings: OrderSettings,
+    bins: NDArray[np.int64] | None = None,
 ) -> Average:
-    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`."""
+    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`.
+
+    ``bins`` (orders, several) are those beside each, None where the columns are no neighbours.
+    """
     spectrum, shape = frames.spectrum, _shape(frames, attrs, settings)
     n_frames, columns = spectrum.shape[1], (len(spectrum), spectrum.shape[2])
     power = np.square(spectrum.real) + np.square(spectrum.imag)
@@ -219,7 +233,9 @@ def _average_whole(
         shape.dof / max(2.0 * len(shape.rows), 1.0)
     )
     share = np.full(columns, shape.mean_variance)
-    held = held_values(spectrum, frames.owner, mean=mean, noise=noise_of_mean(spectrum, shape), shape=shape)
+    beside = None if bins is None else steepest_noise_beside(energy, bins)
+    noise = noise_of_mean(spectrum, shape)
+    held = held_values(spectrum, frames.owner, mean=mean, noise=noise, shape=shape, beside=beside)
     noise = held.noise / shape.mean_variance
     apart = between_recordings(spectrum, frames.owner, mean)
     made = Average(

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
+from crankorder.identify.lines.order_lines import SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
@@ -27,6 +28,9 @@ STATED_SPEED_ERROR = 0.002
 
 WANDER_RATIO = 10.0
 """A line that changes slowly by so many times its fast noise swells and fades: noise does by chance once in 1e6."""
+
+UNPARTED_CYCLES = 0.75
+"""Two lines that a recording does not part beat less than so often on each side of what they seem to be."""
 
 Floats = NDArray[np.float64]
 
@@ -135,7 +139,8 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
     if any(is_swept(item.speed_rpm) for item in test.recordings):
         by_lobe = replace(by_lobe, swept=((bin_order, None),))
     if not seen:
-        return [_named(by_lobe, group, test, "")]
+        two = _may_be_two(group)
+        return [_named(_unparted(by_lobe, test) if two else by_lobe, group, test, SWELLS if two else "")]
     first = _joined([(bin_order + z.offset, z.variance, z.dof) for z in seen.values()])
     if all(z.swept for z in seen.values()):
         first = replace(first, swept=tuple((bin_order, z.course) for z in seen.values()))
@@ -156,8 +161,22 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
         return [_named(first, firsts, test, text), _named(second, seconds, test, text)]
     known = [z.wander for z in seen.values() if np.isfinite(z.wander)]
     swells = bool(known) and float(np.median(known)) > WANDER_RATIO
-    text = "it swells and fades slowly: two lines closer than a recording can tell may stand here" if swells else ""
+    if not known and _may_be_two(group):
+        first, swells = _unparted(first, test), True
+    text = SWELLS if swells else ""
     return [_named(first, group, test, text)]
+
+
+def _may_be_two(group: list[OrderLine]) -> bool:
+    """Whether the lines of ``group`` change as two do that beat, in frames too few to part these."""
+    return any(line.remark and line.evidence != "locked to the shaft" for line in group)
+
+
+def _unparted(number: _Number, test: _Test) -> _Number:
+    """``number`` of what may be two lines: either may be the order, at most so far away as a recording leaves open."""
+    spans = [float(np.ptp(item.centre_rev)) for item in test.recordings if len(item.centre_rev) > 1]
+    wider = UNPARTED_CYCLES / max(spans) if spans else 0.5 * test.resolution
+    return replace(number, error=float(np.hypot(number.error, wider)))
 
 
 def _all_channels(group: list[OrderLine], test: _Test) -> list[OrderLine]:

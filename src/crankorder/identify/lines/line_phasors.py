@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.identify.lines.close_pair import SIDE_BINS, unaliased
 from crankorder.identify.lines.zoom import SWEPT_RATIO, Zoomed, zoomed
 from crankorder.orders.common_frames import common_frames
 
@@ -101,8 +102,21 @@ def zooms(
             alone=alone,
         )
         if line is not None:
-            found[number] = line
+            found[number] = _unaliased(line, item, channels, at, centre)
     return found
+
+
+def _unaliased(line: Zoomed, item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
+    """``line`` with its second one where the bins beside say that it is."""
+    bins = np.arange(at - SIDE_BINS, at + SIDE_BINS + 1)
+    if line.second is None or bins[0] < 1 or bins[-1] >= item.spectrum.shape[2]:
+        return line
+    frames = np.isin(item.centre_rev, centre_rev)
+    phasors = np.moveaxis(item.spectrum[channels][:, frames][:, :, bins], 1, 2).astype(np.complex128)
+    turn = centre_rev - 0.5 * (centre_rev[0] + centre_rev[-1])
+    offsets = line.offset, line.second.offset
+    offset = unaliased(np.nan_to_num(phasors), turn, offsets=offsets, resolution=1.0 / item.revs, hop_rev=item.hop_rev)
+    return replace(line, second=replace(line.second, offset=offset))
 
 
 def is_swept(speed_rpm: Floats) -> bool:

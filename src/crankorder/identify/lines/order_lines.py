@@ -10,8 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Evidence, OrderLine
+from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
-from crankorder.identify.lines.changing import remark_on
+from crankorder.identify.lines.changing import held_sizes, remark_on
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
@@ -106,7 +107,8 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
         reservation = f"seen at {len(seen)} of {len(search.speed)} speeds only"
     evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
-        evidence = UNPROVEN if is_unprovable(search.order_map, peak) else "steady, not locked"
+        steady: Evidence = "follows the speed" if _is_swept(search) else "steady, not locked"
+        evidence = UNPROVEN if is_unprovable(search.order_map, peak) else steady
     if evidence is None and _swells_slowly(search, channel, peak, seen):
         evidence, reservation = (
             UNPROVEN,
@@ -130,7 +132,6 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.
         speeds_rpm=search.speed[seen],
         speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
         near=0.0,
-        alone=True,
     )
     return keeps_one_order(list(found.values()), false_alarm_probability=chance)
 
@@ -217,6 +218,7 @@ def _line(
         dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
         loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
         amplitude, error = amplitude / loss, error / loss
+        ends = _ends_by_frames(search, channel, peak, seen, amplitude, error, loss)
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
@@ -234,6 +236,30 @@ def _line(
         phase_ci95_deg=half,
         remark="" if ends is None else remark_on(amplitude, error, dof, ends),
     )
+
+
+def _ends_by_frames(
+    search: _Search, channel: int, peak: int, seen: NDArray[np.int64], amplitude: Floats, error: Floats, loss: float
+) -> Floats | None:
+    """Ends (speeds, 2) of the intervals of a line that is not locked, over all values held; None where it is steady."""
+    if not search.recordings or _is_swept(search) or not np.isfinite(search.speed[seen]).all():
+        return None
+    half = Z95 * error
+    ends, changes = np.stack([np.maximum(amplitude - half, 0.0), amplitude + half], axis=1), False
+    for row, at in enumerate(seen.tolist()):
+        width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
+        found = phasors_at(
+            search.recordings, channels=[channel], at=peak, speeds_rpm=search.speed[[at]], speed_bin_rpm=width
+        )
+        held = held_sizes(
+            [phasors[0] for _, phasors, _, _ in found.values()],
+            noise=float(search.floor[channel, at, peak]),
+            worth=float(search.floor_worth[channel, at, peak]),
+        )
+        if held is not None:
+            changes = True
+            ends[row] = min(ends[row, 0], held[0] / loss), max(ends[row, 1], held[1] / loss)
+    return ends if changes else None
 
 
 def _is_swept(search: _Search) -> bool:

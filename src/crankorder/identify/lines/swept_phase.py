@@ -43,6 +43,7 @@ class Course:
     """How the phase of a line runs over a recording: at ``offset`` orders from its bin, surely within ``half`` orders.
 
     ``slopes`` (stretches,) are those of its stretches, each known within ``reach``; they cover ``span_rev``.
+    ``alike`` is the length of the mean of the unit phasors of its ``steps`` from frame to frame: 1 where all are alike.
     """
 
     offset: float
@@ -50,6 +51,8 @@ class Course:
     slopes: Floats
     reach: float
     span_rev: float
+    alike: float
+    steps: int
 
     def slips_from(self, offset: float) -> bool:
         """Whether the phase runs away from that of a line ``offset`` orders from the bin as modes cannot make it."""
@@ -94,5 +97,6 @@ def course_of(phasors: Complex, turn: Floats, noise: Floats) -> Course | None:
     offset = float(np.median(ordered[first : first + count]))
     tails = MODE_TAILS / float(np.median(length))
     independent = max(1.0, count / width)
+    alike = float(np.abs(np.exp(2j * np.pi * step).mean()))
     half = 0.5 * float(spans[first]) + SURE_SIGMAS * noise_of_slope / float(np.sqrt(independent)) + tails
-    return Course(offset, half, slopes, SURE_SIGMAS * noise_of_slope + tails, float(along[-1]))
+    return Course(offset, half, slopes, SURE_SIGMAS * noise_of_slope + tails, float(along[-1]), alike, len(step))

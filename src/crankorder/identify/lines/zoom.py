@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from crankorder.identify.lines.close_pair import solved_pair
 from crankorder.identify.lines.swept_phase import SURE_SIGMAS, Course, course_of
 
 GRID_PER_SPAN = 4
@@ -26,9 +27,9 @@ NOISE_DEGREES = 6
 SWEPT_RATIO = 1.02
 """Fastest over slowest frame from which the phase of the structure's response may turn under way …"""
 
-SWEPT_TURN = 1.0
-"""… by this standard error, in revolutions of phase over a recording too short to be seen part by part: a mode turns
-it by half of one, several add up."""
+SWEPT_TURN, SWEPT_TURNS = 0.25, 1.0
+"""… by this standard error, in revolutions of phase over the whole recording: a mode turns it by half of one; several
+add up to the second, where a line stands alone and cannot be seen part by part."""
 
 DRIFT_TURN, DRIFT_TURNS = 0.25, 40.0
 """Standard error of the turn [rev] where a speed that is held drifts: so many times the drift, as a share, up to the
@@ -166,20 +167,23 @@ def zoomed(
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
         if second.snr < SEEN_SQUARED:
             second = None
+        elif not swept:
+            line, second = _solved_together(phasors, frames, line, second)
     course = course_of(given, turn, noise) if swept and noise is not None and second is None else None
     if line.snr < SEEN_SQUARED and course is None:
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
     beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
     if swept:
-        line = _through_modes(line, course)
+        line = _through_modes(replace(line, second=beside_it), course)
     return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
 
 
 def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
     """``line`` of a run-up with the order that its ``course`` tells between the modes that it crosses."""
     if course is None:
-        return replace(line, swept=True)
+        several = 0.0 if line.second is not None else (SWEPT_TURNS / line.span_rev) ** 2
+        return replace(line, swept=True, variance=line.variance + several)
     variance = (course.half / SURE_SIGMAS) ** 2
     return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
@@ -308,6 +312,29 @@ def _refined_pair(phasors: Complex, frames: Frames, line: Zoomed, offset: float)
         first = _followed(phasors - _waves(second, turn), frames, first.offset)
         second = _followed(phasors - _waves(first, turn), frames, second.offset)
     return second
+
+
+def _solved_together(phasors: Complex, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
+    """``line`` and ``second`` as the least squares of both say; as they are where these do not settle."""
+    pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
+    if pair is None:
+        return line, second
+    drift = (min(DRIFT_TURN, DRIFT_TURNS * frames.drift) / line.span_rev) ** 2
+    made = []
+    for k, one in enumerate((line, second)):
+        snr = float(np.max(np.square(np.abs(pair.amplitude[:, k]) / np.maximum(pair.error[:, k], 1e-300))))
+        made.append(
+            replace(
+                one,
+                offset=float(pair.offset[k]),
+                variance=float(pair.variance[k]) + drift,
+                dof=pair.freedom,
+                amplitude=pair.amplitude[:, k],
+                error=pair.error[:, k],
+                snr=min(snr, 1e24),
+            )
+        )
+    return made[0], made[1]
 
 
 def _in_both_halves(phasors: Complex, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
