@@ -92,7 +92,7 @@ def _band(floor: Floor, first: int, last: int) -> Band:
         averages=floor.averages[:, at],
         cells=floor.cells[:, :, at],
         whole=floor.whole[:, at],
-        strong_hz=tuple(f for f in floor.strong_hz if floor.frequency_hz[at][0] <= f <= floor.frequency_hz[at][-1]),
+        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
     )
     low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
     high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf

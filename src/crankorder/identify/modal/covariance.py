@@ -95,8 +95,9 @@ def _resolved(problem: Problem, fit: SurfaceFit, nodes: Array) -> tuple[Array, A
         damped = f * np.sqrt(1.0 - zeta**2)
         near, far = 1.0 / (sigma + 1j * (nodes - damped)), 1.0 / (sigma + 1j * (nodes + damped))
         parts[:, number] = sigma * (np.outer(p, near.real + far.real) + np.outer(q, far.imag - near.imag))
-    smooth = fit.linear[:, 2 * n_poles :] @ np.stack(
-        [np.interp(nodes, problem.frequency_hz, row) for row in problem.background]
+    n_smooth = len(problem.background) - problem.n_lines
+    smooth = fit.linear[:, 2 * n_poles : 2 * n_poles + n_smooth] @ np.stack(
+        [np.interp(nodes, problem.frequency_hz, row) for row in problem.background[:n_smooth]]
     )
     power = parts.sum(axis=1) + smooth
     for row, model, n in zip(power, fit.model, problem.averages, strict=True):

@@ -39,7 +39,8 @@ class Floor:
     ``frequency_hz`` (F,) of the bins in use; ``psd`` (C, F) at unit gain; ``averages`` (C, F): independent power
     spectra behind each; ``gain`` (C, K) of each speed; ``cells`` (C, K, F): psd of each speed at unit gain, NaN where
     masked; ``cell_averages`` (C, K). ``seen``: how the window sees power. ``whole`` (C, F): mean psd with all lines.
-    ``quantity`` (C,): what each channel measures, "" where unknown. ``strong_hz``: lines that are tones for sure.
+    ``quantity`` (C,): what each channel measures, "" where unknown. ``strong``: (frequency,
+    its error) of lines that are tones for sure.
     """
 
     frequency_hz: Array
@@ -53,7 +54,7 @@ class Floor:
     seen: Sight
     whole: Array
     quantity: tuple[str, ...]
-    strong_hz: tuple[float, ...] = ()
+    strong: tuple[tuple[float, float], ...] = ()
 
     @property
     def step_hz(self) -> float:

@@ -54,7 +54,8 @@ def modal_fit(
     floor = _floor(campbell, order_map, orders)
     fitted: list[Fitted] = []
     if floor is not None:
-        for band in bands_of(with_strong_tones(floor)):
+        floor = with_strong_tones(floor)
+        for band in bands_of(floor):
             problem, fit = search(band.floor, chance=settings.false_alarm_probability)
             fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
     known = _own_modes(fitted)
@@ -168,7 +169,7 @@ def _found(
     """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
     shape = np.full(floor.psd.shape, np.nan)
     smooth = np.empty(floor.psd.shape)
-    still: tuple[float, ...] = ()
+    still = tuple(f for f, _ in floor.strong)
     for item in fitted:
         own = slice(item.band.first, item.band.last)
         from_here = item.band.first - int(np.searchsorted(floor.frequency_hz, item.problem.frequency_hz[0]))
@@ -178,7 +179,7 @@ def _found(
         poles = item.fit.poles
         tone = poles.tone & item.band.owns(poles) & ~hidden_poles(item.problem, item.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
-    tones: list[Tone] = []
+    tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
     modes: list[Mode] = []
     parts: list[Array] = []
     kept = NO_POLES
@@ -248,8 +249,8 @@ def _side_by_side(parts: list[Array]) -> Array:
 
 
 def _without_hidden(item: Fitted) -> Array:
-    """Power (C, F) of a band's fit without the poles that only stand for the skirts of masked lines."""
-    smooth = item.fit.linear @ item.fit.columns
+    """Power (C, F) of a band's fit without strong tones and the poles that only stand for the skirts of masked lines."""
+    smooth = item.fit.without_lines(item.problem)
     for number in np.flatnonzero(hidden_poles(item.problem, item.fit)).tolist():
         smooth = smooth - item.fit.part(number)
     return np.asarray(np.maximum(smooth, 0.02 * _typical(item.problem)))
@@ -281,7 +282,7 @@ def _mode(
     if outside or zeta - 3.0 * zeta_error > settings.max_damping_ratio or zeta > 1.5 * settings.max_damping_ratio:
         return None
     at = int(np.argmin(np.abs(problem.frequency_hz - f)))
-    whole = np.maximum(fit.linear @ fit.columns[:, at], np.finfo(np.float64).tiny)  # orders may mask this bin
+    whole = np.maximum(fit.without_lines(problem)[:, at], np.finfo(np.float64).tiny)  # orders may mask this bin
     lifted = 10.0 * np.log10(whole / np.maximum(whole - fit.part(number)[:, at], 1e-3 * whole))
     shown = (lifted > SHOWN_DB) & (strength > least_gain(1, settings.false_alarm_probability))
     prominence = float(lifted.max())

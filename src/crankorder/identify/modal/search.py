@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.covariance import free_of, score_covariance
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.strong_tones import SHADOW_BINS, local_maxima, narrow_peak, unsure_power
+from crankorder.identify.modal.strong_tones import SHADOW_BINS, line_columns, local_maxima, narrow_peak, unsure_power
 from crankorder.identify.modal.surface_fit import (
     NO_POLES,
-    TONE_BINS,
     Poles,
     Problem,
     SurfaceFit,
@@ -42,6 +41,9 @@ WIDE_DAMPING = 0.25
 FEWEST_BINS = 12
 """Bins around a pole without which it is not taken apart."""
 
+HARDLY = 1e-5
+"""Share of a strong tone's power below which its skirts are left out where a pole is looked at closely."""
+
 STANDS_FOR = 1.5
 """Distance in bins within which a peak is a strong tone's own."""
 
@@ -69,7 +71,7 @@ Array = NDArray[np.float64]
 def search(floor: Floor, *, chance: float) -> tuple[Problem, SurfaceFit]:
     """Problem and fit of ``floor`` with every pole that the data ask for at the false-alarm level ``chance``."""
     best: tuple[float, Problem, SurfaceFit] | None = None
-    start = with_strong_lines(peaks(floor), floor)
+    start = _beside_lines(peaks(floor), floor)
     for degree in DEGREES:
         problem = problem_of(floor, degree)
         fit = fit_surface(problem, start, steps=15)
@@ -99,9 +101,10 @@ def problem_of(floor: Floor, degree: int) -> Problem:
     with np.errstate(divide="ignore", invalid="ignore"):
         averages = 1.0 / (1.0 / floor.averages + (SHADOW * highest / level) ** 2 + (unsure / level) ** 2)
     averages = np.where(known, averages, 0.0)
-    return Problem(
-        floor.frequency_hz, floor.psd, averages, floor.seen, background_columns(len(floor.frequency_hz), degree)
-    )
+    lines = line_columns(floor)
+    smooth = background_columns(len(floor.frequency_hz), degree)
+    background = np.ascontiguousarray(np.concatenate([smooth, lines]))
+    return Problem(floor.frequency_hz, floor.psd, averages, floor.seen, background, n_lines=len(lines))
 
 
 def least_gain(n_channels: int, chance: float) -> float:
@@ -166,11 +169,10 @@ def peaks(floor: Floor) -> Poles:
     return _joined(found, floor)
 
 
-def with_strong_lines(poles: Poles, floor: Floor) -> Poles:
-    """``poles`` with the strong tones of ``floor`` in place of those that stand where they do."""
-    for line in floor.strong_hz:
+def _beside_lines(poles: Poles, floor: Floor) -> Poles:
+    """``poles`` but for those that stand where the strong tones of ``floor`` do."""
+    for line, _ in floor.strong:
         poles = poles.chosen(np.abs(poles.frequency_hz - line) > STANDS_FOR * floor.seen.bin_hz)
-        poles = poles.with_pole(line, TONE_BINS * floor.seen.bin_hz / line, tone=True)
     return poles
 
 
@@ -341,7 +343,7 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
     limit = least_gain(len(problem.psd), chance)
     number = 0
     while number < len(fit.poles):
-        if fit.poles.damping[number] > WIDE_DAMPING or fit.poles.tone[number]:
+        if fit.poles.damping[number] > WIDE_DAMPING:
             number += 1
             continue
         f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
@@ -375,11 +377,14 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
     near = np.abs(problem.frequency_hz - f) <= reach
     poles = np.abs(fit.poles.frequency_hz - f) <= reach
     keep = Poles(fit.poles.frequency_hz[poles], fit.poles.damping[poles], fit.poles.tone[poles])
+    lines = problem.background[len(problem.background) - problem.n_lines :, near]
+    lines = lines[(np.abs(lines) > HARDLY).any(axis=1)]
     local = replace(
         problem,
         frequency_hz=problem.frequency_hz[near],
         psd=problem.psd[:, near],
         averages=problem.averages[:, near],
-        background=background_columns(int(near.sum()), 2),
+        background=np.concatenate([background_columns(int(near.sum()), 2), lines]),
+        n_lines=len(lines),
     )
     return local, keep

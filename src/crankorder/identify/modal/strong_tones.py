@@ -18,6 +18,9 @@ STRONG = 4.6
 WANDER_HZ = 0.04
 """How far a tone wanders within a test, standard deviation: mains do so within minutes."""
 
+SMEAR_LEFT = 0.2
+"""Share of what wander makes of a tone that its columns leave."""
+
 STEADY_WIDTH = 0.02
 """Half width in bins below which a strong line has none."""
 
@@ -35,8 +38,8 @@ SHADOW_BINS = 12
 
 
 def with_strong_tones(floor: Floor) -> Floor:
-    """``floor`` with the frequencies of the lines that are far above it and as narrow as the window."""
-    tones: list[float] = []
+    """``floor`` with the frequencies, and their errors, of the lines that are far above it and as narrow as the window."""
+    tones: list[tuple[float, float]] = []
     for density in floor.psd:
         used = np.isfinite(density) & (density > 0.0)
         if np.count_nonzero(used) < 20:
@@ -51,26 +54,45 @@ def with_strong_tones(floor: Floor) -> Floor:
             if half > STEADY_WIDTH * floor.seen.bin_hz:
                 continue
             frequency = float(floor.frequency_hz[at]) + _offset_hz(whole, at, floor)
-            if all(abs(frequency - other) > 2.0 * floor.seen.bin_hz for other in tones):
-                tones.append(frequency)
-    return replace(floor, strong_hz=tuple(sorted(tones)))
+            error = floor.step_hz * float(np.exp(0.5 * (beside - whole[at])))
+            if all(abs(frequency - other) > 2.0 * floor.seen.bin_hz for other, _ in tones):
+                tones.append((frequency, max(error, 1e-3 * floor.step_hz)))
+    return replace(floor, strong=tuple(sorted(tones)))
+
+
+def line_columns(floor: Floor) -> Array:
+    """Columns (3 lines, F) of the power of the strong tones of ``floor``, each a little off and wandering a little.
+
+    The window's response and its first two derivatives by frequency: what a small error of the frequency and a small
+    wander make of it, whatever their size.
+    """
+    step = 0.02 * floor.seen.bin_hz
+    made = np.zeros((3 * len(floor.strong), len(floor.frequency_hz)))
+    top = float(floor.seen.kernel(np.zeros(1))[0])
+    for number, (tone, _) in enumerate(floor.strong):
+        away = floor.frequency_hz - tone + step * np.array([[-1.0], [0.0], [1.0]])
+        low, middle, high = floor.seen.kernel(away) / top
+        made[3 * number] = middle
+        made[3 * number + 1] = (high - low) / 0.04
+        made[3 * number + 2] = (high - 2.0 * middle + low) / 0.02**2
+    return made
 
 
 def unsure_power(floor: Floor) -> Array:
-    """Power (C, F) by which the lines ``floor.strong_hz`` may miss the window's own shape, for tones wander a little.
+    """Power (C, F) by which the strong lines of ``floor`` may miss what is made of them, for tones wander a little.
 
     A line that wanders is smeared: where its power bends most over the frequency, it is least known.
     """
     made = np.zeros(floor.psd.shape)
     away = np.array([-WANDER_HZ, 0.0, WANDER_HZ])
-    for tone in floor.strong_hz:
+    for tone, _ in floor.strong:
         near = np.flatnonzero(np.abs(floor.frequency_hz - tone) <= 3 * SHADOW_BINS * floor.seen.bin_hz)
         if not len(near):
             continue
         low, middle, high = floor.seen.kernel(floor.frequency_hz[near] - tone + away[:, None])
         smeared = np.abs(0.5 * (low + high) - middle) / float(floor.seen.kernel(np.zeros(1))[0])
         peak = near[np.abs(floor.frequency_hz[near] - tone) <= floor.seen.bin_hz]
-        made[:, near] += np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None] * smeared
+        made[:, near] += SMEAR_LEFT * np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None] * smeared
     return made
 
 

@@ -36,7 +36,7 @@ class Others(Protocol):
 class Problem:
     """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
 
-    ``background`` (B, F) are the columns of what is smooth; ``seen`` is the window's sight; ``others`` what else the
+    ``background`` (B, F) are the columns of what is smooth, the last ``n_lines`` those of strong tones; ``seen`` is the window's sight; ``others`` what else the
     same poles must explain.
     """
 
@@ -46,6 +46,7 @@ class Problem:
     seen: Sight
     background: Array
     others: Others | None = None
+    n_lines: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +68,14 @@ class Poles:
         keep = np.arange(len(self)) != number
         return Poles(self.frequency_hz[keep], self.damping[keep], self.tone[keep])
 
-    def with_pole(self, frequency_hz: float, damping: float, *, tone: bool = False) -> Poles:
+    def with_pole(self, frequency_hz: float, damping: float) -> Poles:
         """One more, lowest first.
 
-        ``frequency_hz``: in Hz; ``damping``: their ratios; ``tone``: whether it is a line without damping.
+        ``frequency_hz``: in Hz; ``damping``: their ratios.
         """
         frequency = np.append(self.frequency_hz, frequency_hz)
         order = np.argsort(frequency, kind="stable")
-        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, tone)[order])
+        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, False)[order])
 
     def chosen(self, which: NDArray[np.bool_]) -> Poles:
         """Those that ``which`` (M,) marks."""
@@ -124,6 +125,14 @@ class SurfaceFit:
         """Power (C, F) that pole ``number`` adds."""
         at = slice(2 * number, 2 * number + 2)
         return np.asarray(self.linear[:, at] @ self.columns[at])
+
+    def without_lines(self, problem: Problem) -> Array:
+        """Power (C, F) of the whole fit but for the strong tones.
+
+        ``problem``: the floors that were fitted.
+        """
+        last = len(self.columns) - problem.n_lines
+        return np.asarray(self.linear[:, :last] @ self.columns[:last])
 
 
 def background_columns(n_bins: int, degree: int) -> Array:

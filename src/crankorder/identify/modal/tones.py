@@ -36,6 +36,12 @@ MOST_WIDTHS = 16
 SPEED_SPREAD = 0.002
 """Share by which the speed of a steady recording wanders, and with it the frequency of an order."""
 
+MULTIPLE_BINS = 0.15
+"""Distance in bins within which a narrow line lies on a multiple of a tone …"""
+
+BY_CHANCE = 0.005
+"""… which is at most this share of the tone's frequency."""
+
 STEADY_CHANCE = 1e-3
 """Chance that noise of the speeds' averages scatters as little as a line does that is called steady."""
 
@@ -60,7 +66,7 @@ def with_tones(problem: Problem, fit: SurfaceFit, floor: Floor, *, settings: Ide
         tone, mode = both_ways(problem, fit, number)
         if is_steady(floor, f) or (
             not _width_is_seen(problem, tone, mode, f)
-            and widest_hz(problem, mode, number, tone.deviance) < LEAST_DAMPING * f
+            and (_on_a_tone(f, fit, floor) or widest_hz(problem, mode, number, tone.deviance) < LEAST_DAMPING * f)
         ):
             fit = tone
         elif mode.deviance < tone.deviance or not fit.poles.tone[number]:
@@ -97,6 +103,16 @@ def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFi
         return fit, fit_surface(problem, wide, start=fit.model, steps=10)
     none = fit.poles.as_tone(number, True, width_hz=NO_WIDTH * bin_hz)
     return fit_surface(problem, none, start=fit.model, steps=10), fit
+
+
+def _on_a_tone(frequency_hz: float, fit: SurfaceFit, floor: Floor) -> bool:
+    """Whether a narrow line lies on a multiple of a tone, and hardly by chance."""
+    near = MULTIPLE_BINS * floor.seen.bin_hz
+    for tone in (*(f for f, _ in floor.strong), *fit.poles.frequency_hz[fit.poles.tone].tolist()):
+        multiple = round(frequency_hz / tone)
+        if multiple >= 2 and near < BY_CHANCE * tone and abs(frequency_hz - multiple * tone) <= near:
+            return True
+    return False
 
 
 def _is_wide(fit: SurfaceFit, number: int, problem: Problem, settings: IdentifySettings) -> bool:
