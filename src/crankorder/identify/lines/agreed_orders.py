@@ -250,6 +250,7 @@ def _named(number: _Number, lines: list[OrderLine], test: _Test, reservation: st
     multiple = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
     if lock == "slips" and not number.slips_from(multiple):
         lock = "undecided"
+        error = max(error, abs(order - multiple) / half_width(number.freedom))
         reasons.append("the modes that it crosses may turn its phase as much as a slip would")
     if lock == "locked":
         order = multiple
