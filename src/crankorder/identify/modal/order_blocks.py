@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import SPARE, Block
 from crankorder.identify.modal.passage import passage_of
+from crankorder.orders.phase_marks import phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 
 ON_BIN = 1e-3
@@ -63,7 +64,7 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     known = np.isfinite(size) & (error > 0.0) & (freedom >= LEAST_FREEDOM) & (speed > 0.0)
     wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
-    if np.isfinite(phase[known]).all():
+    if np.isfinite(phase[known]).all() and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, size * np.exp(1j * np.radians(phase)), wide)]
     noise = np.where(known, wide, 0.0)
     beats = np.where(known, 2.0 * np.maximum(size, noise) * noise, np.inf)

@@ -31,6 +31,9 @@ TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 TRIED_STARTS = 3
 """Best starts that are followed."""
 
+TENTATIVE = 0.5
+"""Chance by which a pole is taken on trial, for the next one to show."""
+
 TRIALS = 400.0
 """Frequencies and damping ratios that are independent of one another, about."""
 
@@ -90,9 +93,10 @@ def poles_of_orders(
 ) -> tuple[tuple[Block, ...], tuple[OrderPole, ...]]:
     """``blocks`` with their laws and scatter, and the poles beyond the ``known`` ones that they ask for.
 
-    One pole after the other is taken where it explains most that is left of all orders and channels, moved with all
-    others that were found to where the likelihood is largest, and kept where it saves more than the false-alarm level
-    ``chance`` would let noise save at any of the frequencies tried; ``most_damping`` is the largest damping ratio.
+    One pole after the other is taken where it explains most that is left of all orders and channels, and moved with all
+    others that were found to where the likelihood is largest. Those are kept in the end that save more than the
+    false-alarm level ``chance`` would let noise save at any of the frequencies tried: while others are missing, what
+    one explains hides in what they leave. ``most_damping`` is the largest damping ratio.
     Each order has the scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
     """
     if not blocks:
@@ -100,7 +104,7 @@ def poles_of_orders(
     state = Fitted.of([with_best_law(block, known) for block in blocks], known, NO_POLES)
     tried = Tried(blocks)
     for _ in range(MOST_POLES):
-        more = _one_more(state, tried, chance=chance, most_damping=most_damping)
+        more = _one_more(state, tried, chance=TENTATIVE, most_damping=most_damping)
         if more is None:
             break
         state = more
@@ -230,7 +234,7 @@ def _one_more(state: Fitted, tried: Tried, *, chance: float, most_damping: float
     if best is None:
         return None
     best = best.moved().settled()
-    return best if best.saves(state) > _limit(best.blocks, chance / TRIALS) else None
+    return best if best.saves(state) > _limit(best.blocks, chance) else None
 
 
 def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
@@ -310,7 +314,7 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     number = 0
     while number < len(state.free):
         fewer = Fitted.of(state.blocks, state.known, state.free.without(number))
-        if state.saves(fewer) > _limit(state.blocks, chance):
+        if state.saves(fewer) > _limit(state.blocks, chance / TRIALS):
             number += 1
         else:
             state, number = fewer, 0
