@@ -82,7 +82,8 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     frame, over a reciprocal bandwidth; ``bandwidth_rev`` (frame,) is the bandwidth in cycles per revolution, which says
     how much neighbouring frames have in common. NaN are orders beyond half the sample rate, channels with too few
     usable samples, and frames that are for the most part not usable. Raises InputError for a recording by crank angle
-    of unknown speed, or where not one cycle was recorded, and RequestError where orders cannot be told apart within the bandwidth.
+    of unknown speed, or where not one cycle was recorded, and RequestError where orders cannot be told apart within the
+    bandwidth.
     """
     rate, angle, speed = _of_samples(band, shaft)
     known = np.flatnonzero(np.isfinite(angle))

@@ -145,7 +145,8 @@ def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, cours
     times = np.array([time_at(begin_rev, **knots), time_at(ends, **knots)])
     mean = 60.0 * revs / np.diff(times, axis=0)[0]
     first, last = np.searchsorted(course.time_s, times)
-    within = [course.speed_rpm[max(a - 1, 0) : b + 1] for a, b in zip(first, last, strict=True)]
+    ends_rpm = np.interp(times, course.time_s, course.speed_rpm).T
+    within = [np.append(course.speed_rpm[a:b], rpm) for a, b, rpm in zip(first, last, ends_rpm, strict=True)]
     slowest, fastest = (np.array([end(part) for part in within], dtype=np.float64) for end in (np.min, np.max))
     change = (fastest - slowest) / mean
     steady = change <= max(MOST_CHANGED, UNUSUAL_CHANGE * float(np.median(change)))
