@@ -15,7 +15,7 @@ from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
 from crankorder.identify.lines.changing import held_sizes, remark_on
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
-from crankorder.identify.lines.zoom import left_of_slow_waves
+from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.settings import IdentifySettings, OrderSettings
 
 NEIGHBOUR_ORDERS = 0.25
@@ -125,15 +125,27 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.
     """Whether the frames show that the line keeps one order, over speeds that no line of fixed frequency allows."""
     if not search.recordings or not has_moved(search.order_map, peak, seen):
         return False
-    found = zooms(
-        search.recordings,
-        channels=[channel],
-        at=peak,
-        speeds_rpm=search.speed[seen],
-        speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
-        near=0.0,
-    )
-    return keeps_one_order(list(found.values()), false_alarm_probability=chance)
+    floor = float(np.median(search.floor[channel, seen, peak]))
+    for alone in (True, False):  # two lines that beat hide each other's steadiness
+        found = zooms(
+            search.recordings,
+            channels=[channel],
+            at=peak,
+            speeds_rpm=search.speed[seen],
+            speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
+            near=0.0,
+            alone=alone,
+        )
+        lines = [one for one in found.values() if alone or (one.second is not None and _leaves_noise(one, floor))]
+        if keeps_one_order(lines, false_alarm_probability=chance):
+            return True
+    return False
+
+
+def _leaves_noise(line: Zoomed, floor: float) -> bool:
+    """Whether ``line`` and its second one leave no more of a frame than the ``floor``: a resonance that noise excites
+    leaves far more."""
+    return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < LEFT_RATIO * floor)
 
 
 def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
