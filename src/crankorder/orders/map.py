@@ -228,6 +228,8 @@ def _average_whole(
     energy = power.mean(axis=1)
     mean = spectrum.mean(axis=1)
     kept = _without_memory(spectrum, mean, frames.owner, energy)
+    # noise of different recordings is surely independent, whatever they differ by
+    kept = np.maximum(kept, float(len(np.unique(frames.owner))))
     phases = np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance))
     own = np.full(columns, float(len(shape.rows)) if shape.dof > 0.0 else 0.0) * (
         shape.dof / max(2.0 * len(shape.rows), 1.0)

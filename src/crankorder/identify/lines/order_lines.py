@@ -10,12 +10,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Evidence, OrderLine
-from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
-from crankorder.identify.lines.changing import held_sizes, remark_on
+from crankorder.identify.lines.changing import HeldSizes, between_of, ends_of, held_sizes, remark_on
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
-from crankorder.identify.lines.zoom import left_of_slow_waves
+from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.settings import IdentifySettings, OrderSettings
 
 NEIGHBOUR_ORDERS = 0.25
@@ -125,15 +124,27 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.
     """Whether the frames show that the line keeps one order, over speeds that no line of fixed frequency allows."""
     if not search.recordings or not has_moved(search.order_map, peak, seen):
         return False
-    found = zooms(
-        search.recordings,
-        channels=[channel],
-        at=peak,
-        speeds_rpm=search.speed[seen],
-        speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
-        near=0.0,
-    )
-    return keeps_one_order(list(found.values()), false_alarm_probability=chance)
+    floor = float(np.median(search.floor[channel, seen, peak]))
+    for alone in (True, False):  # two lines that beat hide each other's steadiness
+        found = zooms(
+            search.recordings,
+            channels=[channel],
+            at=peak,
+            speeds_rpm=search.speed[seen],
+            speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
+            near=0.0,
+            alone=alone,
+        )
+        lines = [one for one in found.values() if alone or (one.second is not None and _leaves_noise(one, floor))]
+        if keeps_one_order(lines, false_alarm_probability=chance):
+            return True
+    return False
+
+
+def _leaves_noise(line: Zoomed, floor: float) -> bool:
+    """Whether ``line`` and its second one leave no more of a frame than the ``floor``: a resonance that noise excites
+    leaves far more."""
+    return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < LEFT_RATIO * floor)
 
 
 def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
@@ -218,7 +229,10 @@ def _line(
         dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
         loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
         amplitude, error = amplitude / loss, error / loss
-        ends = _ends_by_frames(search, channel, peak, seen, amplitude, error, loss)
+        if search.recordings and not _is_swept(search) and np.isfinite(search.speed[seen]).all():
+            held = [_held_at(search, channel, peak, at) for at in seen.tolist()]
+            error, dof = (np.array(column) for column in zip(*map(between_of, held, amplitude, error), strict=True))
+            ends = ends_of(held, amplitude, error, dof, loss=loss)
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
@@ -238,28 +252,14 @@ def _line(
     )
 
 
-def _ends_by_frames(
-    search: _Search, channel: int, peak: int, seen: NDArray[np.int64], amplitude: Floats, error: Floats, loss: float
-) -> Floats | None:
-    """Ends (speeds, 2) of the intervals of a line that is not locked, over all values held; None where it is steady."""
-    if not search.recordings or _is_swept(search) or not np.isfinite(search.speed[seen]).all():
-        return None
-    half = Z95 * error
-    ends, changes = np.stack([np.maximum(amplitude - half, 0.0), amplitude + half], axis=1), False
-    for row, at in enumerate(seen.tolist()):
-        width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
-        found = phasors_at(
-            search.recordings, channels=[channel], at=peak, speeds_rpm=search.speed[[at]], speed_bin_rpm=width
-        )
-        held = held_sizes(
-            [phasors[0] for _, phasors, _, _ in found.values()],
-            noise=float(search.floor[channel, at, peak]),
-            worth=float(search.floor_worth[channel, at, peak]),
-        )
-        if held is not None:
-            changes = True
-            ends[row] = min(ends[row, 0], held[0] / loss), max(ends[row, 1], held[1] / loss)
-    return ends if changes else None
+def _held_at(search: _Search, channel: int, peak: int, at: int) -> HeldSizes:
+    """What each recording held of bin ``peak`` at the speed number ``at``."""
+    width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
+    found = phasors_at(
+        search.recordings, channels=[channel], at=peak, speeds_rpm=search.speed[[at]], speed_bin_rpm=width
+    )
+    noise, worth = float(search.floor[channel, at, peak]), float(search.floor_worth[channel, at, peak])
+    return held_sizes([phasors[0] for _, phasors, _, _ in found.values()], noise=noise, worth=worth)
 
 
 def _is_swept(search: _Search) -> bool:
