@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.covariance import free_of, score_covariance
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.strong_tones import SHADOW_BINS, line_columns, local_maxima, narrow_peak, unsure_power
+from crankorder.identify.modal.strong_tones import SHADOW_BINS, line_columns, local_maxima, narrow_peak, ruled_by_lines, unsure_power
 from crankorder.identify.modal.surface_fit import (
     NO_POLES,
     Poles,
@@ -37,6 +37,15 @@ SHADOW = 2e-5
 
 WIDE_DAMPING = 0.25
 """Damping ratio beyond which a pole is a part of the background, which is not taken apart."""
+
+MISFIT = 1.5
+"""Mean square residual around a pole from which a line and a mode are tried in its place."""
+
+LINE_WIDTH = 0.02
+"""Half width in bins of a line that is tried."""
+
+BESIDE_BINS = 3.0
+"""Distance in bins from it at which a mode is tried."""
 
 FEWEST_BINS = 12
 """Bins around a pole without which it is not taken apart."""
@@ -151,8 +160,9 @@ def peaks(floor: Floor) -> Poles:
     """Peaks of all channels of ``floor`` clear of the scatter, joined where they are nearer than they are wide."""
     found: list[tuple[float, float, float]] = []
     step = floor.step_hz
-    for density, averages in zip(floor.psd, floor.averages, strict=True):
-        used = np.flatnonzero(np.isfinite(density) & (density > 0.0))
+    ruled = ruled_by_lines(floor)
+    for density, averages, by_line in zip(floor.psd, floor.averages, ruled, strict=True):
+        used = np.flatnonzero(np.isfinite(density) & (density > 0.0) & ~by_line)
         if len(used) < 20:
             continue
         whole = np.interp(np.arange(len(density)), used, np.log(density[used]))
@@ -353,10 +363,14 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
             number += 1
             continue
         one = fit_surface(local, start, steps=8)
-        apart = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
+        alone = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
+        apart = alone
         for sign in (-0.5, 0.5):
             apart = apart.with_pole(f + sign * width, 0.6 * width / f)
         two = fit_surface(local, apart, steps=20)
+        if dispersion(local, one) > MISFIT:
+            beside = [fit_surface(local, poles, steps=20) for poles in _line_and_mode(local, alone, f)]
+            two = min([two, *beside], key=lambda trial: trial.deviance)
         if one.deviance - two.deviance > HANN_CORRELATION * limit * dispersion(local, two):
             poles = fit.poles.without(number)
             near = np.argsort(np.abs(two.poles.frequency_hz - f))[:2]
@@ -368,6 +382,20 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
                 continue
         number += 1
     return fit
+
+
+def _line_and_mode(local: Problem, poles: Poles, at_hz: float) -> list[Poles]:
+    """``poles`` with a narrow line on the highest bin near ``at_hz`` and a mode on either side of it, to start from.
+
+    ``local``: the bins around.
+    """
+    bin_hz = local.seen.bin_hz
+    level = np.nan_to_num(local.psd[int(np.argmax(np.nan_to_num(local.psd).max(axis=1)))])
+    level = np.where(np.abs(local.frequency_hz - at_hz) < BESIDE_BINS * bin_hz, level, 0.0)
+    line = float(local.frequency_hz[int(np.argmax(level))])
+    both = poles.with_pole(line, LINE_WIDTH * bin_hz / line)
+    beside = (line - BESIDE_BINS * bin_hz, line + BESIDE_BINS * bin_hz)
+    return [both.with_pole(f, bin_hz / f) for f in beside if f > bin_hz]
 
 
 def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> tuple[Problem, Poles]:

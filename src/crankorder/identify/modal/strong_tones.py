@@ -21,6 +21,9 @@ WANDER_HZ = 0.04
 SMEAR_LEFT = 0.2
 """Share of what wander makes of a tone that its columns leave."""
 
+RULES = 0.3
+"""Share of a bin's power that a strong tone makes from which no peak is looked for there."""
+
 STEADY_WIDTH = 0.02
 """Half width in bins below which a strong line has none."""
 
@@ -75,6 +78,18 @@ def line_columns(floor: Floor) -> Array:
         made[3 * number] = middle
         made[3 * number + 1] = (high - low) / 0.04
         made[3 * number + 2] = (high - 2.0 * middle + low) / 0.02**2
+    return made
+
+
+def ruled_by_lines(floor: Floor) -> NDArray[np.bool_]:
+    """Which bins (C, F) of ``floor`` hold more of a strong tone than of all else."""
+    made = np.zeros(floor.psd.shape, dtype=bool)
+    columns = line_columns(floor)[::3]
+    for (tone, _), column in zip(floor.strong, columns, strict=True):
+        peak = np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz
+        top = np.nan_to_num(floor.psd[:, peak] / column[peak]).mean(axis=1)
+        made |= top[:, None] * column > RULES * np.nan_to_num(floor.psd, nan=np.inf)
+        made[:, np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz] = True
     return made
 
 
