@@ -26,7 +26,7 @@ EXPONENTS = (0.0, 1.0, 2.0, 3.0)
 INERTIA = 2.0
 """Power of the speed that needs no proof."""
 
-MOST_DEGREE = 2
+MOST_DEGREE = 3
 """Degree, in the logarithm of speed, of what is smooth beside the modes, and of the force's departure from a power."""
 
 REACH = (0.6, 2.0)
@@ -394,6 +394,8 @@ def with_best_law(block: Block, poles: Poles) -> Block:
         new = missed(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
         if new < cost:
             best, cost = trial, new
+        if best.scatter <= LEAST_SCATTER:
+            break
     return best
 
 

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.order_responses import (
     LEAST_SCATTER,
+    MOST_DEGREE,
     MOST_SCATTER,
     Block,
     Blocks,
     Projected,
     jacobian,
     missed,
+    project,
     with_bent_law,
     with_best_law,
     with_scatter,
@@ -31,14 +33,17 @@ TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 TRIED_STARTS = 3
 """Best starts that are followed."""
 
-TENTATIVE = 0.5
-"""Chance by which a pole is taken on trial, for the next one to show."""
+AT_ONCE = 2
+"""Poles that are asked for together at most."""
 
 TRIALS = 400.0
 """Frequencies and damping ratios that are independent of one another, about."""
 
 EXPECTED_GAIN = 6.0
 """What noise alone may save at a start in one channel."""
+
+WELL_LAID = 0.01
+"""Relative scatter up to which the law of a force needs no new look."""
 
 HOPELESS = 1.0
 """Relative scatter beyond which no small move of the poles helps."""
@@ -103,8 +108,8 @@ def poles_of_orders(
         return (), ()
     state = Fitted.of([with_best_law(block, known) for block in blocks], known, NO_POLES)
     tried = Tried(blocks)
-    for _ in range(MOST_POLES):
-        more = _one_more(state, tried, chance=TENTATIVE, most_damping=most_damping)
+    while len(state.free) < MOST_POLES:
+        more = _more(state, tried, chance=chance, most_damping=most_damping)
         if more is None:
             break
         state = more
@@ -182,13 +187,12 @@ class Fitted:
 
     def with_pole(self, frequency_hz: float, damping: float) -> Fitted:
         """With one free pole more, near a start, the others staying where they are."""
-        alone = Fitted.of(self.blocks, self.poles, NO_POLES.with_pole(frequency_hz, damping)).moved()
+        start = NO_POLES.with_pole(frequency_hz, damping)
+        every = self.poles.joined(start)
+        told = [with_best_law(block, every) if block.scatter > WELL_LAID else block for block in self.blocks]
+        alone = Fitted.of(told, self.poles, start).moved()
         more = self.free.with_pole(float(alone.free.frequency_hz[0]), float(alone.free.damping[0]))
         return Fitted.of(alone.blocks, self.known, more)
-
-    def settled(self) -> Fitted:
-        """With the laws told anew, and moved with them."""
-        return Fitted.of([with_best_law(block, self.poles) for block in self.blocks], self.known, self.free).moved()
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -217,8 +221,24 @@ class Tried:
         self.frequency_hz, self.damping = np.concatenate(frequency), np.concatenate(damping)
 
 
-def _one_more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
-    """``state`` with one pole more, or None where none is asked for."""
+def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
+    """``state`` with one or two poles more, or None where none is asked for.
+
+    Where one does not save enough a second one is tried with it: each may hide in what the other leaves.
+    """
+    more = state
+    for number in range(1, AT_ONCE + 1):
+        trial = _one_more(more, tried, most_damping=most_damping)
+        if trial is None:
+            return None
+        more = trial
+        if more.saves(state) > number * _limit(more.blocks, chance / TRIALS):
+            return more
+    return None
+
+
+def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | None:
+    """``state`` with the one pole more that saves most; None where no start promises anything."""
     gains = _gains(state, tried)
     best, most = None, 0.0
     for _ in range(TRIED_STARTS):
@@ -231,10 +251,7 @@ def _one_more(state: Fitted, tried: Tried, *, chance: float, most_damping: float
         saved = trial.saves(state)
         if saved > most and not moved_out(trial.free, tried, most_damping):
             best, most = trial, saved
-    if best is None:
-        return None
-    best = best.moved().settled()
-    return best if best.saves(state) > _limit(best.blocks, chance) else None
+    return None if best is None else best.moved()
 
 
 def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
@@ -255,6 +272,10 @@ def _gains(state: Fitted, tried: Tried) -> Array:
             continue
         low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
+        if block.scatter > WELL_LAID and block.rows.min() > 4 * FEWEST_ROWS:
+            # a peak may have hidden how the force grows
+            block = replace(block, degree=MOST_DEGREE)
+            part = project(block, state.poles)
         still = replace(block, passage=None)
         columns = still.modal(tried.frequency_hz[near], _widened(block, tried, near))
         freedom = part.freedom / len(block.channels)

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.covariance import free_of, score_covariance
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.strong_tones import SHADOW_BINS, line_columns, local_maxima, narrow_peak, ruled_by_lines, unsure_power
+from crankorder.identify.modal.strong_tones import (
+    SHADOW_BINS,
+    line_columns,
+    local_maxima,
+    narrow_peak,
+    ruled_by_lines,
+    unsure_power,
+)
 from crankorder.identify.modal.surface_fit import (
     NO_POLES,
     Poles,
