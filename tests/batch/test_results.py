@@ -17,7 +17,7 @@ from crankorder.batch.workers import FORKS
 from crankorder.cli import main
 from crankorder.errors import SchemaError
 from crankorder.flow import StagePlan
-from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope, schema_of
+from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope, RecordingTracks, schema_of
 from crankorder.settings import load_settings
 from crankorder.stages import OF_RECORDING, frames_wanted
 
@@ -116,7 +116,8 @@ def test_a_recording_gives_only_the_frames_that_are_needed():
 
     assert wanted("order_map") == {OrderFrames}
     assert wanted("campbell_map") == {FrequencyFrames}
-    assert wanted("findings") == {OrderFrames, FrequencyFrames, RecordingEnvelope}
+    # findings are handed what was followed through sweeps
+    assert wanted("findings") == {OrderFrames, FrequencyFrames, RecordingEnvelope, RecordingTracks}
 
 
 def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():

@@ -98,12 +98,16 @@ def test_every_coast_down_decodes(analysed):
 def test_order_one_of_the_coast_downs_follows_the_square_of_speed(analysed):
     track = analysed("rotorbalancer", "rotorbalancer").group("order_tracks").sel(order=1.0, channel="acc")
     hz = track["speed"].values / 60
-    inside = (hz > 43) & (hz < 60)
-    ratio = track["amplitude"].values[inside] / hz[inside] ** 2
-    assert np.count_nonzero(inside) > 20
+    inside = (hz > 43) & (hz < 60) & np.isfinite(track["amplitude"].values)
+    ratio, low, high = (
+        track[name].values[inside] / hz[inside] ** 2 for name in ("amplitude", "amplitude_low", "amplitude_high")
+    )
+    assert np.count_nonzero(inside) > 200
     assert 0.33 <= np.median(ratio) <= 0.36
-    # the response beside the square, which a fit of sines to each record by hand shows too: 0.30 at 43, 0.40 at 60 Hz
-    assert ratio.min() > 0.28 and ratio.max() < 0.42
+    # the response beside the square, which a fit of sines to each record by hand shows too: 0.30 at 43, 0.40 at 60 Hz;
+    # a row is one moment of one record of a second, so it is its interval that must reach into that
+    assert np.mean((high > 0.28) & (low < 0.42)) > 0.99
+    assert np.quantile(ratio, 0.02) > 0.28 and np.quantile(ratio, 0.98) < 0.42
 
 
 def test_order_one_of_the_coast_downs_equals_a_plain_fit_of_sines(analysed, shared_data):
@@ -128,7 +132,7 @@ def test_order_one_of_the_coast_downs_equals_a_plain_fit_of_sines(analysed, shar
     for low in range(45, 80, 5):
         mine = (track["speed"].values / 60 >= low) & (track["speed"].values / 60 < low + 5)
         theirs = (np.array(speeds) >= low) & (np.array(speeds) < low + 5)
-        here = np.median(track["amplitude"].values[mine])
+        here = np.nanmedian(track["amplitude"].values[mine])  # NaN: rows of other orders
         assert here == pytest.approx(np.median(np.array(amplitudes)[theirs]), rel=0.08)
 
 

@@ -43,9 +43,9 @@ SLOWEST_SHARE = 0.25
 """Least speed in a frame over its mean below which the shaft is said to stand in it."""
 
 
-MOST_CHANGED, UNUSUAL_CHANGE = 0.3, 3.0
-"""Range of the speed in a frame over its mean, if also so many times that of most frames, from which the frame stands
-for no speed: a step, a start, a stop."""
+MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
+"""Range of the speed in a frame over its mean, where it also changes so many times as fast as in most frames, from
+which the frame stands for no speed: a step."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def frame_layout(
 
 
 def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, course: SpeedCourse) -> NDArray[np.bool_]:
-    """Whether the shaft turns throughout each frame, and its speed changes little or as it mostly does; or all."""
+    """Whether the shaft turns throughout each frame, and its speed changes little or as fast as mostly; or all."""
     knots = knots_of(shaft)
     ends = np.minimum(begin_rev + revs, knots["knot_angle_rev"][-1])
     times = np.array([time_at(begin_rev, **knots), time_at(ends, **knots)])
@@ -148,9 +148,9 @@ def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, cours
     ends_rpm = np.interp(times, course.time_s, course.speed_rpm).T
     within = [np.append(course.speed_rpm[a:b], rpm) for a, b, rpm in zip(first, last, ends_rpm, strict=True)]
     slowest, fastest = (np.array([end(part) for part in within], dtype=np.float64) for end in (np.min, np.max))
-    change = (fastest - slowest) / mean
-    steady = change <= max(MOST_CHANGED, UNUSUAL_CHANGE * float(np.median(change)))
-    turning = (slowest >= SLOWEST_SHARE * mean) & steady
+    rate = (fastest - slowest) / np.diff(times, axis=0)[0]
+    steps = (fastest - slowest > MOST_CHANGED * mean) & (rate > UNUSUAL_RATE * float(np.median(rate)))
+    turning = (slowest >= SLOWEST_SHARE * mean) & ~steps
     return turning if turning.any() else np.ones(len(begin_rev), dtype=bool)
 
 

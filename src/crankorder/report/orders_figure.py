@@ -36,7 +36,10 @@ _PHASE_OF = {
 
 @dataclass(frozen=True)
 class _Tracks:
-    """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0 is the strongest."""
+    """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0 is the strongest.
+
+    ``read`` is False at speeds at which only other orders have a row: those of a sweep stand at speeds of their own.
+    """
 
     speed: NDArray[np.float64]
     orders: NDArray[np.float64]
@@ -45,6 +48,7 @@ class _Tracks:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     phase: NDArray[np.float64]
+    read: NDArray[np.bool_]
     units: list[str]
     reference: str
     texts: list[str]
@@ -112,7 +116,7 @@ def _shown(tracks: xr.Dataset, *, limit: int) -> _Tracks:
     )
     return _Tracks(
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
-        amplitude, low, high, phase,
+        amplitude, low, high, phase, np.isfinite(values["amplitude"])[:, kept],
         [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
         order_texts(tracks["order"].values[kept].tolist()),
     )  # fmt: skip
@@ -187,9 +191,12 @@ def _broken(speed: NDArray[np.float64], values: NDArray[np.float64], *, wrap: fl
 
 
 def _draw_line(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
-    speed, amplitude = shown.speed, shown.amplitude[channel, number]
+    read = shown.read[channel, number]
+    if not read.any():
+        return
+    speed, amplitude = shown.speed[read], shown.amplitude[channel, number][read]
     coloured, color = shown.coloured[number], shown.color(number)
-    low, high = shown.low[channel, number], shown.high[channel, number]
+    low, high = shown.low[channel, number][read], shown.high[channel, number][read]
     if len(speed) == 1:
         panel.curve(np.repeat(speed, 2), np.array([low[0], high[0]]), color=color, width=1.0)
     breaks = _broken(speed, amplitude)
@@ -209,7 +216,10 @@ def _draw_line(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
 
 def _draw_phase(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
     """Phase where the line stands clear of its noise, joined where it goes on."""
-    phase, speed, color = shown.phase[channel, number], shown.speed, shown.color(number)
+    read = shown.read[channel, number]
+    if not read.any():
+        return
+    phase, speed, color = shown.phase[channel, number][read], shown.speed[read], shown.color(number)
     locked = 2 * nominal_order(float(shown.orders[number])) % 1 == 0  # the phase of a slipping order just turns
     breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
     panel.curve(
