@@ -80,7 +80,7 @@ def held_sizes(phasors: list[NDArray[np.complex128]], *, noise: float, worth: fl
 def between_of(held: HeldSizes, amplitude: float, error: float) -> tuple[float, float]:
     """Standard error of the mean ``amplitude`` and its degrees of freedom: of the frames or of the recordings.
 
-    Whichever errs more; ``error`` is that of the frames, known with endless degrees of freedom.
+    Whichever errs more; ``held`` is what the recordings held, ``error`` that of the frames, with endless freedom.
     """
     count = len(held.means)
     if count < 2 or not np.mean(held.means) > 0.0:

@@ -211,7 +211,6 @@ def _line(
     order_map, axis = search.order_map, search.axis
     resolution = float(axis[1] - axis[0])
     beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
-    energy = order_map["amplitude"].values[channel, seen, peak] ** 2
     noise = search.floor[channel, seen, peak]
     n_frames = order_map["n_independent"].values[seen]
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
@@ -220,19 +219,12 @@ def _line(
         amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
         error = order_map["standard_error"].values[channel, seen, peak]
         dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
-        ends = np.stack([order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")])
-        ends, half = ends.T, order_map["phase_ci95"].values[channel, seen, peak]
+        both = [order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")]
+        ends: Floats | None = np.stack(both, axis=1)
+        half = order_map["phase_ci95"].values[channel, seen, peak]
     else:
-        ends, half = None, None
-        amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
-        error = np.sqrt((noise * energy + 0.5 * noise**2) / n_frames) / (2.0 * amplitude)
-        dof = np.full(len(seen), np.inf)  # the floor is the median of many bins
-        loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
-        amplitude, error = amplitude / loss, error / loss
-        if search.recordings and not _is_swept(search) and np.isfinite(search.speed[seen]).all():
-            held = [_held_at(search, channel, peak, at) for at in seen.tolist()]
-            error, dof = (np.array(column) for column in zip(*map(between_of, held, amplitude, error), strict=True))
-            ends = ends_of(held, amplitude, error, dof, loss=loss)
+        amplitude, error, dof, ends = _by_energy(search, channel, peak, seen, distance)
+        half = None
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
@@ -250,6 +242,27 @@ def _line(
         phase_ci95_deg=half,
         remark="" if ends is None else remark_on(amplitude, error, dof, ends),
     )
+
+
+def _by_energy(
+    search: _Search, channel: int, peak: int, seen: NDArray[np.int64], distance: float
+) -> tuple[Floats, Floats, Floats, Floats | None]:
+    """Amplitudes, errors, degrees of freedom and ends of a line that is not locked, ``distance`` bins from ``peak``.
+
+    The power of a line A in noise N varies by 2 A^2 N + N^2 from frame to frame.
+    """
+    energy, noise = search.order_map["amplitude"].values[channel, seen, peak] ** 2, search.floor[channel, seen, peak]
+    n_frames = search.order_map["n_independent"].values[seen]
+    loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
+    amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
+    varies = np.maximum(2.0 * noise * energy - noise**2, noise**2)
+    error = np.sqrt(varies / n_frames) / (2.0 * amplitude) / loss
+    amplitude, dof = amplitude / loss, np.full(len(seen), np.inf)  # the floor is the median of many bins
+    if not search.recordings or _is_swept(search) or not np.isfinite(search.speed[seen]).all():
+        return amplitude, error, dof, None
+    held = [_held_at(search, channel, peak, at) for at in seen.tolist()]
+    error, dof = (np.array(column) for column in zip(*map(between_of, held, amplitude, error), strict=True))
+    return amplitude, error, dof, ends_of(held, amplitude, error, dof, loss=loss)
 
 
 def _held_at(search: _Search, channel: int, peak: int, at: int) -> HeldSizes:
