@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 from made.floors import no_orders
-from made.structures import RATE_HZ, Structure, drawn, recorded, swept_up
+from made.floor_bound import whittle_bound
+from made.structures import RATE_HZ, Structure, drawn, recorded, swept_up, with_pair
 
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modal.joint_fit import modal_fit
@@ -98,3 +99,16 @@ def test_a_line_too_weak_to_show_its_width_is_tone_or_mode() -> None:
         said += [mode.undecided for mode in fit.modes if abs(mode.frequency_hz - 57.3) < 0.5]
         assert not [mode for mode in fit.modes if abs(mode.frequency_hz - 57.3) < 3.0 and not mode.undecided]
     assert said and all(words.startswith("tone or mode") for words in said)
+
+
+@pytest.mark.accuracy
+def test_two_modes_that_the_bound_tells_apart_are_two() -> None:
+    told = []
+    for seed in range(9):
+        one = drawn(seed + 900, n_speeds=12, n_modes=1, damping=(0.004, 0.01), lowest_hz=60.0, highest_hz=200.0)
+        made = with_pair(one, 3.0)
+        error_hz = whittle_bound(made)[0] * made.natural_hz
+        if np.diff(made.natural_hz)[0] > 8.0 * np.hypot(*error_hz):
+            near = [m for m in fitted(recorded(made, seed), made).modes if abs(m.frequency_hz - made.natural_hz[0]) < 6]
+            told.append(len(near) == 2)
+    assert np.mean(told) >= 0.85

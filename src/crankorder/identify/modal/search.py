@@ -45,6 +45,15 @@ SHADOW = 2e-5
 WIDE_DAMPING = 0.25
 """Damping ratio beyond which a pole is a part of the background, which is not taken apart."""
 
+PAIRS = ((0.5, 0.6), (1.0, 0.4))
+"""Distance from a pole and half width, in its half widths, of the two that are tried in its place."""
+
+SUSPECT = 1.15
+"""Mean square residual around a pole from which every pair is tried."""
+
+GATE = 0.3
+"""Share of the limit that two in place of one must save in the bins around, whose background bends with them."""
+
 MISFIT = 1.5
 """Mean square residual around a pole from which a line and a mode are tried in its place."""
 
@@ -371,14 +380,13 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
             continue
         one = fit_surface(local, start, steps=8)
         alone = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
-        apart = alone
-        for sign in (-0.5, 0.5):
-            apart = apart.with_pole(f + sign * width, 0.6 * width / f)
-        two = fit_surface(local, apart, steps=20)
+        starts = PAIRS if dispersion(local, one) > SUSPECT else PAIRS[:1]
+        trials = [fit_surface(local, _pair(alone, f, width, *shape), steps=20) for shape in starts]
+        two = min(trials, key=lambda trial: trial.deviance)
         if dispersion(local, one) > MISFIT:
             beside = [fit_surface(local, poles, steps=20) for poles in _line_and_mode(local, alone, f)]
             two = min([two, *beside], key=lambda trial: trial.deviance)
-        if one.deviance - two.deviance > HANN_CORRELATION * limit * dispersion(local, two):
+        if one.deviance - two.deviance > GATE * HANN_CORRELATION * limit * dispersion(local, two):
             poles = fit.poles.without(number)
             near = np.argsort(np.abs(two.poles.frequency_hz - f))[:2]
             for k in near:
@@ -389,6 +397,13 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
                 continue
         number += 1
     return fit
+
+
+def _pair(poles: Poles, at_hz: float, width_hz: float, apart: float, wide: float) -> Poles:
+    """``poles`` with two more, each ``apart`` times ``width_hz`` from ``at_hz`` and ``wide`` times as wide."""
+    for sign in (-apart, apart):
+        poles = poles.with_pole(at_hz + sign * width_hz, wide * width_hz / at_hz)
+    return poles
 
 
 def _line_and_mode(local: Problem, poles: Poles, at_hz: float) -> list[Poles]:
