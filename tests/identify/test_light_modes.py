@@ -22,7 +22,9 @@ def fitted(campbell: xr.Dataset, made: Structure) -> ModalFit:
     return modal_fit(campbell, no_orders(campbell), orders, settings=load_settings().identify)
 
 
-def with_light_mode(seed: int, *, n_speeds: int, near_hz: tuple[float, float], damping: tuple[float, float]) -> Structure:
+def with_light_mode(
+    seed: int, *, n_speeds: int, near_hz: tuple[float, float], damping: tuple[float, float]
+) -> Structure:
     """Structure of ``seed`` with a light mode, its lowest, somewhere in ``near_hz``."""
     random = np.random.default_rng([seed, 99])
     made = drawn(seed, n_speeds=n_speeds, n_modes=2, damping=(0.01, 0.04), lowest_hz=110.0)
