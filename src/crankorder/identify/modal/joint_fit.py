@@ -60,7 +60,11 @@ def modal_fit(
             fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
     known = _own_modes(fitted)
     blocks, extra = poles_of_orders(
-        blocks, known, chance=settings.false_alarm_probability, most_damping=settings.max_damping_ratio
+        blocks,
+        known,
+        _own_covariance(fitted),
+        chance=settings.false_alarm_probability,
+        most_damping=settings.max_damping_ratio,
     )
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks, extra) for item in fitted]
@@ -92,6 +96,11 @@ def _own_modes(fitted: list[Fitted]) -> Poles:
     return known
 
 
+def _own_covariance(fitted: list[Fitted]) -> Array:
+    """Covariance of (f_1, ζ_1, f_2, …) of the poles of all bands that are no tones."""
+    return _side_by_side([item.covariance_of(item.own) for item in fitted])
+
+
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """``fit`` of the ``problem`` of a ``band``."""
@@ -101,10 +110,20 @@ class Fitted:
     fit: SurfaceFit
 
     @property
+    def own(self) -> NDArray[np.bool_]:
+        """Which poles belong to the band and are no tones."""
+        return np.asarray(self.band.owns(self.fit.poles) & ~self.fit.poles.tone)
+
+    @property
     def own_modes(self) -> Poles:
         """Poles that belong to the band and are no tones."""
-        poles = self.fit.poles
-        return poles.chosen(self.band.owns(poles) & ~poles.tone)
+        return self.fit.poles.chosen(self.own)
+
+    def covariance_of(self, which: NDArray[np.bool_]) -> Array:
+        """Covariance of (f_1, ζ_1, f_2, …) of the poles marked by ``which``."""
+        scatter = np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
+        at = np.flatnonzero(np.repeat(which, 2))
+        return pole_covariance(self.problem, self.fit, scatter=scatter)[np.ix_(at, at)]
 
 
 def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], extra: tuple[OrderPole, ...]) -> Fitted:
@@ -249,7 +268,7 @@ def _side_by_side(parts: list[Array]) -> Array:
 
 
 def _without_hidden(item: Fitted) -> Array:
-    """Power (C, F) of a band's fit without strong tones and the poles that only stand for the skirts of masked lines."""
+    """Power (C, F) of a band's fit without strong tones and the poles that stand for the skirts of masked lines."""
     smooth = item.fit.without_lines(item.problem)
     for number in np.flatnonzero(hidden_poles(item.problem, item.fit)).tolist():
         smooth = smooth - item.fit.part(number)

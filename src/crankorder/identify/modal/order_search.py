@@ -60,6 +60,9 @@ LEAST_DAMPING = 1e-3
 SETTLED = 0.05
 """Square of a standard error that a step must gain to be followed by another."""
 
+LEAST_PRIOR = 1e-5
+"""Relative error of a pole that the floor tells at least."""
+
 STEPS = 12
 """Steps of a fit at most."""
 
@@ -93,28 +96,62 @@ class OrderPole:
     proof: Proof
 
 
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What the floor says of the first poles: ``place`` (P, 2), their ln f and ln ζ, with its ``error`` (P, 2)."""
+
+    place: Array
+    error: Array
+
+    @classmethod
+    def of(cls, poles: Poles, covariance: Array) -> Prior:
+        """Of ``poles`` whose (f_1, ζ_1, f_2, …) have the ``covariance`` (2 P, 2 P)."""
+        place = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))
+        spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
+        return cls(place, np.maximum(spread, LEAST_PRIOR))
+
+    def rows(self, poles: Poles) -> tuple[Array, Array]:
+        """Jacobian (2 P, 2 M) and residual (2 P,) of ``poles``, of which these are the first."""
+        count = len(self.place)
+        now = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))[:count]
+        slopes = np.zeros((2 * count, 2 * len(poles)))
+        slopes[np.arange(2 * count), np.arange(2 * count)] = 1.0 / self.error.ravel()
+        return slopes, ((self.place - now) / self.error).ravel()
+
+    def misfit(self, poles: Poles) -> float:
+        """Sum of the squares by which ``poles`` differ from it."""
+        return float(np.sum(self.rows(poles)[1] ** 2))
+
+
+NO_PRIOR = Prior(np.zeros((0, 2)), np.zeros((0, 2)))
+
+
 def poles_of_orders(
-    blocks: Sequence[Block], known: Poles, *, chance: float, most_damping: float
+    blocks: Sequence[Block], known: Poles, covariance: Array, *, chance: float, most_damping: float
 ) -> tuple[tuple[Block, ...], tuple[OrderPole, ...]]:
     """``blocks`` with their laws and scatter, and the poles beyond the ``known`` ones that they ask for.
 
     One pole after the other is taken where it explains most that is left of all orders and channels, and moved with all
-    others that were found to where the likelihood is largest. Those are kept in the end that save more than the
-    false-alarm level ``chance`` would let noise save at any of the frequencies tried: while others are missing, what
-    one explains hides in what they leave. ``most_damping`` is the largest damping ratio.
-    Each order has the scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
+    others to where the likelihood is largest, the known ones within their ``covariance`` (of f_1, ζ_1, f_2, …). Those
+    are kept in the end that save more than the false-alarm level ``chance`` would let noise save at any of the
+    frequencies tried: while others are missing, what one explains hides in what they leave. ``most_damping`` is the
+    largest damping ratio. Each order has the scatter that is left of it, so that a force which only varies from speed
+    to speed makes no pole.
     """
     if not blocks:
         return (), ()
-    state = Fitted.of([with_best_law(block, known) for block in blocks], known, NO_POLES)
+    prior = Prior.of(known, covariance)
+    state = Fitted.of([with_best_law(block, known) for block in blocks], known, prior)
+    if len(known):
+        state = state.moved()
     tried = Tried(blocks)
-    while len(state.free) < MOST_POLES:
+    while len(state.poles) - len(known) < MOST_POLES:
         more = _more(state, tried, chance=chance, most_damping=most_damping)
         if more is None:
             break
         state = more
     state = _pruned(state, chance=chance)
-    named = [_named(state, len(known) + number) for number in range(len(state.free))]
+    named = [_named(state, number) for number in range(len(known), len(state.poles))]
     return state.blocks, tuple(item for item in named if item.proof.rows > 1)
 
 
@@ -129,18 +166,18 @@ def settled(
     free = NO_POLES
     for item in found:
         free = free.with_pole(item.frequency_hz, item.damping)
-    state = Fitted.of(blocks, known, free)
+    state = Fitted.of(blocks, known.joined(free), NO_PRIOR)
     if len(free):
-        state = state.moved()
+        state = state.moved(fixed=len(known))
     named = [_named(state, number) for number in range(len(state.poles))]
     proofs = tuple(item.proof for item in named[: len(known)])
-    return state.blocks, proofs, tuple(named[len(known) :]), _covariance(state)
+    return state.blocks, proofs, tuple(named[len(known) :]), _covariance(state, len(known))
 
 
-def _covariance(state: Fitted) -> Array:
-    """Covariance of the free poles: curvature, and scores whose channels are correlated (White 1982)."""
-    size = 2 * len(state.free)
-    own = slice(2 * len(state.known), 2 * len(state.poles))
+def _covariance(state: Fitted, fixed: int) -> Array:
+    """Covariance of the poles after the ``fixed`` ones: curvature, and scores of correlated channels (White 1982)."""
+    own = slice(2 * fixed, 2 * len(state.poles))
+    size = own.stop - own.start
     hessian, inner = np.zeros((size, size)), np.zeros((size, size))
     for block, part in zip(state.blocks, state.projected, strict=True):
         if block.scatter > MOST_SCATTER:
@@ -152,51 +189,44 @@ def _covariance(state: Fitted) -> Array:
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
         inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
     inverse = np.linalg.pinv(hessian, hermitian=True)
-    scale = np.stack([state.free.frequency_hz, state.free.damping], axis=1).ravel()
+    scale = np.stack([state.poles.frequency_hz, state.poles.damping], axis=1).ravel()[own]
     return np.asarray(inverse @ inner @ inverse * np.outer(scale, scale))
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """``blocks`` with the scatter that ``known`` and ``free`` poles leave, and each as ``projected`` with them."""
+    """``blocks`` with the scatter that ``poles`` leave, each as ``projected`` with them, and the ``prior`` of these."""
 
     blocks: tuple[Block, ...]
     projected: tuple[Projected, ...]
-    known: Poles
-    free: Poles
+    poles: Poles
+    prior: Prior
 
     @classmethod
-    def of(cls, blocks: Sequence[Block], known: Poles, free: Poles) -> Fitted:
-        """State of ``blocks`` behind ``known`` and ``free`` poles."""
-        pairs = [with_scatter(block, known.joined(free)) for block in blocks]
-        return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), known, free)
+    def of(cls, blocks: Sequence[Block], poles: Poles, prior: Prior) -> Fitted:
+        """State of ``blocks`` behind ``poles`` with their ``prior``."""
+        pairs = [with_scatter(block, poles) for block in blocks]
+        return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), poles, prior)
 
-    @property
-    def poles(self) -> Poles:
-        """All poles, the known ones first."""
-        return self.known.joined(self.free)
-
-    def moved(self) -> Fitted:
-        """With the free poles where the likelihood is largest, and the scatter that is left then."""
+    def moved(self, *, fixed: int = 0) -> Fitted:
+        """With all poles but the first ``fixed`` where the likelihood is largest, and the scatter that is left then."""
         good = tuple(block for block in self.blocks if block.scatter <= HOPELESS)
         if not good:
             return self
-        free = _moved(Blocks(good, self.known), self.free)
-        every = self.known.joined(free)
-        return Fitted.of([with_bent_law(block, every) for block in self.blocks], self.known, free)
+        number = np.arange(len(self.poles))
+        still, free = self.poles.chosen(number < fixed), self.poles.chosen(number >= fixed)
+        poles = still.joined(_moved(Blocks(good, still), free, NO_PRIOR if fixed else self.prior))
+        return Fitted.of([with_bent_law(block, poles) for block in self.blocks], poles, self.prior)
 
     def with_pole(self, frequency_hz: float, damping: float) -> Fitted:
-        """With one free pole more, near a start, the others staying where they are."""
-        start = NO_POLES.with_pole(frequency_hz, damping)
-        every = self.poles.joined(start)
-        told = [with_best_law(block, every) if block.scatter > WELL_LAID else block for block in self.blocks]
-        alone = Fitted.of(told, self.poles, start).moved()
-        more = self.free.with_pole(float(alone.free.frequency_hz[0]), float(alone.free.damping[0]))
-        return Fitted.of(alone.blocks, self.known, more)
+        """With one pole more, near a start, the others staying where they are."""
+        more = self.poles.joined(NO_POLES.with_pole(frequency_hz, damping))
+        told = [with_best_law(block, more) if block.scatter > WELL_LAID else block for block in self.blocks]
+        return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
-        saved = 0.0
+        saved = self.prior.misfit(less.poles) - self.prior.misfit(self.poles)
         pairs = zip(less.blocks, less.projected, self.blocks, self.projected, strict=True)
         for before, few, after, many in pairs:
             if after.scatter <= LEAST_SCATTER and before.scatter <= LEAST_SCATTER:
@@ -249,7 +279,9 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
         trial = state.with_pole(f, zeta)
         saved = trial.saves(state)
-        if saved > most and not moved_out(trial.free, tried, most_damping):
+        if saved > most and not moved_out(
+            trial.poles.chosen(np.arange(len(trial.poles)) == len(state.poles)), tried, most_damping
+        ):
             best, most = trial, saved
     return None if best is None else best.moved()
 
@@ -298,29 +330,37 @@ def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
     return np.asarray(np.maximum(damping, 0.5 * np.sqrt(rate) / tried.frequency_hz[near]))
 
 
-def _moved(joint: Blocks, free: Poles) -> Poles:
+def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
+    """``free`` poles where ``joint`` and ``prior`` agree best, by Levenberg–Marquardt steps in ln f and ln ζ."""
     factor = 1e-2
-    jacobians, residuals, cost = joint.evaluate(free)
+    least = np.minimum(LEAST_DAMPING, free.damping)
+    jacobians, residuals, cost = _evaluated(joint, free, prior)
     for _ in range(STEPS):
         hessian = sum((j.T @ j for j in jacobians), np.zeros((2 * len(free),) * 2))
         slope = sum((j.T @ r for j, r in zip(jacobians, residuals, strict=True)), np.zeros(2 * len(free)))
         scale = np.maximum(np.diag(hessian), 1e-9 * np.trace(hessian) + 1e-300)
         by = np.linalg.solve(hessian + factor * np.diag(scale), slope).reshape(-1, 2)
         shift = np.clip(by[:, 0], -2.0 * free.damping, 2.0 * free.damping)
-        damping = np.clip(free.damping * np.exp(np.clip(by[:, 1], -0.7, 0.7)), LEAST_DAMPING, 0.6)
+        damping = np.clip(free.damping * np.exp(np.clip(by[:, 1], -0.7, 0.7)), least, 0.6)
         trial = Poles(free.frequency_hz * np.exp(shift), damping, free.tone)
-        gained = cost - joint.misfit(trial)
+        gained = cost - joint.misfit(trial) - prior.misfit(trial)
         if gained >= 0.0:
             free = trial
             factor = max(0.2 * factor, 1e-6)
             if gained < SETTLED:
                 break
-            jacobians, residuals, cost = joint.evaluate(free)
+            jacobians, residuals, cost = _evaluated(joint, free, prior)
         else:
             factor *= 8.0
             if factor > 1e4:
                 break
     return free
+
+
+def _evaluated(joint: Blocks, poles: Poles, prior: Prior) -> tuple[list[Array], list[Array], float]:
+    jacobians, residuals, cost = joint.evaluate(poles)
+    slopes, left = prior.rows(poles)
+    return [*jacobians, slopes], [*residuals, left], cost + float(np.sum(left**2))
 
 
 def _limit(blocks: Sequence[Block], chance: float) -> float:
@@ -331,14 +371,14 @@ def _limit(blocks: Sequence[Block], chance: float) -> float:
 
 
 def _pruned(state: Fitted, *, chance: float) -> Fitted:
-    """Without the poles that the others have made idle."""
-    number = 0
-    while number < len(state.free):
-        fewer = Fitted.of(state.blocks, state.known, state.free.without(number))
+    """Without the poles that the others have made idle; those with a prior stay."""
+    number = len(state.prior.place)
+    while number < len(state.poles):
+        fewer = Fitted.of(state.blocks, state.poles.without(number), state.prior)
         if state.saves(fewer) > _limit(state.blocks, chance / TRIALS):
             number += 1
         else:
-            state, number = fewer, 0
+            state, number = fewer, len(state.prior.place)
     return state
 
 

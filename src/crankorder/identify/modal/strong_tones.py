@@ -41,7 +41,7 @@ SHADOW_BINS = 12
 
 
 def with_strong_tones(floor: Floor) -> Floor:
-    """``floor`` with the frequencies, and their errors, of the lines that are far above it and as narrow as the window."""
+    """``floor`` with frequencies, and their errors, of the lines that are far above it and as narrow as the window."""
     tones: list[tuple[float, float]] = []
     for density in floor.psd:
         used = np.isfinite(density) & (density > 0.0)
