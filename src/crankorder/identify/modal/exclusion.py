@@ -128,15 +128,15 @@ def _added(block: Block, part: Projected, speed: Array, damping: float, reach: f
     ratios = np.full(len(speed), damping)
     seen_as = replace(block, passage=None, law_span_rpm=block.span_rpm)
     columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
-    at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping) ** (2 if block.power else 1)
+    at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
     made = np.empty((len(block.channels), len(speed)))
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)
         norm = np.maximum(np.sum(np.abs(shown) ** 2, axis=0), 1e-300)
         along = np.abs(left.conj() @ shown) / norm + reach / np.sqrt(norm)
-        if block.power:
-            along = along.reshape(-1, 2).max(axis=1)
+        if block.power:  # the real part is half as high as the imaginary one
+            along = along.reshape(-1, 2) @ np.array([0.5, 1.0])
         made[number] = along * at_peak
     return made
 

@@ -60,8 +60,8 @@ LEAST_DAMPING = 1e-3
 SETTLED = 0.05
 """Square of a standard error that a step must gain to be followed by another."""
 
-LEAST_PRIOR = 1e-5
-"""Relative error of a pole that the floor tells at least."""
+MODEL_SHARE = 0.1
+"""Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
 
 STEPS = 12
 """Steps of a fit at most."""
@@ -108,7 +108,9 @@ class Prior:
         """Of ``poles`` whose (f_1, ζ_1, f_2, …) have the ``covariance`` (2 P, 2 P)."""
         place = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))
         spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
-        return cls(place, np.maximum(spread, LEAST_PRIOR))
+        # what the floor takes for random may have rung from a start: its widths are not believed further
+        least = np.stack([MODEL_SHARE * poles.damping, np.full(len(poles), MODEL_SHARE)], axis=1)
+        return cls(place, np.hypot(spread, least))
 
     def rows(self, poles: Poles) -> tuple[Array, Array]:
         """Jacobian (2 P, 2 M) and residual (2 P,) of ``poles``, of which these are the first."""
