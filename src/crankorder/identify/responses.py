@@ -37,12 +37,15 @@ class WithAndWithout:
         """Amplification (G,) as fitted: the largest amplitude of any channel over the largest without the mode."""
         return np.asarray(self.with_mode.max(axis=0) / self._at_least(self.without))
 
-    def ends(self, sigmas: float) -> tuple[Floats, Floats]:
-        """Least and largest amplification (G,) within so many ``sigmas``."""
+    def ends(self, sigmas: float, *, matters: float = 0.0) -> tuple[Floats, Floats]:
+        """Least and largest amplification (G,) within so many ``sigmas``.
+
+        ``matters``: an amplitude below which none matters; the largest amplification is over no less.
+        """
         low = np.maximum(self.with_mode - sigmas * self.with_error, 0.0).max(axis=0)
         high = (self.with_mode + sigmas * self.with_error).max(axis=0)
         below, above = self.without - sigmas * self.without_error, self.without + sigmas * self.without_error
-        return low / self._at_least(above), high / self._at_least(below)
+        return low / self._at_least(above), high / np.maximum(self._at_least(below), matters)
 
     def _at_least(self, amplitude: Floats) -> Floats:
         return np.asarray(np.maximum(amplitude, self.least[:, None]).max(axis=0))

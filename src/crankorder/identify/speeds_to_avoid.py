@@ -21,6 +21,7 @@ from crankorder.identify.found import (
     SpeedVerdicts,
     UnseenBound,
 )
+from crankorder.identify.modal.exclusion import MATTERS
 from crankorder.identify.responses import amplitude_at, together, with_and_without
 from crankorder.settings import IdentifySettings
 
@@ -40,6 +41,15 @@ class _Open:
     low_rpm: float
     high_rpm: float
     why: str
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """An amplification of ``factor`` is not free; ``sigmas`` make it sure; amplitudes below ``matters`` do not count."""
+
+    factor: float
+    sigmas: float
+    matters: float = 0.0
 
 
 def speeds_to_avoid(
@@ -80,7 +90,7 @@ def speeds_to_avoid(
         return SpeedVerdicts(tuple(avoid), (), ())
     opened = [
         *_by_avoided(avoid),
-        *_by_modes(found, modal, unit, settings),
+        *_by_modes(found, modal, unit, largest, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
@@ -181,11 +191,15 @@ def _by_avoided(avoid: Sequence[AvoidedSpeed]) -> list[_Open]:
 
 
 def _by_modes(
-    found: Sequence[Crossing], modal: ModalFit, unit: Mapping[str, str], settings: IdentifySettings
+    found: Sequence[Crossing],
+    modal: ModalFit,
+    unit: Mapping[str, str],
+    largest: Mapping[str, float],
+    settings: IdentifySettings,
 ) -> list[_Open]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
     made: list[_Open] = []
-    sigmas = float(ndtri(0.5 + 0.5 * settings.free_confidence))
+    limits = _Limits(settings.free_amplification, float(ndtri(0.5 + 0.5 * settings.free_confidence)))
     for item in found:
         number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
         mode = modal.modes[number]
@@ -198,14 +212,13 @@ def _by_modes(
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
-            made += _amplified(group, number, modal, settings.free_amplification, sigmas, what)
+            matters = MATTERS * max(largest.get(one.channel, 0.0) for one in group)
+            made += _amplified(group, number, modal, replace(limits, matters=matters), what)
     return made
 
 
-def _amplified(
-    group: list[OrderResponse], number: int, modal: ModalFit, factor: float, sigmas: float, what: str
-) -> list[_Open]:
-    """Speeds around the crossing at which mode ``number`` may amplify an order by more than ``factor``."""
+def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits: _Limits, what: str) -> list[_Open]:
+    """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free."""
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / group[0].order
     reach = max(NEAR_DAMPINGS * mode.damping_ratio, BESIDE)
@@ -214,15 +227,16 @@ def _amplified(
         return []
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(rpm * (1.0 + reach * turn), low, high))
-    least, most = together([with_and_without(one, number, grid, modal) for one in group]).ends(sigmas)
-    over = most > factor
+    both = together([with_and_without(one, number, grid, modal) for one in group])
+    least, most = both.ends(limits.sigmas, matters=limits.matters)
+    over = (most > limits.factor) | (least > limits.factor)
     if not over.any():
         return []
-    said = "is amplified" if (least > factor).any() else "may be amplified"
+    said = "is amplified" if (least > limits.factor).any() else "may be amplified"
     inside = np.flatnonzero(over)
     begin, end = float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
     begin, end = min(begin, rpm / (1.0 + BESIDE)), max(end, rpm * (1.0 + BESIDE))
-    return [_Open(begin, end, f"{what}: {said} more than {factor:g} times")]
+    return [_Open(begin, end, f"{what}: {said} more than {limits.factor:g} times")]
 
 
 def _by_unseen(

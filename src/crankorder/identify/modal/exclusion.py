@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
 from crankorder.identify.modal.order_responses import Block, Projected, with_scatter
-from crankorder.identify.modal.surface_fit import Poles
+from crankorder.identify.modal.surface_fit import Poles, Problem
 
 BETWEEN_ROWS = 4
 """Speeds that are asked about between two tested ones."""
@@ -23,6 +23,12 @@ WIDER = (1.0, 3.0, 10.0)
 
 MATTERS = 0.03
 """Share of the largest amplitude of any order below which no amplitude matters."""
+
+SELECTIVE = 5.0
+"""How many times as much a mode may add to one order as to another, beside what each is without it."""
+
+SHAKEN = 10.0
+"""Power of a mode over the middling floor from which what is broadband is taken to shake the structure."""
 
 NOISE_SHARE = 2.0
 """Standard errors beneath which nothing is seen: amplitudes below it count as so large."""
@@ -38,6 +44,7 @@ def least_seen(
     unit: Mapping[str, str],
     least_damping: float,
     confidence: float,
+    floors: Sequence[FloorBound] = (),
 ) -> tuple[UnseenBound, ...]:
     """For each of ``blocks``, how much a mode beside the ``poles`` could amplify its order without being seen.
 
@@ -45,6 +52,10 @@ def least_seen(
     its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1). What it
     adds at its peak, over what is there without it, is the amplification, in the channel that has most of each
     ``unit``. Amplitudes below the noise, or below a small share of the largest of any order, count as so large.
+
+    A mode is the structure's: other orders pass it at their own speeds, and what excites the floor does too. It is
+    reckoned with that it amplifies one order SELECTIVE times as much as another, or as the floor (``floors``), but no
+    more: what one of them excludes by far is excluded for all.
     """
     from scipy.special import chdtri
 
@@ -53,8 +64,56 @@ def least_seen(
     for block in blocks:
         size = np.sqrt(block.size) if block.power else block.size
         for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
-            largest[unit[name]] = max(most, largest.get(unit[name], 0.0))
-    return tuple(_bound(block, poles, least_damping, reach, unit, largest) for block in blocks)
+            largest[unit[name]] = max(MATTERS * most, largest.get(unit[name], 0.0))
+    alone = [_bound(block, poles, least_damping, reach, unit, largest) for block in blocks]
+    known = [FloorBound(item.order * item.speed_rpm / 60.0, item.amplification) for item in alone]
+    made = []
+    for number, item in enumerate(alone):
+        others = [bound for k, bound in enumerate(known) if k != number and alone[k].order != item.order]
+        hz = item.order * item.speed_rpm / 60.0
+        shared = np.min([bound.at(hz) for bound in (*others, *floors)], axis=0, initial=np.inf)
+        allowed = 1.0 + SELECTIVE * (shared - 1.0)
+        made.append(replace(item, amplification=np.minimum(item.amplification, allowed)))
+    return tuple(made)
+
+
+@dataclass(frozen=True, eq=False)
+class FloorBound:
+    """Largest ``amplification`` (F,) that a mode at ``frequency_hz`` (F,), rising, could have without being seen."""
+
+    frequency_hz: Array
+    amplification: Array
+
+    def at(self, hz: Array) -> Array:
+        """That at ``hz`` (G,); infinite where nothing is known."""
+        return np.asarray(np.interp(hz, self.frequency_hz, self.amplification, left=np.inf, right=np.inf))
+
+
+def floor_bound(
+    problem: Problem, model: Array, *, poles: Poles, least_damping: float, confidence: float
+) -> FloorBound | None:
+    """What the floor of a band (``problem``, as fitted by ``model`` (C, F)) excludes; None where nothing shakes it.
+
+    Only where a mode among the ``poles`` stands clear of it does what is broadband excite the structure, and would show
+    others. A resonance of the damping ``least_damping`` fills a share of a bin; what stands over the model, and as much
+    more as its scatter hides at ``confidence``, is its power.
+    """
+    from scipy.special import ndtri
+
+    clear = [
+        float((model[:, at] / np.median(model, axis=1)).max())
+        for f in poles.frequency_hz
+        if 0 <= (at := int(np.argmin(np.abs(problem.frequency_hz - f)))) < len(problem.frequency_hz)
+    ]
+    if max(clear, default=0.0) < SHAKEN:
+        return None
+    used = problem.averages > 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = np.where(used, np.nan_to_num(problem.psd) / model - 1.0, np.inf)
+        hidden = np.where(used, float(ndtri(confidence)) / np.sqrt(problem.averages), np.inf)
+    best = np.min(np.maximum(over, 0.0) + hidden, axis=0)
+    filled = np.minimum(np.pi * least_damping * problem.frequency_hz / problem.seen.bin_hz, 1.0)
+    return FloorBound(problem.frequency_hz, np.sqrt(1.0 + best / filled))
 
 
 def _bound(
@@ -63,7 +122,7 @@ def _bound(
     least_damping: float,
     reach: float,
     unit: Mapping[str, str],
-    largest: Mapping[str, float],
+    matters: Mapping[str, float],
 ) -> UnseenBound:
     block, part = with_scatter(block, poles)
     speed = _asked(block)
@@ -82,7 +141,7 @@ def _bound(
     most = np.zeros(len(speed))
     for name in dict.fromkeys(unit[channel] for channel in block.channels):
         own = np.array([unit[channel] == name for channel in block.channels])
-        least = np.maximum(noise[own].max(axis=0), MATTERS * largest[name])
+        least = np.maximum(noise[own].max(axis=0), matters[name])
         without = np.maximum(base[own].max(axis=0), least)
         most = np.maximum(most, np.maximum((base + added)[own].max(axis=0), least) / np.maximum(without, 1e-300))
     return UnseenBound(block.order, speed, most)

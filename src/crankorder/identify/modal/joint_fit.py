@@ -13,7 +13,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.modal.bands import Band, bands_of
 from crankorder.identify.modal.covariance import pole_covariance
 from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air
-from crankorder.identify.modal.exclusion import least_seen
+from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, mode_of, proven_by
@@ -75,8 +75,9 @@ def modal_fit(
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), proofs, strict=True))
         found, kept = _found(fitted, floor, proof, settings)
+    floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    return _with_order_modes(found, kept, blocks, extra, covariance, unit, settings)
+    return _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
@@ -119,6 +120,16 @@ class Fitted:
         """Poles that belong to the band and are no tones."""
         return self.fit.poles.chosen(self.own)
 
+    def excludes(self, settings: IdentifySettings) -> FloorBound | None:
+        """What the floor of the band excludes at the damping and the confidence of the ``settings``."""
+        return floor_bound(
+            self.problem,
+            self.fit.model,
+            poles=self.own_modes,
+            least_damping=settings.least_damping_ratio,
+            confidence=settings.free_confidence,
+        )
+
     def covariance_of(self, which: NDArray[np.bool_]) -> Array:
         """Covariance of (f_1, ζ_1, f_2, …) of the poles marked by ``which``."""
         scatter = np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
@@ -146,6 +157,7 @@ def _with_order_modes(
     blocks: tuple[Block, ...],
     extra: tuple[OrderPole, ...],
     covariance: Array,
+    floors: Sequence[FloorBound],
     unit: Mapping[str, str],
     settings: IdentifySettings,
 ) -> ModalFit:
@@ -168,7 +180,12 @@ def _with_order_modes(
         covariance=_side_by_side([fit.covariance, covariance[np.ix_(of_own, of_own)]])[np.ix_(at, at)],
         responses=responses_of(blocks, poles),
         unseen=least_seen(
-            blocks, poles, unit=unit, least_damping=settings.least_damping_ratio, confidence=settings.free_confidence
+            blocks,
+            poles,
+            unit=unit,
+            least_damping=settings.least_damping_ratio,
+            confidence=settings.free_confidence,
+            floors=floors,
         ),
     )
 

@@ -39,6 +39,9 @@ AT_ONCE = 2
 TRIALS = 400.0
 """Frequencies and damping ratios that are independent of one another, about."""
 
+PROMISING = 0.2
+"""Share of what chance saves at one of all starts by which a start is worth a trial."""
+
 EXPECTED_GAIN = 6.0
 """What noise alone may save at a start in one channel."""
 
@@ -273,9 +276,10 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
     """``state`` with the one pole more that saves most; None where no start promises anything."""
     gains = _gains(state, tried)
     best, most = None, 0.0
+    promising = PROMISING * _limit(state.blocks, 1.0 / TRIALS)
     for _ in range(TRIED_STARTS):
         at = int(np.argmax(gains))
-        if not gains[at] > 0.0:
+        if not gains[at] > promising:
             break
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
