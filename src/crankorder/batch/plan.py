@@ -15,6 +15,12 @@ from crankorder.settings import Settings, load_settings
 
 LONGEST_NAME = 80
 
+BESIDE_MESH = 1.5
+"""Orders above a stated mesh of teeth that are looked at with it: its first sidebands."""
+
+HIGHEST_STATED = 200.0
+"""A stated mesh above this order is looked at only where a recipe asks for orders so high."""
+
 
 @dataclass(frozen=True)
 class TestPlan:
@@ -83,7 +89,7 @@ def _plan(
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
-    settings = load_settings(chosen, beside=beside if recipe is None else None, asked=asked)
+    settings = _up_to_gears(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
     found = recordings_of(folder, stated)
     name = folder_name(stated.test.name or folder.resolve().name, taken)
     _refuse_inside(folder, out / name)
@@ -96,6 +102,15 @@ def _plan(
         out=out / name,
         faults=list(found.faults),
     )
+
+
+def _up_to_gears(settings: Settings, stated: Manifest) -> Settings:
+    """``settings`` whose highest order holds the gears that ``stated`` names: what they excite is to be judged."""
+    meshes = [gear.mesh_order for gear in stated.gears if gear.mesh_order <= HIGHEST_STATED]
+    top = max((mesh + BESIDE_MESH for mesh in meshes), default=0.0)
+    if top <= settings.orders.max_order:
+        return settings
+    return settings.model_copy(update={"orders": settings.orders.model_copy(update={"max_order": top})})
 
 
 def _refuse_inside(folder: Path, out: Path) -> None:
