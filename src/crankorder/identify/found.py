@@ -93,6 +93,47 @@ class Mode:
 
 
 @dataclass(frozen=True, eq=False)
+class Whirl:
+    """A natural frequency that moves with the speed: ``frequency_hz`` at ``reference_rpm``, by ``slope`` Hz per rev/s.
+
+    Errors are standard, ``together`` is the covariance of frequency and slope; ``slope`` is in orders, rising of a
+    forward whirl, falling of a backward one. ``channels`` show it, up to ``prominence_db`` over what stays.
+    """
+
+    reference_rpm: float
+    frequency_hz: float
+    frequency_error_hz: float
+    slope: float
+    slope_error: float
+    together: float
+    damping_ratio: float
+    damping_error: float
+    channels: tuple[str, ...]
+    prominence_db: float
+    evidence: str
+
+    @property
+    def damping_told(self) -> bool:
+        """Whether the damping is more than a bound."""
+        return self.damping_error < 0.5 * self.damping_ratio
+
+    def line_at(self, rpm: float) -> float:
+        """Natural frequency in Hz at the speed ``rpm``."""
+        return self.frequency_hz + self.slope * (rpm - self.reference_rpm) / 60.0
+
+    def meets(self, order: float) -> float | None:
+        """Speed in rpm at which an ``order`` meets it; None where it never does."""
+        at_rest = self.line_at(0.0)
+        return 60.0 * at_rest / (order - self.slope) if (order - self.slope) * at_rest > 0.0 else None
+
+    def error_at(self, rpm: float) -> float:
+        """Standard error in Hz of the natural frequency at the speed ``rpm``."""
+        off = (rpm - self.reference_rpm) / 60.0
+        square = self.frequency_error_hz**2 + 2.0 * off * self.together + (off * self.slope_error) ** 2
+        return float(np.sqrt(max(square, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
 class Tone:
     """A line of fixed frequency without damping; ``amplitude`` is its peak with its standard error, by channel."""
 
@@ -148,6 +189,7 @@ class ModalFit:
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
+    ``whirls`` are the natural frequencies that move with the speed, lowest first.
     """
 
     modes: tuple[Mode, ...]
@@ -158,6 +200,7 @@ class ModalFit:
     frequency_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    whirls: tuple[Whirl, ...] = ()
 
 
 Verdict = Literal["excited", "not excited", "not decided", "not measured", "outside the tested range", "undecided mode"]

@@ -38,7 +38,8 @@ class Floor:
 
     ``frequency_hz`` (F,) of the bins in use; ``psd`` (C, F) at unit gain; ``averages`` (C, F): independent power
     spectra behind each; ``gain`` (C, K) of each speed; ``cells`` (C, K, F): psd of each speed at unit gain, NaN where
-    masked; ``cell_averages`` (C, K). ``seen``: how the window sees power. ``whole`` (C, F): mean psd with all lines.
+    masked; ``cell_averages`` (C, K). ``moving`` (C, K, F): the cells before those that stand out at few speeds were
+    masked. ``seen``: how the window sees power. ``whole`` (C, F): mean psd with all lines.
     ``quantity`` (C,): what each channel measures, "" where unknown. ``strong``: (frequency,
     its error) of lines that are tones for sure.
     """
@@ -54,6 +55,7 @@ class Floor:
     seen: Sight
     whole: Array
     quantity: tuple[str, ...]
+    moving: Array
     strong: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -104,7 +106,7 @@ def quiet_floor(
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
-    whole = _mean(psd, averages)[0]
+    whole = mean_over_speeds(psd, averages)[0]
     moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
@@ -112,16 +114,20 @@ def quiet_floor(
             near = np.abs(frequency[used] - order * rpm / 60.0) <= MASKED_BINS * seen.bin_hz
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
     psd, gain = _at_unit_gain(psd, averages)
+    unclipped = psd.copy()
     if psd.shape[1] > 2:
         _clip(psd, averages)
-    mean, total = _mean(psd, averages)
+    mean, total = mean_over_speeds(psd, averages)
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
-    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity)
+    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
 
 
-def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
-    """Mean of ``psd`` over the speeds, weighted by ``averages``, and the sum of those; NaN takes no part."""
+def mean_over_speeds(psd: Array, averages: Array) -> tuple[Array, Array]:
+    """Mean (C, F) of ``psd`` (C, K, F) over the speeds, weighted by ``averages`` (C, K), and the sum of those.
+
+    NaN takes no part.
+    """
     weight = np.where(np.isnan(psd), 0.0, averages[:, :, None])
     total = weight.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
