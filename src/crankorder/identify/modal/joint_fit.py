@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
 from crankorder.identify.modal.bands import Band, bands_of
 from crankorder.identify.modal.covariance import pole_covariance
 from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air
@@ -23,6 +23,7 @@ from crankorder.identify.modal.search import dispersion, evidence_of, hidden_pol
 from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
+from crankorder.identify.modal.whirl import whirls_of, with_whirls
 from crankorder.settings import IdentifySettings
 
 SHOWN_DB = 1.0
@@ -53,7 +54,9 @@ def modal_fit(
     blocks = blocks_of(order_map, orders, followed)
     floor = _floor(campbell, order_map, orders)
     fitted: list[Fitted] = []
+    whirls: tuple[Whirl, ...] = ()
     if floor is not None:
+        floor, whirls = whirls_of(floor, settings=settings)
         floor = with_strong_tones(floor)
         for band in bands_of(floor):
             problem, fit = search(band.floor, chance=settings.false_alarm_probability)
@@ -77,7 +80,8 @@ def modal_fit(
         found, kept = _found(fitted, floor, proof, settings)
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    return _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
+    made = _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
+    return with_whirls(made, whirls)
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
