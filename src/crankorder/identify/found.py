@@ -212,7 +212,8 @@ class Crossing:
 
     ``amplification`` is the amplitude over the trend in the channel that shows it best, with its interval; None where
     it was not measured; ``amplification_predicted`` that of the fit (``predicted_from`` "fit" or "damping"). ``remark``
-    says what makes the natural frequency doubtful; ``chance`` that the order looks so without the mode.
+    says what makes the natural frequency doubtful; ``chance`` that the order looks so without the mode; ``whirl``
+    is the one that the order meets, where it is none that stays.
     """
 
     order: float
@@ -230,6 +231,7 @@ class Crossing:
     evidence: str
     verdict: Verdict
     chance: float | None = None
+    whirl: Whirl | None = None
 
     @property
     def excited(self) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crankorder.identify.explain import Cause, Causes
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
@@ -111,8 +111,9 @@ def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[Mappin
 
 
 def mode_records(modal: ModalFit, causes: Causes) -> list[dict[str, Any]]:
-    """Records of all modes and tones of ``modal``, lowest first, with their ``causes``."""
+    """Records of all modes, whirls and tones of ``modal``, lowest first, with their ``causes``."""
     records = [_mode_record(mode, cause) for mode, cause in zip(modal.modes, causes.modes, strict=True)]
+    records += [_whirl_record(whirl) for whirl in modal.whirls]
     records += [_tone_record(tone, cause) for tone, cause in zip(modal.tones, causes.tones, strict=True)]
     return sorted(records, key=lambda record: float(record["frequency_hz"]))
 
@@ -130,6 +131,24 @@ def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
         "reached_by_orders": list(mode.reached_by),
         "undecided": mode.undecided,
         "explained_by": cause.text,
+    }
+
+
+def _whirl_record(whirl: Whirl) -> dict[str, Any]:
+    low, high = interval(whirl.damping_ratio, whirl.damping_error)
+    return {
+        "frequency_hz": whirl.frequency_hz,
+        "frequency_hz_ci95": interval(whirl.frequency_hz, whirl.frequency_error_hz),
+        "reference_rpm": whirl.reference_rpm,
+        "speed_slope": whirl.slope,
+        "speed_slope_ci95": interval(whirl.slope, whirl.slope_error),
+        "damping_ratio": whirl.damping_ratio if whirl.damping_told else None,
+        "damping_ratio_ci95": [max(0.0, low), high],
+        "channels": list(whirl.channels),
+        "evidence": whirl.evidence,
+        "prominence_db": whirl.prominence_db,
+        "undecided": "",
+        "explained_by": "whirl",
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from crankorder.identify.found import Crossing, SpeedBand, SpeedVerdicts
@@ -11,7 +11,8 @@ from crankorder.identify.found import Crossing, SpeedBand, SpeedVerdicts
 
 def crossing_records(found: Sequence[Crossing]) -> list[dict[str, Any]]:
     """Records of the crossings ``found``."""
-    return [_listed(asdict(item)) | {"excited": item.excited} for item in found]
+    records = [_listed(asdict(replace(item, whirl=None))) | {"excited": item.excited} for item in found]
+    return [{key: value for key, value in record.items() if key != "whirl"} for record in records]
 
 
 def avoided_records(verdicts: SpeedVerdicts) -> list[dict[str, Any]]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from crankorder.identify.crossings import CLEARLY_EXCITED, responses_to, width_rpm
+from crankorder.identify.above_trend import width_rpm
+from crankorder.identify.crossings import responses_to
 from crankorder.identify.found import (
     AgreedOrder,
     AvoidedSpeed,
@@ -23,6 +24,7 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.modal.exclusion import MATTERS
 from crankorder.identify.responses import amplitude_at, together, with_and_without
+from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, met_mode
 from crankorder.settings import IdentifySettings
 
 BESIDE = 0.03
@@ -90,7 +92,7 @@ def speeds_to_avoid(
         return SpeedVerdicts(tuple(avoid), (), ())
     opened = [
         *_by_avoided(avoid),
-        *_by_modes(found, modal, unit, largest, settings),
+        *_by_modes(found, modal, unit, largest, speed_rpm, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
@@ -121,13 +123,17 @@ def _cost(
     settings: IdentifySettings,
 ) -> AvoidedSpeed:
     """Range, amplitude and cost of one excited crossing."""
-    mode = min(modal.modes, key=lambda one: abs(one.frequency_hz - item.mode_hz))
+    mode = _mode_of(item, modal)
     agreed = min(orders, key=lambda one: abs(one.order - item.order))
     peaks = _peaks(item, agreed, modal, mode, settings)
     shares = {channel: peak / largest[channel] for channel, peak in peaks.items() if largest.get(channel, 0.0) > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     half = mode.damping_ratio * item.rpm
-    what = f"{item.mode_hz:.4g} Hz" + (", which may be a natural frequency" if mode.undecided else "")
+    what = (
+        f"{item.mode_hz:.4g} Hz"
+        + (f" of a whirl that moves by {item.whirl.slope:.3g} orders" if item.whirl is not None else "")
+        + (", which may be a natural frequency" if mode.undecided else "")
+    )
     return AvoidedSpeed(
         rpm=item.rpm,
         rpm_range=(item.rpm_ci95[0] - half, item.rpm_ci95[1] + half),
@@ -146,7 +152,7 @@ def _peaks(
 ) -> dict[str, float]:
     """Peak amplitude by channel at the crossing ``item``."""
     peaks: dict[str, float] = {}
-    for response in responses_to(agreed.order, modal):
+    for response in responses_to(agreed.order, modal) if item.whirl is None else ():
         if response.fits and response.span_rpm[0] <= item.rpm <= response.span_rpm[1]:
             peak = amplitude_at(response, item.rpm, modal)
             peaks[response.channel] = max(peak, peaks.get(response.channel, 0.0))
@@ -195,12 +201,16 @@ def _by_modes(
     modal: ModalFit,
     unit: Mapping[str, str],
     largest: Mapping[str, float],
+    speed_rpm: tuple[float, float],
     settings: IdentifySettings,
 ) -> list[_Open]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
     made: list[_Open] = []
     limits = _Limits(settings.free_amplification, float(ndtri(0.5 + 0.5 * settings.free_confidence)))
     for item in found:
+        if item.whirl is not None:
+            made += _by_whirl(item, modal, speed_rpm, settings)
+            continue
         number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
         mode = modal.modes[number]
         what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
@@ -215,6 +225,36 @@ def _by_modes(
             matters = MATTERS * max(largest.get(one.channel, 0.0) for one in group)
             made += _amplified(group, number, modal, replace(limits, matters=matters), what)
     return made
+
+
+def _by_whirl(
+    item: Crossing, modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
+) -> list[_Open]:
+    """Speeds around the crossing of a whirl at which it amplifies an order by more than is free, or may.
+
+    No fit holds it, so that nothing is free as far as a resonance of the height that was measured, or could be, stands
+    higher than is free: about 1 / (2 × that factor) of the speed where nothing bounds the height.
+    """
+    mode = _mode_of(item, modal)
+    measured = np.inf if item.amplification_ci95 is None else item.amplification_ci95[1]
+    height = min(max(measured, 1.0), 1.0 / (2.0 * max(mode.damping_ratio, 1e-6)))
+    if item.verdict == "not excited":
+        return []
+    reach = mode.damping_ratio * height / settings.free_amplification
+    beside = max(width_rpm(item.rpm, mode, settings), max(BESIDE, reach) * item.rpm)
+    low, high = item.rpm_ci95[0] - beside, item.rpm_ci95[1] + beside
+    if low >= speed_rpm[1] or high <= speed_rpm[0]:
+        return []
+    said = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
+    text = f"order {item.order:.4g} with a whirl of {item.mode_hz:.4g} Hz: {said}"
+    return [_Open(low, high, text)]
+
+
+def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
+    """The mode that a crossing is of; of a whirl, what the order passes through."""
+    if item.whirl is not None and (met := met_mode(item.order, item.whirl)) is not None:
+        return met[1]
+    return min(modal.modes, key=lambda one: abs(one.frequency_hz - item.mode_hz))
 
 
 def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits: _Limits, what: str) -> list[_Open]:

@@ -101,7 +101,12 @@ def order_estimate(record: dict[str, Any], findings: dict[str, Any]) -> str:
 
 def is_tone(mode: dict[str, Any]) -> bool:
     """True for a ``mode`` record of the findings that is no natural frequency: mains or another fixed tone."""
-    return str(mode.get("explained_by", "mode")) not in ("mode", "undecided")
+    return str(mode.get("explained_by", "mode")) not in ("mode", "whirl", "undecided")
+
+
+def is_whirl(mode: dict[str, Any]) -> bool:
+    """True for a ``mode`` record of the findings that moves with the speed."""
+    return mode.get("explained_by") == "whirl" and is_number(mode.get("speed_slope"))
 
 
 def is_undecided(mode: dict[str, Any]) -> bool:

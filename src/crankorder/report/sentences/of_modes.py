@@ -10,6 +10,7 @@ from crankorder.report.notation import (
     is_number,
     is_tone,
     is_undecided,
+    is_whirl,
     listed,
     named,
 )
@@ -21,11 +22,13 @@ _DOUBTS = 3  # … and doubts, each with its reason
 def mode_sentences(findings: dict[str, Any]) -> list[str]:
     """Natural frequencies of ``findings``, then those that are not decided, with the reason."""
     modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz")) and not is_tone(mode)]
-    own = [f"{frequency_text(mode['frequency_hz'])} Hz" for mode in modes if not is_undecided(mode)]
+    fixed = [mode for mode in modes if not is_undecided(mode) and not is_whirl(mode)]
+    own = [f"{frequency_text(mode['frequency_hz'])} Hz" for mode in fixed]
     sentences = []
     if own:
         noun = "Natural frequencies" if len(own) > 1 else "Natural frequency"
         sentences.append(f"{noun}: {listed(own[:_SHOWN])}{' and more' if len(own) > _SHOWN else ''}.")
+    sentences += [_of_whirl(mode) for mode in modes if is_whirl(mode)]
     doubts = [mode for mode in modes if is_undecided(mode)]
     for mode in doubts[:_DOUBTS]:
         reason = named(mode.get("undecided") or "", limit=4 * NAME_CHARACTERS).rstrip(".")
@@ -34,3 +37,11 @@ def mode_sentences(findings: dict[str, Any]) -> list[str]:
     if len(doubts) > _DOUBTS:
         sentences.append(f"{len(doubts) - _DOUBTS} more lines are not decided: see their table.")
     return sentences
+
+
+def _of_whirl(mode: dict[str, Any]) -> str:
+    """The sentence of a natural frequency that moves with the speed."""
+    slope, rpm = float(mode["speed_slope"]), mode.get("reference_rpm")
+    at = f" at {float(rpm):.0f} rpm" if is_number(rpm) else ""
+    kind, moves = ("Forward", "rising") if slope > 0.0 else ("Backward", "falling")
+    return f"{kind} whirl: {frequency_text(mode['frequency_hz'])} Hz{at}, {moves} by {abs(slope):.2f} orders."

@@ -1,0 +1,126 @@
+"""How far an order stands, near a crossing, above the trend of the speeds beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from crankorder.identify.found import AgreedOrder, Mode, OrderLine
+from crankorder.identify.intervals import half_width
+from crankorder.identify.order_trend import PowerLaw, power_law
+from crankorder.settings import IdentifySettings
+
+Floats = NDArray[np.float64]
+
+NEIGHBOURHOOD_DAMPINGS = 4.0
+"""Speeds within so many damping ratios of a crossing take no part in the trend beside it."""
+
+BESIDE = 0.5
+"""Natural logarithm of the ratio of speeds up to which the trend beside a crossing is taken, where enough are there."""
+
+ENOUGH_BESIDE = 6
+"""Speeds that are enough for a trend."""
+
+LEAST_BESIDE = 3
+"""Fewer speeds make no trend: a power law has two parameters."""
+
+MOSTLY_SEEN = 0.8
+"""Share of the tested speeds around a crossing at which an order must be seen before it is called not excited."""
+
+MEANINGLESS = 1e6
+"""A trend that lets an amplification be as large as this is none."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
+
+    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
+    """
+
+    channel: str
+    chance: float
+    at_rpm: float | None = None
+    ratio: float | None = None
+    ratio_low: float = 0.0
+    ratio_high: float = np.inf
+
+
+def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
+    """How far (rpm) from a crossing at ``rpm`` a speed still feels ``mode``.
+
+    Its half-power width, and no less than ``settings.crossing_band_rpm``.
+    """
+    return max(2.0 * mode.damping_ratio * rpm, settings.crossing_band_rpm * (1.0 + 1e-6))
+
+
+def in_range(rpm: float, speed_rpm: tuple[float, float], settings: IdentifySettings) -> bool:
+    return bool(speed_rpm[0] - settings.crossing_band_rpm <= rpm <= speed_rpm[1] + settings.crossing_band_rpm)
+
+
+def evidence_beside(
+    agreed: AgreedOrder, rpm: float, mode: Mode, best: Seen | None, tested: Floats, settings: IdentifySettings
+) -> str:
+    """What the amplitudes around a crossing inside the tested range show."""
+    near = width_rpm(rpm, mode, settings)
+    near_tested = tested[np.abs(tested - rpm) <= near]
+    if best is not None:
+        said = (
+            f"in {best.channel} {best.ratio:.2g} times the trend beside it at {best.at_rpm:.4g} rpm "
+            f"({best.ratio_low:.2g} to {best.ratio_high:.2g})"
+        )
+        if np.abs(tested - rpm).min() > 2.0 * mode.damping_ratio * rpm:
+            said += "; the tested speeds are further apart than the resonance is wide"
+        return said
+    if any(np.any(np.abs(line.speed_rpm - rpm) <= near) for line in agreed.lines):
+        return "too few speeds beside it for a trend"
+    if near_tested.size:
+        return f"the order does not stand over the floor at {near_tested[0]:.4g} rpm"
+    return "no speed near enough was tested"
+
+
+def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> list[Seen]:
+    """How far the amplitude of ``line`` near ``rpm`` stands above the trend of the speeds beside; [] where unknown."""
+    speed = line.speed_rpm
+    at = np.flatnonzero(np.abs(speed - rpm) <= near_rpm)
+    law = _trend_beside(line, rpm, near_rpm, others)
+    at = at[(line.amplitude[at] > 0.0) & np.isfinite(line.amplitude_error[at])]
+    if not at.size or law is None:
+        return []
+    excess, error = law.excess(speed[at], line.amplitude[at], line.amplitude_error[at])
+    best = int(np.argmax(excess / error))
+    chance = min(1.0, at.size * float(stdtr(law.freedom, -excess[best] / error[best])))
+    half = half_width(law.freedom, level=1.0 - 0.05 / at.size) * error[best]
+    ratio = float(np.exp(excess[best]))
+    with np.errstate(over="ignore"):
+        low, high = ratio * np.exp(-half), ratio * np.exp(half)
+    if not high < MEANINGLESS:
+        return []
+    return [Seen(line.channel, chance, float(speed[at[best]]), ratio, float(low), float(high))]
+
+
+def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> PowerLaw | None:
+    """Power law of ``line`` beside ``rpm``; the crossings with ``others`` (rpm, damping) are left out if it can be."""
+    speed = line.speed_rpm
+    damping = min(others, key=lambda item: abs(item[0] - rpm))[1]
+    free = np.abs(speed - rpm) > max(near_rpm, NEIGHBOURHOOD_DAMPINGS * damping * rpm)
+    clear = free.copy()
+    for other, its_damping in others:
+        clear &= np.abs(speed - other) > max(0.5 * near_rpm, 2.0 * its_damping * other)
+    close = np.abs(np.log(speed / rpm)) < BESIDE
+    for chosen in (clear & close, clear, free & close, free):
+        if np.count_nonzero(chosen) >= ENOUGH_BESIDE:
+            return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
+    if np.count_nonzero(free) < LEAST_BESIDE:
+        return None
+    return power_law(speed[free], line.amplitude[free], line.amplitude_error[free])
+
+
+def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
+    """Whether ``line`` stands out at most speeds around ``rpm``: where it hides in the floor, its trend is too high."""
+    around = np.abs(np.log(tested / rpm)) < BESIDE
+    seen = np.abs(np.log(line.speed_rpm / rpm)) < BESIDE
+    return bool(np.count_nonzero(seen) >= MOSTLY_SEEN * np.count_nonzero(around))
