@@ -58,13 +58,18 @@ def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
 
 
 def in_range(rpm: float, speed_rpm: tuple[float, float], settings: IdentifySettings) -> bool:
+    """Whether ``rpm`` is within the tested range ``speed_rpm`` (rpm), or ``settings.crossing_band_rpm`` beside it."""
     return bool(speed_rpm[0] - settings.crossing_band_rpm <= rpm <= speed_rpm[1] + settings.crossing_band_rpm)
 
 
 def evidence_beside(
     agreed: AgreedOrder, rpm: float, mode: Mode, best: Seen | None, tested: Floats, settings: IdentifySettings
 ) -> str:
-    """What the amplitudes around a crossing inside the tested range show."""
+    """What the amplitudes of ``agreed`` around its crossing at ``rpm`` with ``mode``, inside the tested range, show.
+
+    ``best`` is the channel that shows it best, None where no trend is known; ``tested`` (n,) are all speeds in rpm;
+    ``settings`` say how near a speed counts.
+    """
     near = width_rpm(rpm, mode, settings)
     near_tested = tested[np.abs(tested - rpm) <= near]
     if best is not None:
@@ -83,7 +88,10 @@ def evidence_beside(
 
 
 def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> list[Seen]:
-    """How far the amplitude of ``line`` near ``rpm`` stands above the trend of the speeds beside; [] where unknown."""
+    """How far the amplitude of ``line`` near ``rpm`` stands above the trend of the speeds beside; [] where unknown.
+
+    Speeds within ``near_rpm`` are near; ``others`` are all crossings of the order (rpm, damping ratio).
+    """
     speed = line.speed_rpm
     at = np.flatnonzero(np.abs(speed - rpm) <= near_rpm)
     law = _trend_beside(line, rpm, near_rpm, others)
@@ -120,7 +128,10 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
 
 
 def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
-    """Whether ``line`` stands out at most speeds around ``rpm``: where it hides in the floor, its trend is too high."""
+    """Whether ``line`` stands out at most of the speeds ``tested`` (n,) in rpm around ``rpm``.
+
+    Where it hides in the floor, its trend is too high.
+    """
     around = np.abs(np.log(tested / rpm)) < BESIDE
     seen = np.abs(np.log(line.speed_rpm / rpm)) < BESIDE
     return bool(np.count_nonzero(seen) >= MOSTLY_SEEN * np.count_nonzero(around))

@@ -50,6 +50,8 @@ def whirl_crossing(
 ) -> tuple[Crossing, list[Seen]] | None:
     """Crossing of an order with a whirl, and what each channel says of it; None where they never meet.
 
+    ``agreed`` is the order, ``modal`` holds the modes that stay, whose crossings are left out of the trend;
+    ``tested`` (n,) are all speeds in rpm, ``speed_rpm`` the slowest and the fastest; ``settings`` say how near counts.
     No fit of the orders holds a whirl: what is said comes from the amplitudes beside alone.
     """
     if (met := met_mode(agreed.order, whirl)) is None:
@@ -105,7 +107,10 @@ def _whirl_at(order: float, whirl: Whirl, rpm: float, mode: Mode, half_by_order:
 def unmeasured_whirl(
     order: float, whirl: Whirl, speed_rpm: tuple[float, float], settings: IdentifySettings
 ) -> Crossing | None:
-    """Crossing with a whirl of an order that was stated and not seen."""
+    """Crossing with ``whirl`` of an ``order`` that was stated and not seen; None where they never meet.
+
+    ``speed_rpm``: slowest and fastest speed of the test; ``settings`` say how far beside counts as tested.
+    """
     if (met := met_mode(order, whirl)) is None:
         return None
     made = _whirl_at(order, whirl, *met, 0.0)

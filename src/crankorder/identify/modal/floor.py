@@ -106,7 +106,7 @@ def quiet_floor(
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
-    whole = mean_over_speeds(psd, averages)[0]
+    whole = _mean(psd, averages)[0]
     moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
@@ -117,17 +117,14 @@ def quiet_floor(
     unclipped = psd.copy()
     if psd.shape[1] > 2:
         _clip(psd, averages)
-    mean, total = mean_over_speeds(psd, averages)
+    mean, total = _mean(psd, averages)
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
 
 
-def mean_over_speeds(psd: Array, averages: Array) -> tuple[Array, Array]:
-    """Mean (C, F) of ``psd`` (C, K, F) over the speeds, weighted by ``averages`` (C, K), and the sum of those.
-
-    NaN takes no part.
-    """
+def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
+    """Mean of ``psd`` over the speeds, weighted by ``averages``, and the sum of those; NaN takes no part."""
     weight = np.where(np.isnan(psd), 0.0, averages[:, :, None])
     total = weight.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
-from crankorder.identify.modal.floor import Floor, mean_over_speeds
+from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import HANN_CORRELATION
 from crankorder.identify.modal.whirl_fit import (
     Cells,
@@ -42,6 +42,12 @@ ROUNDS = 3
 
 MASKED_SHARE = 0.3
 """Share of the rest from which the power of a whirl covers a cell."""
+
+LEAST_WORTH = 10.0
+"""Spectra that what stays in a bin must be worth beside a whirl: of fewer, its scatter is not that of a gamma law."""
+
+BROADER = 2.0
+"""Half widths of a whirl beyond which an undecided hump on its flank is broader, and of the hump that make it beside."""
 
 SURE = 3.5
 """Standard errors that a slope is off zero, and a line off an order, at least."""
@@ -303,24 +309,30 @@ def _known(whole: Cells, found: list[_Told]) -> Cells:
 
 
 def _without(told: _Told, floor: Floor) -> Floor:
-    """``floor`` without the line: taken off where it is weak, masked where it is not."""
-    left = 1.0 - told.fit.part / np.maximum(told.fit.model, 1e-300)
-    kept = floor.cells.copy()
-    strong = told.fit.part > MASKED_SHARE * told.fit.fixed[:, None]
-    kept[:, :, told.bins] *= np.where(strong, np.nan, left)
-    mean, total = mean_over_speeds(kept, floor.cell_averages)
-    return replace(floor, cells=kept, psd=mean, averages=total)
+    """``floor`` without the line: in its place, what stays by the fit, with the weight that it has beside the line."""
+    fit, weight = told.fit, told.cells.averages
+    share = np.where(weight > 0.0, np.minimum(fit.fixed[:, None] / np.maximum(fit.model, 1e-300), 1.0), 0.0)
+    psd, averages, cells = floor.psd.copy(), floor.averages.copy(), floor.cells.copy()
+    worth = (weight * share**2).sum(axis=1)
+    psd[:, told.bins] = np.where(worth >= LEAST_WORTH, fit.fixed, np.nan)
+    averages[:, told.bins] = np.where(worth >= LEAST_WORTH, worth, 0.0)
+    strong = fit.part > MASKED_SHARE * fit.fixed[:, None]
+    cells[:, :, told.bins] *= np.where(strong, np.nan, 1.0 - fit.part / np.maximum(fit.model, 1e-300))
+    return replace(floor, cells=cells, psd=psd, averages=averages)
 
 
-def with_whirls(fit: ModalFit, whirls: tuple[Whirl, ...]) -> ModalFit:
-    """``fit`` with its ``whirls``, without the modes that are only what they make of an order.
+def with_whirls(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Array) -> ModalFit:
+    """``fit`` with its ``whirls``, without the modes that are only what they make of an order, or leave in the floor.
 
-    Such a mode is known from orders alone and stands where one of these meets a whirl. What these orders pass through
-    is then not known: their responses are said not to fit.
+    The former stand where an order that shows them meets a whirl; what these orders pass through is then not known:
+    their responses are said not to fit. The latter are undecided humps, broader than a whirl, on its flanks.
+    ``speed_rpm`` (n,): the speeds of the test.
     """
     if not whirls:
         return fit
-    kept = [not any(_is_crossing(mode, whirl) for whirl in whirls) for mode in fit.modes]
+    kept = [
+        not any(_is_crossing(one, whirl) or _is_flank(one, whirl, speed_rpm) for whirl in whirls) for one in fit.modes
+    ]
     lost = {order for mode, own in zip(fit.modes, kept, strict=True) if not own for order in mode.reached_by}
     at = np.flatnonzero(kept)
     place = {int(old): new for new, old in enumerate(at)}
@@ -343,6 +355,15 @@ def _is_crossing(mode: Mode, whirl: Whirl) -> bool:
         if rpm is not None and abs(order * rpm / 60.0 - mode.frequency_hz) <= near * mode.frequency_hz:
             return True
     return False
+
+
+def _is_flank(mode: Mode, whirl: Whirl, speed_rpm: Array) -> bool:
+    """Whether an undecided ``mode`` is what the fit leaves of the flanks of ``whirl``."""
+    half = mode.damping_ratio * mode.frequency_hz
+    if not mode.undecided or half < BROADER * whirl.damping_ratio * whirl.frequency_hz:
+        return False
+    ends = sorted(whirl.line_at(float(rpm)) for rpm in (np.nanmin(speed_rpm), np.nanmax(speed_rpm)))
+    return ends[0] - BROADER * half <= mode.frequency_hz <= ends[1] + BROADER * half
 
 
 def _without_modes(response: OrderResponse, place: dict[int, int], *, fits: bool) -> OrderResponse:

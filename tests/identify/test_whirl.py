@@ -1,0 +1,185 @@
+"""Whirl modes: resonances whose natural frequency moves with the speed, told from modes that stay and from orders."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.identify.crossings import crossings
+from crankorder.identify.explain import Causes
+from crankorder.identify.found import ModalFit, Mode, UnseenBound, Whirl
+from crankorder.identify.modal.floor import quiet_floor
+from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modal.whirl import whirls_of, with_whirls
+from crankorder.identify.records import mode_records
+from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.report.sentences.of_modes import mode_sentences
+from crankorder.settings import load_settings
+from made.floors import no_orders
+from made.found_lines import agreed, fit, line
+from made.whirls import Moving, Rotor, whirling_campbell
+
+SETTINGS = load_settings().identify
+FORWARD = Moving(hz=56.0, slope=0.12, damping=0.02)
+BACKWARD = Moving(hz=56.0, slope=-0.1, damping=0.02)
+STAYS = (Moving(hz=90.0, slope=0.0, damping=0.02), Moving(hz=61.0, slope=0.0, damping=0.01))
+SPEEDS = np.linspace(1000.0, 4000.0, 16)
+
+
+def _whirls(rotor: Rotor, seed: int) -> tuple[Whirl, ...]:
+    floor = quiet_floor(whirling_campbell(rotor, seed), ())
+    assert floor is not None
+    return whirls_of(floor, settings=SETTINGS)[1]
+
+
+def _fit(rotor: Rotor, seed: int) -> ModalFit:
+    campbell = whirling_campbell(rotor, seed)
+    orders = no_orders(campbell)
+    orders = orders.assign_coords(unit=("channel", ["m/s²"] * orders.sizes["channel"]))
+    return modal_fit(campbell, orders, (), settings=SETTINGS)
+
+
+def _drawn(seed: int) -> Rotor:
+    """A rotor with one whirl of random frequency, slope, damping and loudness, and a mode that stays."""
+    random = np.random.default_rng([seed, 14])
+    slope = float(random.choice([-1.0, 1.0]) * np.exp(random.uniform(np.log(0.1), np.log(0.6))))
+    hz = float(random.uniform(70.0, 110.0)) - slope * 2500.0 / 60.0
+    damping = float(np.exp(random.uniform(np.log(0.004), np.log(0.02))))
+    whirl = Moving(hz=hz, slope=slope, damping=damping, gain=tuple(random.uniform(0.3, 1.0, 2)))
+    fixed = Moving(hz=float(random.uniform(30.0, 180.0)), slope=0.0, damping=float(random.uniform(0.005, 0.03)))
+    return Rotor(modes=(whirl, fixed), noise=float(random.uniform(0.02, 0.15)))
+
+
+def test_whirls_of_drawn_rotors_are_found_within_their_errors_and_none_else() -> None:
+    off = []
+    for seed in range(24):
+        rotor = _drawn(seed)
+        found = _whirls(rotor, seed)
+        assert len(found) == 1, (seed, rotor, found)
+        true, one = rotor.modes[0], found[0]
+        off += [
+            (one.frequency_hz - true.at(one.reference_rpm)) / one.frequency_error_hz,
+            (one.slope - true.slope) / one.slope_error,
+            (one.damping_ratio - true.damping) / one.damping_error,
+        ]
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.abs(off) < 1.96) > 0.86  # of 72: 95 % less three standard errors
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.35
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_forward_and_backward_whirl_of_one_mode_are_told_beside_modes_that_stay(seed: int) -> None:
+    fit = _fit(Rotor(modes=(FORWARD, BACKWARD, *STAYS)), seed)
+    assert len(fit.whirls) == 2
+    for one, true in zip(fit.whirls, (BACKWARD, FORWARD), strict=True):
+        assert abs(one.slope - true.slope) < 4.0 * one.slope_error < 0.03
+        assert abs(one.frequency_hz - true.at(2500.0)) < 4.0 * one.frequency_error_hz < 0.5
+    assert [round(mode.frequency_hz) for mode in fit.modes] == [61, 90]
+    assert not any(mode.undecided for mode in fit.modes)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_whirl_leaves_no_mode_that_stays_where_it_sweeps(seed: int) -> None:
+    fit = _fit(Rotor(modes=(FORWARD, STAYS[0])), seed)
+    assert len(fit.whirls) == 1
+    assert [round(mode.frequency_hz) for mode in fit.modes] == [90]
+    assert not fit.tones
+
+
+@pytest.mark.parametrize("growth", [0.0, 2.0])
+def test_modes_that_stay_make_no_whirl_however_their_level_grows(growth: float) -> None:
+    for seed in range(8):
+        assert not _whirls(Rotor(modes=STAYS, growth=growth), seed)
+
+
+def test_noise_alone_makes_no_whirl() -> None:
+    for seed in range(12):
+        assert not _whirls(Rotor(modes=(), duration_s=4.0 + seed), seed)
+
+
+def test_an_order_that_nobody_named_and_a_sideband_are_no_whirls() -> None:
+    for seed, (hz, slope) in enumerate([(0.0, 0.73), (0.0, 0.48), (100.0, -1.0), (50.0, 1.0), (50.0, 0.5)]):
+        line = Moving(hz=hz, slope=slope, damping=1e-5)
+        assert not _whirls(Rotor(modes=(line, STAYS[0])), seed), (hz, slope)
+
+
+def test_few_speeds_or_speeds_close_together_tell_no_whirl() -> None:
+    assert not _whirls(Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(1000.0, 4000.0, 5))), 1)
+    assert not _whirls(Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(3600.0, 4000.0, 9))), 1)
+
+
+def _known(slope: float, *, hz: float = 60.0, damping: float = 0.02) -> Whirl:
+    return Whirl(2500.0, hz + slope * 2500.0 / 60.0, 0.03, slope, 0.002, 0.0, damping, 0.001, ("A",), 20.0, "moves")
+
+
+def _through(order: float, whirl: Whirl, *, gain: float = 1.0) -> np.ndarray:
+    """Amplitude of an order whose force grows with speed squared, past a rigid body and ``whirl``."""
+    x = order * TRACK / 60.0 / (whirl.frequency_hz + whirl.slope * (TRACK - whirl.reference_rpm) / 60.0)
+    response = 1.0 + gain * x**2 / (1.0 - x**2 + 2j * whirl.damping_ratio * x)
+    return np.asarray((TRACK / 1000.0) ** 2 * np.abs(response))
+
+
+TRACK = np.arange(1000.0, 4001.0, 50.0)
+RANGE = (1000.0, 4000.0)
+
+
+@pytest.mark.parametrize("slope", [0.12, -0.2, 0.35])
+@pytest.mark.parametrize("order", [1.0, 2.0])
+def test_an_order_meets_a_whirl_where_both_have_one_frequency_and_the_speed_is_not_free(
+    slope: float, order: float
+) -> None:
+    whirl = _known(slope, hz=40.0)
+    rpm = 60.0 * 40.0 / (order - slope)
+    assert whirl.line_at(rpm) == pytest.approx(order * rpm / 60.0)
+    orders = (agreed(order, line(order, _through(order, whirl), speed_rpm=TRACK)),)
+    modal = fit(whirls=(whirl,))
+    (met,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    assert met.rpm == pytest.approx(rpm) and met.rpm_ci95[0] < rpm < met.rpm_ci95[1]
+    assert met.mode_hz == pytest.approx(order * rpm / 60.0)
+    assert met.evidence.startswith(f"a whirl that moves by {slope:.3g} orders")
+    said = speeds_to_avoid([met], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
+    if not RANGE[0] < rpm < RANGE[1]:
+        assert met.verdict == "outside the tested range"
+        return
+    assert met.verdict == "excited"
+    assert said.avoid[0].rpm == pytest.approx(rpm)
+    amplified = _through(order, whirl) / (TRACK / 1000.0) ** 2 > 3.0
+    dangerous = np.append(TRACK[amplified], rpm * np.array([0.97, 1.0, 1.03]))
+    assert not any(band.low_rpm < one < band.high_rpm for band in said.free for one in dangerous)
+
+
+def test_an_undecided_crossing_of_a_whirl_is_open_and_never_free() -> None:
+    whirl = _known(0.12, hz=40.0, damping=0.002)
+    coarse = np.arange(1000.0, 4001.0, 400.0)
+    orders = (agreed(1.0, line(1.0, (coarse / 1000.0) ** 2, speed_rpm=coarse)),)
+    unseen = (UnseenBound(1.0, TRACK, np.ones(len(TRACK))),)
+    modal = fit(whirls=(whirl,), unseen=unseen)
+    (met,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    assert met.verdict in ("not measured", "not decided")
+    said = speeds_to_avoid([met], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
+    assert said.free, "far from the whirl the speeds are free"
+    assert not any(band.low_rpm < met.rpm * 1.03 and band.high_rpm > met.rpm * 0.97 for band in said.free)
+    assert any("whirl" in band.remark for band in said.open)
+
+
+def test_a_stated_order_that_was_not_seen_meets_the_whirl_too() -> None:
+    (met,) = crossings((), fit(whirls=(_known(-0.1),)), speed_rpm=RANGE, settings=SETTINGS, stated=(2.0,))
+    assert met.verdict == "not measured" and met.rpm == pytest.approx(60.0 * 60.0 / 2.1)
+
+
+def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_is_that_whirl() -> None:
+    whirl = _known(0.12, hz=40.0)
+    rpm = whirl.meets(1.0)
+    assert rpm is not None
+    seen = Mode(rpm / 60.0 + 0.1, 0.05, 0.023, 0.001, ("A",), 9.0, "orders", reached_by=(1.0,))
+    other = Mode(120.0, 0.05, 0.02, 0.001, ("A",), 9.0, "orders", reached_by=(2.0,))
+    kept = with_whirls(fit(seen, other), (whirl,), TRACK)
+    assert kept.modes == (other,) and kept.covariance.shape == (2, 2) and kept.whirls == (whirl,)
+
+
+def test_records_and_sentences_tell_the_whirl() -> None:
+    causes = Causes({}, (), ())
+    (record,) = mode_records(fit(whirls=(_known(-0.12),)), causes)
+    assert record["explained_by"] == "whirl" and record["reference_rpm"] == 2500.0
+    assert record["speed_slope_ci95"][0] < -0.12 < record["speed_slope_ci95"][1]
+    assert mode_sentences({"modes": [record]}) == ["Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."]
