@@ -81,7 +81,7 @@ def modal_fit(
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
-    return with_whirls(made, whirls)
+    return with_whirls(made, whirls, campbell["speed"].values)
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
