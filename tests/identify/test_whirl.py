@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.map import campbell_map
 from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Causes
+from crankorder.identify.findings import find
 from crankorder.identify.found import ModalFit, Mode, UnseenBound, Whirl
 from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.whirl import whirls_of, with_whirls
 from crankorder.identify.records import mode_records
+from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.orders.frames import order_frames
+from crankorder.orders.map import order_map
 from crankorder.report.sentences.of_modes import mode_sentences
 from crankorder.settings import load_settings
 from made.floors import no_orders
 from made.found_lines import agreed, fit, line
-from made.whirls import Moving, Rotor, whirling_campbell
+from made.recordings import steady
+from made.whirls import Moving, Rotor, signals, whirling_campbell
 
 SETTINGS = load_settings().identify
 FORWARD = Moving(hz=56.0, slope=0.12, damping=0.02)
@@ -183,3 +192,43 @@ def test_records_and_sentences_tell_the_whirl() -> None:
     assert record["explained_by"] == "whirl" and record["reference_rpm"] == 2500.0
     assert record["speed_slope_ci95"][0] < -0.12 < record["speed_slope_ci95"][1]
     assert mode_sentences({"modes": [record]}) == ["Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."]
+
+
+def _rotor_test(seed: int) -> dict[str, Any]:
+    """Findings of a rotor whose unbalance drives its forward whirl at stepped speeds, by the program's own maps."""
+    random = np.random.default_rng([seed, 99])
+    rotor = Rotor(
+        modes=(FORWARD, STAYS[0]), noise=0.1, duration_s=10.0, speed_rpm=tuple(np.arange(1500.0, 5001.0, 125.0))
+    )
+    whole = load_settings()
+    by_order, by_frequency = [], []
+    for rpm in rotor.speed_rpm:
+        values = signals(rotor, rpm, random)
+        u = rpm / 60.0 / float(FORWARD.at(rpm))
+        through = 0.2 * (rpm / 3000.0) ** 2 * (1.0 + u**2 / (1.0 - u**2 + 2j * FORWARD.damping * u))
+        names = [
+            lambda t, a, row=row, c=c: row + np.real(c * np.exp(2j * np.pi * a))
+            for row, c in zip(values, through * np.array(FORWARD.gain), strict=True)
+        ]
+        band, shaft = steady(names, speed_rpm=rpm, duration_s=rotor.duration_s, rate_hz=rotor.rate_hz)
+        by_frequency.append(frequency_frames(band, shaft, settings=whole.campbell))
+        by_order.append(order_frames(band, shaft, settings=whole.orders))
+    maps = (
+        order_map(by_order, settings=whole.orders),
+        campbell_map(by_frequency, speed_bin_rpm=whole.orders.speed_bin_rpm),
+    )
+    return find(*maps, by_order, None, test="rotor", sources=Sources(revs_per_cycle=1), settings=whole)
+
+
+def test_a_rotor_that_unbalance_drives_through_its_forward_whirl_is_told_to_avoid_that_speed() -> None:
+    findings = _rotor_test(3)
+    whirls = [mode for mode in findings["modes"] if mode["explained_by"] == "whirl"]
+    assert len(whirls) == 1
+    low, high = whirls[0]["speed_slope_ci95"]
+    assert 0.1 < low < high < 0.14
+    rpm = 60.0 * FORWARD.hz / (1.0 - FORWARD.slope)
+    met = [one for one in findings["crossings"] if one["excited"] and one["order"] == pytest.approx(1.0, abs=1e-3)]
+    assert any(one["rpm"] == pytest.approx(rpm, rel=3e-3) for one in met)
+    assert any(low <= rpm <= high for low, high in (one["rpm_range"] for one in findings["speeds_to_avoid"]))
+    free = [(one["low_rpm"], one["high_rpm"]) for one in findings["free_bands"]]
+    assert not any(low < 1.03 * rpm and high > 0.97 * rpm for low, high in free)

@@ -37,6 +37,7 @@ from crankorder.report.notation import (
     frequency_text,
     is_tone,
     is_undecided,
+    is_whirl,
     level_reference,
     order_name,
     scaling_text,
@@ -202,8 +203,14 @@ def _guides(panel: Panel) -> list[dict[str, Any]]:
 
 
 def _draw_modes(panel: Panel, modes: list[dict[str, Any]], channel: str) -> None:
-    """Lines of fixed frequency, fainter where another channel shows them."""
+    """Natural frequencies and tones, fainter where another channel shows them; a whirl's moves with the speed."""
     for mode in modes:
+        if is_whirl(mode):
+            speed = np.array(panel.y)
+            moved = float(mode["speed_slope"]) * (speed - float(mode["reference_rpm"])) / 60.0
+            place = float(mode["frequency_hz"]) + moved
+            panel.curve(place, speed, color=MODE_ON_MAP, width=1.0, alpha=0.75, name="whirl")
+            continue
         mains, doubt = is_tone(mode), is_undecided(mode)
         panel.upright(
             float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP,

@@ -47,7 +47,7 @@ LEAST_WORTH = 10.0
 """Spectra that what stays in a bin must be worth beside a whirl: of fewer, its scatter is not that of a gamma law."""
 
 BROADER = 2.0
-"""Half widths of a whirl beyond which an undecided hump on its flank is broader, and of the hump that make it beside."""
+"""Half widths of a whirl from which an undecided hump is broader, and of the hump up to which it is on its flank."""
 
 SURE = 3.5
 """Standard errors that a slope is off zero, and a line off an order, at least."""
