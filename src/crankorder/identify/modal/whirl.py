@@ -49,6 +49,12 @@ LEAST_WORTH = 10.0
 BROADER = 2.0
 """Half widths of a whirl from which an undecided hump is broader, and of the hump up to which it is on its flank."""
 
+FLANK = 15.0
+"""Half widths of a whirl beside what it sweeps that are its flank."""
+
+FLANK_DB = 6.0
+"""Level over the floor below which a mode on a whirl's flank may be what the fit of the whirl leaves."""
+
 SURE = 3.5
 """Standard errors that a slope is off zero, and a line off an order, at least."""
 
@@ -340,7 +346,7 @@ def with_whirls(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Array) -> M
     pairs = np.stack([2 * at, 2 * at + 1], axis=1).ravel()
     return replace(
         fit,
-        modes=tuple(fit.modes[k] for k in at.tolist()),
+        modes=tuple(_doubted(fit.modes[k], whirls, speed_rpm) for k in at.tolist()),
         covariance=fit.covariance[np.ix_(pairs, pairs)],
         responses=responses,
         whirls=whirls,
@@ -362,8 +368,23 @@ def _is_flank(mode: Mode, whirl: Whirl, speed_rpm: Array) -> bool:
     half = mode.damping_ratio * mode.frequency_hz
     if not mode.undecided or half < BROADER * whirl.damping_ratio * whirl.frequency_hz:
         return False
+    return _within(mode, whirl, speed_rpm, BROADER * half)
+
+
+def _within(mode: Mode, whirl: Whirl, speed_rpm: Array, beside_hz: float) -> bool:
+    """Whether ``mode`` is where ``whirl`` sweeps, or so far beside."""
     ends = sorted(whirl.line_at(float(rpm)) for rpm in (np.nanmin(speed_rpm), np.nanmax(speed_rpm)))
-    return ends[0] - BROADER * half <= mode.frequency_hz <= ends[1] + BROADER * half
+    return ends[0] - beside_hz <= mode.frequency_hz <= ends[1] + beside_hz
+
+
+def _doubted(mode: Mode, whirls: tuple[Whirl, ...], speed_rpm: Array) -> Mode:
+    """``mode``, undecided where it is low, no order shows it, and it is on the flank of one of ``whirls``."""
+    if mode.undecided or mode.reached_by or mode.prominence_db >= FLANK_DB:
+        return mode
+    for whirl in whirls:
+        if _within(mode, whirl, speed_rpm, FLANK * whirl.damping_ratio * whirl.frequency_hz):
+            return replace(mode, undecided="it is low, on the flank of a whirl, of which it may be what is left")
+    return mode
 
 
 def _without_modes(response: OrderResponse, place: dict[int, int], *, fits: bool) -> OrderResponse:
