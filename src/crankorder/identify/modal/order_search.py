@@ -30,6 +30,15 @@ MOST_POLES = 12
 TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 """Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
 
+NEXT_TO = 0.015
+"""Share of a frequency within which a row lies next to it."""
+
+RISES = 2.0
+"""Amplitude over that on both sides from which an order rises."""
+
+LIGHT = (0.001, 0.003, 0.01)
+"""Damping ratios of a mode that may be taken for a tone."""
+
 TRIED_STARTS = 3
 """Best starts that are followed."""
 
@@ -149,7 +158,7 @@ def poles_of_orders(
     state = Fitted.of([with_best_law(block, known) for block in blocks], known, prior)
     if len(known):
         state = state.moved()
-    tried = Tried(blocks)
+    tried = Tried.of(blocks)
     while len(state.poles) - len(known) < MOST_POLES:
         more = _more(state, tried, chance=chance, most_damping=most_damping)
         if more is None:
@@ -242,18 +251,26 @@ class Fitted:
         return saved
 
 
+@dataclass(frozen=True, eq=False)
 class Tried:
-    """Starts for a pole: frequencies in Hz and damping ratios, as far as the rows of any of ``blocks`` reach."""
+    """Starts for a pole: ``frequency_hz`` and ``damping`` (S,)."""
 
-    def __init__(self, blocks: Sequence[Block]) -> None:
-        spans = [(float(b.frequency_hz.min()), float(b.frequency_hz.max())) for b in blocks]
-        low, high = min((a for a, _ in spans), default=1.0), max((b for _, b in spans), default=1.0)
-        frequency, damping = [], []
-        for zeta in TRIED_DAMPING:
-            count = max(2, int(np.ceil(np.log(1.06 * high / low) / zeta)))
-            frequency.append(np.geomspace(0.97 * low, 1.03 * high, count))
-            damping.append(np.full(count, zeta))
-        self.frequency_hz, self.damping = np.concatenate(frequency), np.concatenate(damping)
+    frequency_hz: Array
+    damping: Array
+
+    @classmethod
+    def of(cls, blocks: Sequence[Block]) -> Tried:
+        """Starts as far as the rows of any of ``blocks`` reach."""
+        low = min(float(block.frequency_hz.min()) for block in blocks)
+        high = max(float(block.frequency_hz.max()) for block in blocks)
+        counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
+        frequency = [np.geomspace(0.97 * low, 1.03 * high, count) for count in counts]
+        return cls(np.concatenate(frequency), np.repeat(TRIED_DAMPING, counts))
+
+    @classmethod
+    def near(cls, frequency_hz: float) -> Tried:
+        """Light resonances at ``frequency_hz``."""
+        return cls(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
 
 
 def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
@@ -290,6 +307,39 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
         ):
             best, most = trial, saved
     return None if best is None else best.moved()
+
+
+def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) -> tuple[float, ...]:
+    """Orders of ``blocks`` that rise where they pass ``frequency_hz``.
+
+    More than noise beside the ``poles`` makes them, with a light resonance tried there; or to twice what they are on
+    both sides, where rows are too far apart for that.
+    """
+    from scipy.special import chdtri
+
+    tried = Tried.near(frequency_hz)
+    found = []
+    for block in blocks:
+        gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
+        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), PROOF_CHANCE))
+        if proven or _stands_out(block, frequency_hz):
+            found.append(block.order)
+    return tuple(dict.fromkeys(found))
+
+
+def _stands_out(block: Block, frequency_hz: float) -> bool:
+    """Whether ``block`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
+    away = np.abs(block.frequency_hz / frequency_hz - 1.0)
+    near = np.flatnonzero(away <= NEXT_TO)
+    if not len(near):
+        return False
+    below = np.flatnonzero(block.frequency_hz < frequency_hz * (1.0 - NEXT_TO))
+    above = np.flatnonzero(block.frequency_hz > frequency_hz * (1.0 + NEXT_TO))
+    sides = [side[np.argmin(away[side])] for side in (below, above) if len(side)]
+    if len(sides) < 2:
+        return False
+    size = np.sqrt(np.abs(block.amplitude)) if block.power else np.abs(block.amplitude)
+    return bool((size[:, near].max(axis=1) > RISES * size[:, sides].max(axis=1)).any())
 
 
 def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
