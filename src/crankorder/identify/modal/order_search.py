@@ -75,6 +75,9 @@ SETTLED = 0.05
 MODEL_SHARE = 0.1
 """Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
 
+ROWS_OF_SWEEP = 5
+"""Rows that a sweep through a whole resonance is worth at least: its filter smooths them into fewer."""
+
 STEPS = 12
 """Steps of a fit at most."""
 
@@ -243,8 +246,8 @@ class Fitted:
         saved = self.prior.misfit(less.poles) - self.prior.misfit(self.poles)
         pairs = zip(less.blocks, less.projected, self.blocks, self.projected, strict=True)
         for before, few, after, many in pairs:
-            if after.scatter <= LEAST_SCATTER and before.scatter <= LEAST_SCATTER:
-                saved += few.chi2 - many.chi2  # no scatter is fitted: squares in known errors
+            if (after.scatter, after.noise) == (before.scatter, before.noise) == (LEAST_SCATTER, 1.0):
+                saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
             share = max(many.freedom, 0) / (after.parts * int(after.rows.sum()))
             saved += (missed(before, few) - missed(after, many)) * share
@@ -450,13 +453,21 @@ def _named(state: Fitted, number: int) -> OrderPole:
         if block.scatter > MOST_SCATTER or chances.min() > PROOF_CHANCE:
             continue
         shown += [name for name, chance in zip(block.channels, chances, strict=True) if chance <= PROOF_CHANCE]
-        within = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= WITHIN * zeta))
+        within = _rows_within(block, f, zeta)
         rows[block.order] = max(within, rows.get(block.order, 0))
         ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
     if not rows:
         return OrderPole(f, zeta, (), Proof())
     proof = Proof(tuple(sorted(rows)), max(rows.values()), sum(rows.values()), (min(ends), max(ends)))
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _rows_within(block: Block, f: float, zeta: float) -> int:
+    """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
+    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= WITHIN * zeta))
+    low, high = block.frequency_hz.min(), block.frequency_hz.max()
+    whole = block.passage is not None and low < f * (1.0 - WITHIN * zeta) and high > f * (1.0 + WITHIN * zeta)
+    return max(rows, ROWS_OF_SWEEP) if whole else rows
 
 
 def residue_chances(block: Block, part: Projected, number: int) -> Array:
