@@ -68,7 +68,7 @@ def _order_record(
         "speed_law": None if law is None else _law(law, met_hz),
         "meets_hz": met_hz,
         "speed_range_rpm": [float(end) for end in visible_range_rpm(line)],
-        "n_speeds": len(line.seen),
+        "n_speeds": len(np.unique(line.seen)),
         "evidence": _once(*said, cause.evidence),
         "level_over_floor_db": line.level_over_floor_db,
         "explained_by": cause.text,
