@@ -68,7 +68,7 @@ def find(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
-    records = order_records(orders, causes, meetings, unit=unit)
+    records = order_records(orders, causes, meetings, modal, unit=unit)
     findings = {
         "schema_version": SCHEMA_VERSION,
         "test": test,

@@ -126,11 +126,12 @@ def track_order(order: float, order_ci95: Sequence[float], lock: str, *, revs_pe
 
     An order that is locked to the shaft (``lock`` "locked"), or may be ("undecided" with a multiple of the cycle's
     frequency in its interval; ``revs_per_cycle`` 1 or 2), stands on that multiple, where its phase is known; any other
-    where it was found.
+    where it was found. An interval that would hold a multiple wherever it lay says nothing of it.
     """
     multiple = round(order * revs_per_cycle) / revs_per_cycle
     low, high = order_ci95
-    locked = lock == "locked" or (lock == "undecided" and low <= multiple <= high)
+    may_be = low <= multiple <= high and high - low < 0.5 / revs_per_cycle
+    locked = lock == "locked" or (lock == "undecided" and may_be)
     return round(multiple if locked else order, 6)
 
 
