@@ -16,11 +16,13 @@ from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
 
@@ -48,13 +50,15 @@ def find(
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     lines = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
-    orders = orders_agreed(lines, frames=frames, order_map=order_map, settings=asked)
-    modal = modal_fit(campbell, order_map, orders, settings=asked, followed=followed)
+    in_map = orders_agreed(lines, frames=frames, order_map=order_map, settings=asked)
+    reader = TrackReader(order_map, frames=frames, followed=followed)
+    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    modal = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(orders, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
+    causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
     tested = _tested_rpm(order_map, campbell)
     stated = [order for _, order in sources.gears]
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
@@ -63,8 +67,8 @@ def find(
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
-    shares = energy_shares(campbell, order_map, orders, modal, causes, settings=asked)
-    records = order_records(orders, causes, meetings, unit=unit)
+    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    records = order_records(orders, causes, meetings, modal, unit=unit)
     findings = {
         "schema_version": SCHEMA_VERSION,
         "test": test,
