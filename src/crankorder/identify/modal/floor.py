@@ -95,16 +95,19 @@ def quiet_floor(
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
     used = np.flatnonzero(frequency > LOWEST_BINS * float(campbell.attrs["enbw_hz"]))
-    psd = campbell["psd"].values[:, :, used].astype(np.float64)
+    psd = campbell["settled_psd" if "settled_psd" in campbell else "psd"].values[:, :, used].astype(np.float64)
     averages = _independent(campbell)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
     psd, averages, speed = psd[:, known], averages[:, known], campbell["speed"].values[known]
+    worth = averages[:, :, None] * np.ones(len(used))
+    if "settled_share" in campbell:  # without the frames of a start transient
+        worth *= campbell["settled_share"].values[:, known][:, :, used]
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
-    whole = _mean(psd, averages)[0]
+    whole = _mean(psd, worth)[0]
     moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
@@ -113,8 +116,8 @@ def quiet_floor(
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
     psd, gain = _at_unit_gain(psd, averages)
     if psd.shape[1] > 2:
-        _clip(psd, averages)
-    mean, total = _mean(psd, averages)
+        _clip(psd, worth)
+    mean, total = _mean(psd, worth)
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity)
@@ -122,7 +125,7 @@ def quiet_floor(
 
 def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
     """Mean of ``psd`` over the speeds, weighted by ``averages``, and the sum of those; NaN takes no part."""
-    weight = np.where(np.isnan(psd), 0.0, averages[:, :, None])
+    weight = np.where(np.isnan(psd), 0.0, averages)
     total = weight.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.nansum(weight * np.nan_to_num(psd), axis=1) / total, total
@@ -199,10 +202,10 @@ def _clip(psd: Array, averages: Array) -> None:
     """NaN into cells (and their neighbours) of ``psd`` that stand over their bin's median as noise hardly ever does."""
     from scipy.special import gammainccinv
 
-    shape = np.maximum(averages, 1.0)
+    shape, of = np.unique(np.maximum(averages, 1.0), return_inverse=True)
     median = gammainccinv(shape, 0.5) / shape
-    limit = gammainccinv(shape, CLIP_CHANCE) / shape / median
-    high = psd > limit[:, :, None] * _median(psd, axis=1)[:, None]
+    limit = (gammainccinv(shape, CLIP_CHANCE) / shape / median)[of.reshape(averages.shape)]
+    high = psd > limit * _median(psd, axis=1)[:, None]
     wide = high.copy()
     wide[..., 1:] |= high[..., :-1]
     wide[..., :-1] |= high[..., 1:]
