@@ -17,7 +17,7 @@ NEXT_CHANCE = 0.02
 LATER_FRAMES = 24
 """Frames that one is compared with at most: what came later belongs to other speeds in a sweep."""
 
-FEWEST_LATER = 2
+FEWEST_LATER = 1
 """Frames that it is compared with at least."""
 
 LEVEL_BINS = 61
@@ -27,7 +27,7 @@ BESIDE = 1
 """Bins on each side that share what is seen."""
 
 SHARED = 1.95
-"""Factor by which neighbouring bins and frames count the same noise twice."""
+"""Factor by which neighbouring bins count the same noise twice."""
 
 Array = NDArray[np.float64]
 
@@ -54,8 +54,8 @@ def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
 
 
 def _apart(item: xr.Dataset) -> int:
-    """Frames from one to the next that shares no sample with it."""
-    return max(1, math.ceil(1.0 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 1e-9))
+    """Frames from one to the next that overlaps it by half at most, and so shares next to none of its noise."""
+    return max(1, math.ceil(0.5 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 1e-9))
 
 
 def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) -> None:
@@ -101,7 +101,7 @@ def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
         ratio = np.asarray(first) / np.asarray(later)
     ratio = np.where(np.isfinite(ratio), ratio, 1.0) / _level(np.where(np.isfinite(ratio), ratio, 1.0))
     freedom = 2.0 * count * (2 * BESIDE + 1) / SHARED
-    further = max(n_later / count / SHARED * _apart(items[0]) * 0.5, 1.0) * freedom
+    further = max(n_later / count / _apart(items[0]), 1.0) * freedom
     return np.asarray(np.minimum(fdtrc(freedom, further, ratio).min(axis=0) * len(ratio), 1.0))
 
 

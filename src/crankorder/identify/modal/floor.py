@@ -20,6 +20,12 @@ LEAK = 0.05
 CLIP_CHANCE = 1e-5
 """Chance that noise alone makes a cell so high above the same bin at other speeds that it is left out as a line."""
 
+FOOT_CHANCE = 0.2
+"""Chance that noise alone is as high beside a masked line as what is taken for more of its skirt."""
+
+FOOT_BINS = 16
+"""Bins on each side of what a line's window covers that its skirt may reach: speed and amplitude are not quite still."""
+
 LINE_CHANCE = 1e-3
 """Chance below which a half order at one speed is taken to be there."""
 
@@ -115,6 +121,8 @@ def quiet_floor(
             near = np.abs(frequency[used] - order * rpm / 60.0) <= MASKED_BINS * seen.bin_hz
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
     psd, gain = _at_unit_gain(psd, averages)
+    if psd.shape[1] > 1:
+        _mask_feet(psd, worth, moving)
     if psd.shape[1] > 2:
         _clip(psd, worth)
     mean, total = _mean(psd, worth)
@@ -212,6 +220,37 @@ def _clip(psd: Array, averages: Array) -> None:
     # what stands at a third of the speeds or more is no line that moves
     wide &= (high.mean(axis=1) < 0.34)[:, None]
     psd[wide] = np.nan
+
+
+def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
+    """NaN into cells of ``psd`` beside ``moving`` lines as far as they stand over the same bins at other speeds.
+
+    From the mask of a line outwards as long as it goes on: a line whose speed or amplitude wanders has a wider foot than
+    the window, and no mode is seen at one speed alone. Two speeds are held against the lower of them.
+    """
+    from scipy.special import fdtri, gammainccinv
+
+    shape, of = np.unique(np.maximum(1.5 * averages, 1.0), return_inverse=True)
+    if psd.shape[1] > 2:
+        level = _median(psd, axis=1)
+        limit = gammainccinv(shape, FOOT_CHANCE) / gammainccinv(shape, 0.5)
+    else:
+        level = np.fmin.reduce(psd, axis=1)
+        limit = fdtri(2.0 * shape, 2.0 * shape, 1.0 - FOOT_CHANCE)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        over = psd / level[:, None] / limit[of.reshape(averages.shape)]
+    over = np.nan_to_num(over, posinf=0.0)
+    foot = moving.copy()
+    for _ in range(FOOT_BINS):
+        grown = foot.copy()
+        # the mean of a cell and the next one further out must stand over the others
+        grown[..., 1:-1] |= foot[..., :-2] & (over[..., 1:-1] + over[..., 2:] > 2.0)
+        grown[..., 1:-1] |= foot[..., 2:] & (over[..., 1:-1] + over[..., :-2] > 2.0)
+        if np.array_equal(grown, foot):
+            break
+        foot = grown
+    alone = (~foot & np.isfinite(psd)).any(axis=1)
+    psd[foot & alone[:, None]] = np.nan
 
 
 def _median(values: Array, *, axis: int) -> Array:
