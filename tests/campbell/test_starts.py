@@ -68,7 +68,7 @@ def test_noise_loses_next_to_nothing() -> None:
     for seed in range(20):
         leading = leading_frames(recordings(seed, ring=0.0))
         lost += 0 if leading is None else int((leading[0] > 0).sum())
-    assert lost <= 3  # of 8000 bins: a chance of 1e-5 for a whole recording
+    assert lost <= 16  # of 8000 bins: a chance of 1e-4 in each of two channels, and the bins beside
 
 
 def test_what_does_not_turn_keeps_its_start() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-START_CHANCE = 1e-5
-"""Chance that noise alone makes the first frames so strong at a frequency that they take no part in the floor there."""
+START_CHANCE = 1e-4
+"""Chance that noise alone makes the first frames so strong at a bin that they take no part in the floor there."""
 
 NEXT_CHANCE = 0.02
 """Chance of the same in the frame after one that takes no part."""
@@ -25,6 +25,9 @@ LEVEL_BINS = 61
 
 BESIDE = 1
 """Bins on each side that share what is seen."""
+
+SAME_BINS = 200.0
+"""Bins whose widths differ by less than one part in so many are alike."""
 
 SHARED = 1.95
 """Factor by which neighbouring bins count the same noise twice."""
@@ -43,11 +46,12 @@ def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
     struck structure shows nothing else.
     """
     made = [np.zeros(item.sizes["frequency"], dtype=np.int64) for item in frames]
-    alike: dict[tuple[int, float], list[int]] = {}
+    alike: dict[tuple[int, int], list[int]] = {}
     for number, item in enumerate(frames):
         later = _apart(item) + FEWEST_LATER
         if item.sizes["frame"] >= later and np.isfinite(item["speed"].values).any():
-            alike.setdefault((item.sizes["frequency"], float(item.attrs["resolution_hz"])), []).append(number)
+            finest = round(SAME_BINS * math.log(float(item.attrs["resolution_hz"])))
+            alike.setdefault((item.sizes["frequency"], finest), []).append(number)
     for numbers in alike.values():
         _count_leading([frames[number] for number in numbers], [made[number] for number in numbers])
     return made if any(count.any() for count in made) else None
@@ -55,7 +59,7 @@ def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
 
 def _apart(item: xr.Dataset) -> int:
     """Frames from one to the next that overlaps it by half at most, and so shares next to none of its noise."""
-    return max(1, math.ceil(0.5 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 1e-9))
+    return max(1, math.ceil(0.5 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 0.01))
 
 
 def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) -> None:
@@ -102,7 +106,7 @@ def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
     ratio = np.where(np.isfinite(ratio), ratio, 1.0) / _level(np.where(np.isfinite(ratio), ratio, 1.0))
     freedom = 2.0 * count * (2 * BESIDE + 1) / SHARED
     further = max(n_later / count / _apart(items[0]), 1.0) * freedom
-    return np.asarray(np.minimum(fdtrc(freedom, further, ratio).min(axis=0) * len(ratio), 1.0))
+    return np.asarray(fdtrc(freedom, further, ratio).min(axis=0))
 
 
 def _beside(power: Array) -> Array:
