@@ -57,10 +57,13 @@ def test_the_floor_without_the_start_is_that_of_noise(seed: int) -> None:
     near = slice(76, 85)
     level = float(quiet["psd"].mean())
     assert float(rung["psd"][:, :, near].mean()) > 2.0 * level
-    settled = (rung["settled_psd"] * rung["settled_share"]).sum("speed") / rung["settled_share"].sum("speed")
-    assert float(settled[:, near].max()) < 1.8 * level
-    assert float(rung["settled_share"][:, :, near].min()) > 0.3
-    assert np.allclose(rung["settled_psd"][:, :, 200:], rung["psd"][:, :, 200:], equal_nan=True)
+    at = rung["settled_frequency"].values
+    inside = (at >= 78) & (at <= 82)
+    assert np.count_nonzero(inside) == 5
+    total = (rung["settled_psd"] * rung["settled_share"]).sum("speed") / rung["settled_share"].sum("speed")
+    assert float(total[:, inside].mean()) < 1.3 * level
+    assert float(rung["settled_share"].min()) > 0.2
+    assert len(at) < 0.1 * BINS
 
 
 def test_noise_loses_next_to_nothing() -> None:
@@ -68,7 +71,7 @@ def test_noise_loses_next_to_nothing() -> None:
     for seed in range(20):
         leading = leading_frames(recordings(seed, ring=0.0))
         lost += 0 if leading is None else int((leading[0] > 0).sum())
-    assert lost <= 16  # of 8000 bins: a chance of 1e-4 in each of two channels, and the bins beside
+    assert lost <= 400  # of 8000 bins: a chance of half a percent in each of two channels, and the bins beside
 
 
 def test_what_does_not_turn_keeps_its_start() -> None:

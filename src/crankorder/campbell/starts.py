@@ -8,8 +8,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-START_CHANCE = 1e-4
-"""Chance that noise alone makes the first frames so strong at a bin that they take no part in the floor there."""
+START_CHANCE = 5e-3
+"""Chance that noise alone makes the first frames so strong at a bin that they take no part in the floor there.
+
+A mode that rings too weakly to be sure of already looks far narrower than it is; a bin that loses a frame loses little.
+"""
 
 NEXT_CHANCE = 0.02
 """Chance of the same in the frame after one that takes no part."""
@@ -40,7 +43,7 @@ def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
 
     Machines are switched on, loads are set: what rings then is the free decay of the modes, whose line in a frame is no
     resonance behind noise. It begins with the recording, so the power of the first frames over the later ones tells
-    it from noise (F test, all recordings with like bins together), frame by frame until one is like the later ones.
+    it from noise (all recordings with like bins together), frame by frame until one is like the later ones.
 
     ``frames``: FrequencyFrames of the recordings of a test; those of what does not turn are left as they are, for a
     struck structure shows nothing else.
@@ -70,7 +73,7 @@ def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) ->
         if chance is None:
             break
         seen = on & (chance < (NEXT_CHANCE if frame else START_CHANCE))
-        if not frame:
+        if frame == 0:
             seen = np.convolve(seen, np.ones(2 * BESIDE + 1), mode="same") > 0.5
         if not seen.any():
             break
@@ -81,32 +84,34 @@ def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) ->
 
 
 def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
-    """Chance (bins,) of noise so strong in the frames of number ``frame`` over later ones; None where too few are."""
-    from scipy.special import fdtrc
+    """Chance (bins,) of noise so strong in the frames of number ``frame`` over later ones; None where too few are.
 
-    first: Array | float = 0.0
-    later: Array | float = 0.0
-    count = n_later = 0.0
+    The share u = P_0 / (P_0 + P_1 + … + P_n) of a frame in itself and n others has a beta distribution with the mean
+    1 / (n + 1) behind noise, whatever its level: its mean over recordings and the bins beside is all but normal.
+    """
+    from scipy.special import ndtr
+
+    total: Array | float = 0.0
+    variance = 0.0
     for item in items:
         power, apart = item["power"].values, _apart(item)
-        beyond = power[:, frame + apart : frame + apart + LATER_FRAMES]
-        if beyond.shape[1] < FEWEST_LATER or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
+        beyond = power[:, frame + apart : frame + apart + LATER_FRAMES : apart]
+        n = beyond.shape[1]
+        if n < FEWEST_LATER or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
             continue
-        mean = beyond.mean(axis=1, dtype=np.float64)
-        level = np.median(mean, axis=1, keepdims=True)
-        level[~(level > 0.0)] = 1.0
-        first = first + _beside(power[:, frame].astype(np.float64) / level)
-        later = later + _beside(mean / level)
-        count += 1.0
-        n_later += beyond.shape[1]
-    if not count:
+        mean = np.maximum(beyond.mean(axis=1, dtype=np.float64), np.finfo(np.float64).tiny)
+        ratio = power[:, frame] / mean
+        ratio = ratio / _level(ratio) * _middle_ratio(n)
+        total = total + _beside(ratio / (ratio + n) - 1.0 / (n + 1.0))
+        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * BESIDE + 1) * SHARED
+    if not variance:
         return None
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.asarray(first) / np.asarray(later)
-    ratio = np.where(np.isfinite(ratio), ratio, 1.0) / _level(np.where(np.isfinite(ratio), ratio, 1.0))
-    freedom = 2.0 * count * (2 * BESIDE + 1) / SHARED
-    further = max(n_later / count / _apart(items[0]), 1.0) * freedom
-    return np.asarray(fdtrc(freedom, further, ratio).min(axis=0))
+    return np.asarray(ndtr(-np.asarray(total) / np.sqrt(variance)).min(axis=0))
+
+
+def _middle_ratio(n: int) -> float:
+    """Median of the ratio of a frame to the mean of ``n`` others, behind noise."""
+    return n * (2.0 ** (1.0 / n) - 1.0)
 
 
 def _beside(power: Array) -> Array:

@@ -101,15 +101,13 @@ def quiet_floor(
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
     used = np.flatnonzero(frequency > LOWEST_BINS * float(campbell.attrs["enbw_hz"]))
-    psd = campbell["settled_psd" if "settled_psd" in campbell else "psd"].values[:, :, used].astype(np.float64)
+    psd, share = _settled(campbell, used)
     averages = _independent(campbell)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
     psd, averages, speed = psd[:, known], averages[:, known], campbell["speed"].values[known]
-    worth = averages[:, :, None] * np.ones(len(used))
-    if "settled_share" in campbell:  # without the frames of a start transient
-        worth *= campbell["settled_share"].values[:, known][:, :, used]
+    worth = averages[:, :, None] * share[:, known]
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
@@ -129,6 +127,16 @@ def quiet_floor(
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity)
+
+
+def _settled(campbell: xr.Dataset, used: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Densities (channels, speeds, ``used`` bins) without start transients, and the share of the frames they are of."""
+    psd = campbell["psd"].values.astype(np.float64)
+    share = np.ones(psd.shape)
+    if "settled_psd" in campbell:
+        bins = np.searchsorted(campbell["frequency"].values, campbell["settled_frequency"].values - 1e-9)
+        psd[..., bins], share[..., bins] = campbell["settled_psd"].values, campbell["settled_share"].values
+    return psd[..., used], share[..., used]
 
 
 def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
