@@ -7,6 +7,7 @@ import xarray as xr
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.swept_company import company_of
 from crankorder.orders.common_frames import reframed
 from crankorder.orders.map import order_map
 from crankorder.settings import Settings
@@ -28,20 +29,27 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
 
     In any channel, locked or not; ``settings`` of identify say what stands out, those of orders how frames are
     averaged. They are looked for in frames of several lengths, for the sweep asks for short ones, which blur lines
-    that are close. Lines that frames cannot tell from a multiple of the cycle's frequency, or from one seen in longer
-    frames, or from a stronger one, are one with that; of more than twenty the strongest are taken.
+    that are close; a line so close that it does not stand out by itself is found by what the other one leaves. Lines
+    that frames cannot tell from a multiple of the cycle's frequency, or from one seen in longer frames, or from a
+    stronger one, are one with that; of more than twenty the strongest are taken.
     """
     if not frames["spectrum"].notnull().any():
         return []
     cycle = int(frames.attrs["revs_per_cycle"])
     kept: list[tuple[float, float]] = []
-    for item in _lengthened(frames):
+    lengths = _lengthened(frames)
+    for item in lengths:
         step = 1.0 / float(item.attrs["revs_per_frame"])
         for line in sorted(_lines(item, settings), key=lambda line: -line.level_over_floor_db):
             multiple = round(line.order * cycle) / cycle
             order = multiple if abs(line.order - multiple) < SAME_BINS * step else line.order
             if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
                 kept.append((order, line.level_over_floor_db))
+    for item in lengths:
+        for order, level in list(kept):
+            company = company_of(order, item, [other for other, _ in kept])
+            if company > 0.0 and all(abs(company - other) > 0.5 * abs(company - order) for other, _ in kept):
+                kept.append((company, level))
     strongest = sorted(kept, key=lambda one: -one[1])[:MOST_FOLLOWED]
     return sorted(order for order, _ in strongest)
 
