@@ -225,7 +225,7 @@ class TrackReader:
         middle = np.rint(lines).astype(int)
         last = self.order_map.sizes["order"] - 1
         used = np.arange(max(0, middle.min() - REACH_BINS), min(last, middle.max() + REACH_BINS) + 1)
-        lobes = _hann_lobe(used[:, None] - lines)
+        lobes = hann_lobe(used[:, None] - lines)
         apart = np.abs(used[:, None] - used)
         noise = np.select([apart == k for k in range(3)], HANN_CORRELATION, 0.0)
         weighted = np.linalg.solve(noise, lobes)
@@ -263,7 +263,7 @@ _ON_BIN_NAMES = (
 """Variables of the map that stand for the fields of OrderRows."""
 
 
-def _hann_lobe(off_bins: Array) -> Array:
+def hann_lobe(off_bins: Array) -> Array:
     """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
     edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
