@@ -14,7 +14,7 @@ from sweep_peers import FRAMES, OURS, ROTA_FILTER, ROTA_MAP, SCIPY
 STYLES = {OURS: ("C3", "*", 20), FRAMES: ("#e08080", "o", 11), SCIPY: ("0.35", "s", 10)}
 STYLES |= {ROTA_MAP: ("C0", "^", 11), ROTA_FILTER: ("C2", "D", 10)}
 NAMES = {"frequency": "natural frequency", "damping": "damping", "maximum": "largest amplitude of an order"}
-ALSO = {"track maximum": "largest amplitude of an order's track", "maximum held": "amplitude were the speed held"}
+ALSO = {"track maximum": "largest amplitude of its track", "maximum held": "amplitude were the speed held"}
 SHOWN = 60
 """Misses in the page; all are in the JSON."""
 STEPS = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -47,7 +47,8 @@ def page(found: dict) -> str:
         "it would last over a minute there is one of at most a minute around each. crankorder finds orders and mode "
         "itself (default recipe); the others are told the orders, the order maps have frames of 16 revolutions, and "
         "the Vold-Kalman filter a fifth of an order to each side; natural frequency and damping are read off their "
-        "tops and half-power widths. A run-down is marked by the word." + absent,
+        "tops and half-power widths. rota-order is given the speed as the straight line through that between the pulses."
+        + absent,
         "## All cells",
         _summary_table(cells),
         "Errors are of what was told; what was not told counts in the column beside. Time is processor time of the "
@@ -174,15 +175,18 @@ def figure(found: dict) -> Figure:
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=11
     )
     above.suptitle("Sweeps of 1 to 1000 rpm/s past a resonance of 0.2 to 10 % damping: error against time")
-    panels = below.subplots(1, len(NAMES), sharey=True)
+    drawn = [*NAMES, "track maximum"]
+    panels = below.subplots(1, len(drawn), sharey=True)
     norm, colours = BoundaryNorm([*STEPS, 1e6], len(STEPS)), ListedColormap([*COLOURS, "#5a0f12"])
-    for axes, quantity in zip(panels, NAMES, strict=True):
+    for axes, quantity in zip(panels, drawn, strict=True):
         shown = _draw_grid(axes, found["cells"][OURS], quantity, colours, norm)
     panels[0].set_ylabel("rpm/s")
     bar = below.colorbar(shown, ax=panels, location="bottom", fraction=0.05, aspect=60, ticks=STEPS)
     bar.set_label("median absolute error of a cell, %")
     bar.ax.set_xticklabels([f"{step:g}" for step in STEPS])
-    below.suptitle("crankorder by rate and damping  (●: fewer than nine in ten of the 95 % intervals hold the truth)")
+    below.suptitle(
+        "crankorder by rate and damping   (●: fewer than nine in ten of the 95 % intervals hold the truth; –: not told)"
+    )
     return made
 
 
@@ -216,13 +220,14 @@ def _draw_grid(axes: Axes, cells: dict, quantity: str, colours: ListedColormap, 
     axes.set_facecolor("#eeeeee")
     for (y, x), value in np.ndenumerate(values):
         bad = own[y][x]["intervals"] and own[y][x]["covered"] < 0.9 * own[y][x]["intervals"]
-        words = "not told" if np.isnan(value) else _percent(value) + (" ●" if bad else "")
+        words = "–" if np.isnan(value) else _percent(value) + (" ●" if bad else "")
         dark = value >= STEPS[5] or value < STEPS[1]
         axes.text(x, y, words, ha="center", va="center", fontsize=9, color="white" if dark else "black")
     axes.set_xticks(range(len(columns)), columns)
     axes.set_yticks(range(len(rows)), rows)
     axes.set_xlabel("damping of the mode")
-    axes.set_title(f"{NAMES[quantity][0].upper()}{NAMES[quantity][1:]}", fontsize=11)
+    name = (NAMES | ALSO)[quantity]
+    axes.set_title(f"{name[0].upper()}{name[1:]}", fontsize=11)
     axes.tick_params(length=0)
     return shown
 

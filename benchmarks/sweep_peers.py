@@ -38,7 +38,7 @@ NEAR_MODE = 0.03
 NEAR_ORDER = 0.03
 LONGEST_S, SHORTEST_S = 60.0, 3.0
 NOISE_SHARE = 0.01
-"""Sensor noise over the whole band, of the steady maximum of the weakest order."""
+"""Sensor noise over the whole band, of the largest amplitude that the weakest order reaches."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,10 @@ def drawn_test(cell: Cell, seed: int, folder: Path) -> SweepTest:
         mains_hz=50.0,
         steady=False,
     )
-    weakest = min(float(steady_maximum(machine, number).max()) for number in range(count))
+    rates_hz_s = numbers * abs(cell.rate_rpm_s) / 60.0
+    # a fast passage reaches no more than about this share of the steady maximum (stationary phase)
+    reached = np.minimum(1.0, cell.damping_ratio * 2.0 * np.pi * hz / np.sqrt(rates_hz_s))
+    weakest = min(share * float(steady_maximum(machine, number).max()) for number, share in enumerate(reached))
     density = NOISE_SHARE * weakest / np.sqrt(0.5 * machine.rate_hz)
     machine = replace(machine, noise_density=(float(density),) * channels)
     return SweepTest(cell, seed, machine, write_folder(machine, folder), folder)

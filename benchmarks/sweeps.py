@@ -193,7 +193,7 @@ def main() -> None:
     options = parser.parse_args()
     found = {
         "what": "one mode of 60 to 120 Hz passed by two or three orders (5 to 8), 1 to 3 channels, sensor noise of 1 % "
-        "of the weakest maximum, 60 pulses per revolution with a clock of 10 MHz",
+        "of what the weakest order reaches, 60 pulses per revolution with a clock of 10 MHz",
         "seeds": options.seeds,
         "run_up": run_up_ratio(options.keep, options.repeats) if options.run_up_ratio else None,
         **measured_cells(options.seeds),
