@@ -47,7 +47,7 @@ def page(found: dict) -> str:
         "it would last over a minute there is one of at most a minute around each. crankorder finds orders and mode "
         "itself (default recipe); the others are told the orders, the order maps have frames of 16 revolutions, and "
         "the Vold-Kalman filter a fifth of an order to each side; natural frequency and damping are read off their "
-        "tops and half-power widths. rota-order is given the speed as the straight line through that between the pulses."
+        "tops and half-power widths. rota-order is given the speed as a straight line through that between pulses."
         + absent,
         "## All cells",
         _summary_table(cells),
