@@ -151,7 +151,16 @@ def blocks_from(machine: DrawnMachine, seed: int, *, power: bool = False) -> lis
             errors = 2.0 * error * np.maximum(np.abs(amplitude), error)
             amplitude = np.abs(amplitude) ** 2 - 2.0 * error**2 + 0j
         blocks.append(
-            Block(item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, float(speed.max()), power=power)
+            Block(
+                item.order,
+                CHANNELS,
+                item.order * speed / 60.0,
+                speed,
+                amplitude,
+                errors,
+                float(speed.max()),
+                power=power,
+            )
         )
     return blocks
 
@@ -172,9 +181,17 @@ def orders_and_map(machine: DrawnMachine, seed: int) -> tuple[tuple[AgreedOrder,
             if len(seen):
                 lines.append(
                     OrderLine(
-                        name, number, 1e-6, seen, speed[seen], size[seen], np.full(len(seen), machine.error),
-                        np.full(len(seen), 400.0), np.degrees(np.angle(measured[row, seen, column])),
-                        "locked to the shaft", 20.0,
+                        name,
+                        number,
+                        1e-6,
+                        seen,
+                        speed[seen],
+                        size[seen],
+                        np.full(len(seen), machine.error),
+                        np.full(len(seen), 400.0),
+                        np.degrees(np.angle(measured[row, seen, column])),
+                        "locked to the shaft",
+                        20.0,
                     )  # fmt: skip
                 )
         if lines:

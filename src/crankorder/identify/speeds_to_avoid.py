@@ -45,7 +45,7 @@ class _Open:
 
 @dataclass(frozen=True)
 class _Limits:
-    """An amplification of ``factor`` is not free; ``sigmas`` make it sure; amplitudes below ``matters`` do not count."""
+    """Amplified ``factor`` times is not free; ``sigmas`` make it sure; amplitudes below ``matters`` do not count."""
 
     factor: float
     sigmas: float

@@ -64,9 +64,9 @@ class Block:
     Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``) to the power
     ``exponent`` times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed;
     beside the modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as
-    a share of the amplitude, beyond ``error``, of which ``noise`` is true. ``passage`` says how the order swept (None: every speed was held).
-    ``power``: whether the phases say nothing, so that ``amplitude`` holds squares. ``recording`` is that of a sweep, ""
-    of a whole test. ``law_span_rpm`` are the speeds over which the polynomials run, where they are not those of the
+    a share of the amplitude, beyond ``error``, of which ``noise`` is true. ``passage`` says how the order swept (None:
+    every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares. ``recording``
+    is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials run, where they are not those of the
     rows. ``made`` keeps the columns along a sweep that were made last, by pole and law.
     """
 
