@@ -313,7 +313,8 @@ def project(block: Block, poles: Poles) -> Projected:
 def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
     """Derivatives (rows, 2 poles) of the residual of ``block`` by (ln f, ln ζ) of ``poles``, its sign reversed.
 
-    ``part``: the block as projected with them.
+    Linear terms make up for what they can, and so does the law of the force, to first order. ``part``: the block as
+    projected with them.
     """
     reached, per = part.reached, block.columns_per_mode
     made = np.zeros((*block.amplitude.shape, 2 * len(poles)), dtype=complex)
@@ -324,7 +325,21 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
             turned = slope[None] * linear[:, None]
             turned = turned.reshape(*turned.shape[:2], len(reached), per).sum(axis=3) * block.weight[..., None]
             made[..., 2 * reached + offset] = turned - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ turned)
-    return _as_real(made, block)
+    rows = _as_real(made, block)
+    if part.freedom < ENOUGH_FREEDOM:
+        return rows
+    bent = _bent(block, part, max(len(block.law), 1))
+    both = _as_real(bent if block.power else np.concatenate([bent, 1j * bent], axis=2), block)
+    unit = np.linalg.qr(both / np.maximum(np.linalg.norm(both, axis=0), 1e-300))[0]
+    return np.asarray(rows - unit @ (unit.T @ rows))
+
+
+def _bent(block: Block, part: Projected, degree: int) -> Complex:
+    """Derivatives (C, K, ``degree``) of a block as projected by the law of its force, linear terms making up for them."""
+    shapes = smooth_shapes(block.speed_rpm, block.span_rpm, degree)[:, 1:]
+    fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
+    bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
+    return np.asarray(bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent))
 
 
 def _as_real(values: Complex, block: Block) -> Array:
@@ -427,10 +442,7 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     if not block.law:
         return block
     part = project(block, poles)
-    shapes = smooth_shapes(block.speed_rpm, block.span_rpm, len(block.law))[:, 1:]
-    fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
-    bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
-    bent = bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent)
+    bent = _bent(block, part, len(block.law))
     rows, left = bent.reshape(-1, len(block.law)), part.left.ravel()
     solved = (
         np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
