@@ -15,6 +15,7 @@ from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
@@ -51,9 +52,10 @@ def find(
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     lines = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
     in_map = orders_agreed(lines, frames=frames, order_map=order_map, settings=asked)
+    modal = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
+    in_map, modal = with_locks_through_modes(in_map, modal, followed, order_map)
     reader = TrackReader(order_map, frames=frames, followed=followed)
     orders = with_track_rows(in_map, reader, settings=settings.orders)
-    modal = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
