@@ -170,9 +170,10 @@ class _Part:
     n_laws: int
 
 
-def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Array) -> _Part:
+def _with_law(block: Block, response: OrderResponse) -> Block:
+    """The channel of ``response`` in ``block``, with the law that was fitted to it."""
     one = block.of(np.array([block.channels.index(response.channel)]))
-    one = replace(
+    return replace(
         one,
         exponent=response.exponent,
         law=response.law,
@@ -181,6 +182,25 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
         law_span_rpm=response.span_rpm,
         made={},
     )
+
+
+def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Array, Array]:
+    """Rows (S, 2 ``n_linear``) by which the smooth terms of ``response`` turn the first one, and what is left of 0.
+
+    What is across the first term turns the phase, what is along it does not.
+    """
+    first = complex(response.smooth[0])
+    size, count = max(abs(first), 1e-300), len(response.smooth) - 1
+    across = 1j * first / size
+    rows, left = np.zeros((count, 2 * n_linear)), np.zeros(count)
+    for k in range(count):
+        rows[k, 1 + k], rows[k, n_linear + 1 + k] = np.array([across.real, across.imag]) / (FORCE_TURN * size)
+        left[k] = -(complex(response.smooth[1 + k]) * across.conjugate()).real / (FORCE_TURN * size)
+    return rows, left
+
+
+def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Array) -> _Part:
+    one = _with_law(block, response)
     hz = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
     smooth, modes = one.smooth(), one.modal(hz, damping)
@@ -202,14 +222,7 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
     now = np.concatenate([laws.imag, laws.real * 0.0, np.zeros(2 * len(reached))])
     linear = np.concatenate([smooth, modes[:, response.reached]], axis=1)
     own = np.concatenate([linear, 1j * linear], axis=1)
-    first, n = complex(response.smooth[0]), linear.shape[1]
-    prior, prior_left = np.zeros((len(response.smooth) - 1, 2 * n)), np.zeros(len(response.smooth) - 1)
-    size = max(abs(first), 1e-300)
-    for k in range(1, len(response.smooth)):
-        across = 1j * first / size  # what is across the first term turns the phase, what is along it does not
-        prior[k - 1, k], prior[k - 1, n + k] = np.array([across.real, across.imag]) / (FORCE_TURN * size)
-        term = complex(response.smooth[k])
-        prior_left[k - 1] = -(term * across.conjugate()).real / (FORCE_TURN * size)
+    prior, prior_left = _prior_of(response, linear.shape[1])
     return _Part(
         _parts((one.amplitude[0] - fitted) * weight),
         _parts(one.amplitude[0] * weight),
