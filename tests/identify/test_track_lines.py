@@ -11,12 +11,11 @@ from crankorder.identify.found import ModalFit, Mode, OrderResponse
 from crankorder.identify.held_peak import held_peak
 from crankorder.identify.lines.growth import largest
 from crankorder.orders.tracks import track_order
+from identify.test_growth import line_of
 from machines.draw import draw_machine
 from machines.folder import write_folder
 from machines.judge import Said
 from machines.score import run_program
-
-from identify.test_growth import line_of
 
 FLOAT32 = 2e-7
 DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one speed", 14)]
