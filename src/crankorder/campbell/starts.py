@@ -1,4 +1,4 @@
-"""What still rings when a recording begins: leading frames whose power at a frequency is far above that of later ones."""
+"""What still rings when a recording begins: leading frames far stronger than later ones at a frequency."""
 
 from __future__ import annotations
 
