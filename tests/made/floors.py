@@ -90,6 +90,7 @@ def no_orders(campbell: xr.Dataset) -> xr.Dataset:
     nothing = np.zeros((campbell.sizes["channel"], campbell.sizes["speed"], 0))
     names = ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
     coords = {"channel": campbell["channel"].values, "speed": campbell["speed"].values, "order": np.zeros(0)}
+    coords["unit"] = ("channel", ["m/s2"] * campbell.sizes["channel"])
     return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords)
 
 
@@ -117,5 +118,7 @@ def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: flo
             "channel": list("XYZ"[: shape[0]]),
             "speed": speed,
             "order": np.array([order for order, _ in forces]),
+            "unit": ("channel", ["m/s2"] * shape[0]),
         },
+        attrs={"phase_reference": "tdc", "cycle_known": 1},
     )

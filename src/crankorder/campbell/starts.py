@@ -111,7 +111,7 @@ def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
 
 def _middle_ratio(n: int) -> float:
     """Median of the ratio of a frame to the mean of ``n`` others, behind noise."""
-    return n * (2.0 ** (1.0 / n) - 1.0)
+    return float(n * (2.0 ** (1.0 / n) - 1.0))
 
 
 def _beside(power: Array) -> Array:

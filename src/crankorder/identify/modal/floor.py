@@ -257,8 +257,8 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
         if np.array_equal(grown, foot):
             break
         foot = grown
-    alone = (~foot & np.isfinite(psd)).any(axis=1)
-    psd[foot & alone[:, None]] = np.nan
+    alone = np.any(~foot & np.isfinite(psd), axis=1, keepdims=True)
+    psd[foot & alone] = np.nan
 
 
 def _median(values: Array, *, axis: int) -> Array:
