@@ -47,17 +47,14 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     frequency = np.arange(min(n_shown), dtype=np.float64) * grid_hz
     speed = np.concatenate([item["speed"].values for item in frames])
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
+    mean_rpm = np.array([speed[group].mean() for group in groups])
     tone, density, counts, scale = _group_means(frames, groups, frequency)
     settled = _settled(frames, groups, frequency, density, counts)
     result = xr.Dataset(
         coords={
             **channel_coords(first),
             "frequency": ("frequency", frequency, first["frequency"].attrs),
-            "speed": (
-                "speed",
-                np.array([speed[group].mean() for group in groups]),
-                {"units": "min-1", "long_name": "speed"},
-            ),
+            "speed": ("speed", mean_rpm, {"units": "min-1", "long_name": "speed"}),
         }
     )
     dims = ("channel", "speed", "frequency")

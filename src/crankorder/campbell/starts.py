@@ -1,4 +1,4 @@
-"""What still rings when a recording begins: leading frames whose power at a frequency is far above that of later ones."""
+"""What still rings when a recording begins: leading frames far stronger than later ones at a frequency."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
 
 def _middle_ratio(n: int) -> float:
     """Median of the ratio of a frame to the mean of ``n`` others, behind noise."""
-    return n * (2.0 ** (1.0 / n) - 1.0)
+    return float(n * (2.0 ** (1.0 / n) - 1.0))
 
 
 def _beside(power: Array) -> Array:

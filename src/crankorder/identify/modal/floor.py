@@ -24,7 +24,7 @@ FOOT_CHANCE = 0.2
 """Chance that noise alone is as high beside a masked line as what is taken for more of its skirt."""
 
 FOOT_BINS = 16
-"""Bins on each side of what a line's window covers that its skirt may reach: speed and amplitude are not quite still."""
+"""Bins on each side of what a line's window covers that its skirt may reach: speed and amplitude are not still."""
 
 LINE_CHANCE = 1e-3
 """Chance below which a half order at one speed is taken to be there."""
@@ -233,8 +233,8 @@ def _clip(psd: Array, averages: Array) -> None:
 def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
     """NaN into cells of ``psd`` beside ``moving`` lines as far as they stand over the same bins at other speeds.
 
-    From the mask of a line outwards as long as it goes on: a line whose speed or amplitude wanders has a wider foot than
-    the window, and no mode is seen at one speed alone. Two speeds are held against the lower of them.
+    From the mask of a line outwards as long as it goes on: a line whose speed or amplitude wanders has a wider foot
+    than the window, and no mode is seen at one speed alone. Two speeds are held against the lower of them.
     """
     from scipy.special import fdtri, gammainccinv
 
@@ -257,8 +257,8 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
         if np.array_equal(grown, foot):
             break
         foot = grown
-    alone = (~foot & np.isfinite(psd)).any(axis=1)
-    psd[foot & alone[:, None]] = np.nan
+    alone = np.any(~foot & np.isfinite(psd), axis=1, keepdims=True)
+    psd[foot & alone] = np.nan
 
 
 def _median(values: Array, *, axis: int) -> Array:

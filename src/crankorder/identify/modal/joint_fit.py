@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.modal.bands import Band, bands_of
 from crankorder.identify.modal.covariance import pole_covariance
-from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air
+from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air, said_wide
 from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
@@ -351,6 +351,7 @@ def _mode(
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
     if proof.orders:
         words += f"; {proven_by(proof)}"
+    words += said_wide(f, error)
     doubt = tone_or_mode(problem, fit, number, settings=settings) or doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )
