@@ -23,9 +23,13 @@ COLOURS = ("#2b83ba", "#7fbfd0", "#d9ecd3", "#fee3a8", "#f59053", "#c2282d")
 
 def pooled(cells: dict, quantity: str) -> tuple[np.ndarray, int, int, int]:
     """Absolute errors of all cells, %, how many there could be, how many intervals cover, and of how many."""
-    errors = [abs(100.0 * one) for cell in cells.values() for one in cell[quantity]["errors"]]
+    errors = [abs(100.0 * one) for cell in cells.values() for one in _errors(cell, quantity)]
     counts = [sum(cell[quantity][key] for cell in cells.values()) for key in ("could", "covered", "intervals")]
     return np.array(errors), *counts
+
+
+def _errors(cell: dict, quantity: str) -> list[float]:
+    return [float(one) for one in cell[quantity]["errors"].split()]
 
 
 def ratio(cells: dict) -> np.ndarray:
@@ -133,7 +137,7 @@ def _axes_of(cells: dict) -> tuple[list[str], list[str]]:
 
 
 def _middle(cell: dict, quantity: str) -> float:
-    errors = cell[quantity]["errors"]
+    errors = _errors(cell, quantity)
     return float(100.0 * np.median(errors)) if errors else np.nan
 
 
@@ -199,8 +203,10 @@ def _draw_cost(axes: Axes, cells: dict, quantity: str) -> None:
         at, (low, middle, high) = float(np.median(ratio(own))), np.percentile(errors, [10, 50, 90])
         axes.plot([at, at], [max(low, 1e-3), high], color=colour, lw=2.5, alpha=0.6, zorder=2)
         axes.plot(at, middle, mark, color=colour, ms=size, mec="k", label=name, ls="", zorder=3)
-        words, style = f"{errors.size / could:.0%}", {"textcoords": "offset points", "va": "center", "fontsize": 9}
-        axes.annotate(words, (at, middle), (0.55 * size + 3, 0), color=colour, **style)
+        left = name in (SCIPY, FRAMES, ROTA_MAP)  # to their right stand others
+        side = {"ha": "right" if left else "left", "va": "center", "textcoords": "offset points"}
+        place = ((-1 if left else 1) * (0.55 * size + 3), -9 if name == FRAMES else 0)
+        axes.annotate(f"{errors.size / could:.0%}", (at, middle), place, color=colour, fontsize=9, **side)
     axes.set(xscale="log", yscale="log", xlabel="time over plain scipy's, median")
     axes.set_ylabel("error, %: median, and 10 to 90 % of tests")
     axes.set_title(f"{NAMES[quantity][0].upper()}{NAMES[quantity][1:]}", fontsize=11)
@@ -215,12 +221,12 @@ def _draw_cost(axes: Axes, cells: dict, quantity: str) -> None:
 def _draw_grid(axes: Axes, cells: dict, quantity: str, colours: ListedColormap, norm: BoundaryNorm) -> AxesImage:
     rows, columns = _axes_of(cells)
     own = [[cells[f"{row}, {column}"][quantity] for column in columns] for row in rows]
-    values = np.array([[_size(one["errors"]) for one in line] for line in own])
+    values = np.array([[_size(_errors(cells[f"{row}, {column}"], quantity)) for column in columns] for row in rows])
     shown = axes.imshow(np.ma.masked_invalid(values), cmap=colours, norm=norm, aspect="auto")
     axes.set_facecolor("#eeeeee")
     for (y, x), value in np.ndenumerate(values):
         bad = own[y][x]["intervals"] and own[y][x]["covered"] < 0.9 * own[y][x]["intervals"]
-        words = "–" if np.isnan(value) else _percent(value) + (" ●" if bad else "")
+        words = "–" if np.isnan(value) else (_percent(value) if value >= 0.01 else "<.01") + ("●" if bad else "")
         dark = value >= STEPS[5] or value < STEPS[1]
         axes.text(x, y, words, ha="center", va="center", fontsize=9, color="white" if dark else "black")
     axes.set_xticks(range(len(columns)), columns)

@@ -135,7 +135,7 @@ def _summary(done: list[Done]) -> dict:
         own = [one for each in done for one in each.judged if one.quantity == quantity]
         told = [one.covers for one in own if one.covers is not None]
         made[quantity] = {
-            "errors": [float(f"{one.error:.4g}") for one in own],
+            "errors": " ".join(f"{one.error:.4g}" for one in own),  # on one line of the file
             "could": sum(each.could[quantity] for each in done),
             "covered": sum(told),
             "intervals": len(told),
