@@ -143,7 +143,9 @@ def test_a_stated_gear_mesh_above_order_twenty_is_crossed_whether_or_not_it_was_
 
 def fitted(amplitude, modal, *, order=4.0, error=0.02):
     """OrderResponse by the fit of a block of the complex ``amplitude``, and the line that it was fitted to."""
-    return fitted_response(order, SPEEDS_RPM, amplitude, modal, error=error), line(order, np.abs(amplitude), error=error)
+    return fitted_response(order, SPEEDS_RPM, amplitude, modal, error=error), line(
+        order, np.abs(amplitude), error=error
+    )
 
 
 def noise(rng, size):

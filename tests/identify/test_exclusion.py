@@ -1,4 +1,4 @@
-"""What the orders exclude: a hidden mode that amplifies is never excluded, and fine steps with small errors do exclude."""
+"""What the orders exclude: a hidden mode that amplifies never, fine steps with small errors everything else."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made.drawn_orders import CHANNELS, DrawnMachine, blocks_from, drawn_machine
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
@@ -14,6 +13,7 @@ from crankorder.identify.modal.exclusion import least_seen
 from crankorder.identify.modal.order_responses import Block, with_best_law
 from crankorder.identify.modal.surface_fit import NO_POLES
 from crankorder.settings import load_settings
+from made.drawn_orders import CHANNELS, DrawnMachine, blocks_from, drawn_machine
 
 SETTINGS = load_settings().identify
 UNIT = dict.fromkeys(CHANNELS, "m/s2")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine, judged
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode
@@ -15,6 +14,7 @@ from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.order_search import poles_of_orders, settled
 from crankorder.identify.modal.surface_fit import NO_POLES
 from crankorder.settings import load_settings
+from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine, judged
 
 SETTINGS = load_settings().identify
 COARSE = {"n_speeds": (12, 24), "span_rpm": (2500.0, 5000.0)}
@@ -117,7 +117,11 @@ def _one_order(seed: int, shape: NDArray[np.complex128], speed: NDArray[np.float
     random = np.random.default_rng(seed)
     each = random.normal(size=(3, 1)) + 1j * random.normal(size=(3, 1))
     noise = 0.003 * (random.normal(size=(3, len(speed))) + 1j * random.normal(size=(3, len(speed))))
-    return [Block(2.0, ("X", "Y", "Z"), 2.0 * speed / 60.0, speed, each * shape + noise, np.full(noise.shape, 0.003), 3000.0)]
+    return [
+        Block(
+            2.0, ("X", "Y", "Z"), 2.0 * speed / 60.0, speed, each * shape + noise, np.full(noise.shape, 0.003), 3000.0
+        )
+    ]
 
 
 FITS_A_BROAD_PEAK = pytest.mark.xfail(

@@ -1,4 +1,4 @@
-"""What the orders of a test give to a modal fit: amplitudes with phases, squares where these say nothing, or nothing."""
+"""What orders give to a modal fit: amplitudes with phases, squares where these say nothing, or nothing."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made.drawn_orders import CHANNELS, drawn_machine, orders_and_map
 
 from crankorder.identify.modal.order_blocks import blocks_of
+from made.drawn_orders import CHANNELS, drawn_machine, orders_and_map
 
 MACHINE = drawn_machine(1, n_orders=(3, 3), error=1e-3)
 

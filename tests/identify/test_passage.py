@@ -112,7 +112,7 @@ def test_a_passage_is_linear_in_the_force() -> None:
     time, speed = _ramp(200.0, 40.0, 1.0)
     passage = passage_of(1.0, time, speed, np.full(len(time), 10.0), poles=2)
     random = np.random.default_rng(1)
-    one, other = (random.standard_normal((2, len(passage.speed_rpm))) * (1.0 + 0.5j))
+    one, other = random.standard_normal((2, len(passage.speed_rpm))) * (1.0 + 0.5j)
     both = passage.response(2.0 * one + 3j * other, 40.0, 0.02)[0]
     apart = 2.0 * passage.response(one, 40.0, 0.02)[0] + 3j * passage.response(other, 40.0, 0.02)[0]
     assert np.abs(both - apart).max() < 1e-10 * np.abs(both).max()

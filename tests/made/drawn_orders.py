@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from made.order_amplitudes import order_map_of
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
 from crankorder.identify.crossings import crossings
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
+from made.order_amplitudes import order_map_of
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -157,7 +157,16 @@ def blocks_from(machine: DrawnMachine, seed: int, *, power: bool = False) -> lis
             errors = 2.0 * error * np.maximum(np.abs(amplitude), error)
             amplitude = np.abs(amplitude) ** 2 - 2.0 * error**2 + 0j
         blocks.append(
-            Block(item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, float(speed.max()), power=power)
+            Block(
+                item.order,
+                CHANNELS,
+                item.order * speed / 60.0,
+                speed,
+                amplitude,
+                errors,
+                float(speed.max()),
+                power=power,
+            )
         )
     return blocks
 
@@ -178,10 +187,18 @@ def orders_and_map(machine: DrawnMachine, seed: int) -> tuple[tuple[AgreedOrder,
             if len(seen):
                 lines.append(
                     OrderLine(
-                        name, number, 1e-6, seen, speed[seen], size[seen], np.full(len(seen), machine.error),
-                        np.full(len(seen), 400.0), np.degrees(np.angle(measured[row, seen, column])),
-                        "locked to the shaft", 20.0,
-                    )  # fmt: skip
+                        name,
+                        number,
+                        1e-6,
+                        seen,
+                        speed[seen],
+                        size[seen],
+                        np.full(len(seen), machine.error),
+                        np.full(len(seen), 400.0),
+                        np.degrees(np.angle(measured[row, seen, column])),
+                        "locked to the shaft",
+                        20.0,
+                    )
                 )
         if lines:
             agreed.append(AgreedOrder(number, 1e-6, 30.0, "locked", None, tuple(lines)))
