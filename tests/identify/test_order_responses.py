@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made.found_lines import mode, poles_of
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
@@ -20,6 +19,7 @@ from crankorder.identify.modal.order_responses import (
 )
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 from crankorder.identify.responses import amplitude_at, with_and_without
+from made.found_lines import mode, poles_of
 
 TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))
 ORDER = 3.0

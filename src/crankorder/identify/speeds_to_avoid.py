@@ -251,6 +251,10 @@ def _by_unseen(
         name = f"order {agreed.order:.4g}"
         if not bounds:
             made.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
+            continue
+        first = min(float(bound.speed_rpm[0]) for bound in bounds)
+        last = max(float(bound.speed_rpm[-1]) for bound in bounds)
+        made += [_Open(a, b, f"{name} was not measured there") for a, b in ((low, first), (last, high)) if b > a]
         for bound in bounds:
             made += _between(bound, settings.free_amplification, name)
     return made
