@@ -127,7 +127,8 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: Shaf
     """Angle of all runs between standstills: each is decoded by itself, then they are laid on one angle."""
     wheel, remarks = stated_wheel(recording)
     pulse_s = recording["pulse_time"].values.astype(np.float64)
-    parts, left_out = [slice(None)], []
+    parts: list[slice] = [slice(None)]
+    left_out: list[Remark] = []
     if pulse_s.size > 2 and (np.diff(pulse_s) >= 0.0).all():
         shape = wheel_of(wheel["pulses_per_rev"], wheel.get("missing_teeth", 0), wheel.get("tooth_angles_deg"))
         ratio = float(recording.attrs.get("ratio", 1.0))

@@ -90,7 +90,7 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
 
 
 def numbered_part(recording: xr.Dataset, settings: ShaftSettings, wheel: dict[str, Any], part: slice) -> NumberedTeeth:
-    """Pulses of the ``part`` of ``recording`` as teeth of the ``wheel`` (arguments of ``number_teeth``); ``settings``."""
+    """Pulses of the ``part`` of ``recording`` as teeth of the ``wheel`` (for ``number_teeth``, by ``settings``)."""
     pulse_s, index_s = recording["pulse_time"].values.astype(np.float64)[part], times_of(recording, "index_time")
     stated, ratio = (
         float(recording.attrs.get(name, usual)) for name, usual in (("pulse_noise_s", 0.0), ("ratio", 1.0))

@@ -89,7 +89,7 @@ def running_parts(
 
 
 def running_part(time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
-    """The longest of the :func:`running_parts` of ``time_s`` (arguments as there), and remarks on what was left out."""
+    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
     parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
     return parts[0], flags
 

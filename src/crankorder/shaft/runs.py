@@ -88,7 +88,8 @@ def _stopped_between(one: AngleKnots, two: AngleKnots) -> AngleKnots:
         error,
     ]
     columns = [np.concatenate(parts) for parts in zip(_columns(one), between, _columns(two), strict=True)]
-    return AngleKnots(*columns, min(one.cut_off_order, two.cut_off_order), max(one.noise_s, two.noise_s))
+    both = replace(one, cut_off_order=min(one.cut_off_order, two.cut_off_order), noise_s=max(one.noise_s, two.noise_s))
+    return _of(both, columns)
 
 
 def _columns(knots: AngleKnots) -> list[FloatArray]:
@@ -96,4 +97,5 @@ def _columns(knots: AngleKnots) -> list[FloatArray]:
 
 
 def _of(knots: AngleKnots, columns: list[FloatArray]) -> AngleKnots:
-    return AngleKnots(*columns, knots.cut_off_order, knots.noise_s)
+    time_s, angle_rev, speed_rpm, error_rev = columns
+    return replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
