@@ -37,19 +37,26 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     """
     revs = float(frames.attrs["revs_per_frame"])
     place = order * revs
-    used = np.arange(max(1, round(place) - REACH_BINS), min(frames.sizes["order"], round(place) + REACH_BINS + 1))
+    used: Array = np.arange(
+        max(1, round(place) - REACH_BINS), min(frames.sizes["order"], round(place) + REACH_BINS + 1), dtype=np.float64
+    )
     centre = frames["crank_angle"].values + 0.5 * revs
-    turned = frames["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
+    turned = frames["spectrum"].values[:, :, used.astype(int)] * np.exp(
+        2j * np.pi * (np.outer(centre, used) / revs % 1.0)
+    )
     seen = turned.reshape(-1, len(used))
     seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
     if len(seen) < FEWEST_FRAMES or len(used) < REACH_BINS:
         return float("nan")
     near = [other * revs for other in others if 0.0 < abs(other * revs - place) < 2.0 * REACH_BINS]
-    known = [_changing_lobe(used - place), *(_changing_lobe(used - other)[:2] for other in near)]
+    known = [
+        _changing_lobe(used - place),
+        *(_changing_lobe(used - other)[:2] for other in near),
+    ]
     base = np.linalg.qr(np.concatenate(known).T)[0]
     left = seen - (seen @ base) @ base.T
     energy = np.maximum((np.abs(left) ** 2).sum(axis=1), np.finfo(float).tiny)
-    beside = np.arange(NEAREST_BINS, REACH_BINS - 1.0, STEP_BINS)
+    beside: Array = np.arange(NEAREST_BINS, REACH_BINS - 1.0, STEP_BINS)
     apart = np.concatenate([-beside[::-1], beside])
     lobes = hann_lobe(used - place - apart[:, None])
     lobes -= (lobes @ base) @ base.T
