@@ -64,10 +64,10 @@ class Block:
     Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``) to the power
     ``exponent`` times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed;
     beside the modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as
-    a share of the amplitude, beyond ``error``, of which ``noise`` is true. ``passage`` says how the order swept (None:
-    every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares. ``recording``
-    is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials run, where they are not those of the
-    rows. ``made`` keeps the columns along a sweep that were made last, by pole and law.
+    a share of the amplitude, beyond ``error``, of which the share ``noise`` is true. ``passage`` says how the order
+    swept (None: every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares.
+    ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials
+    run, where they are not those of the rows. ``made`` keeps the columns along a sweep that were made last.
     """
 
     order: float
@@ -335,7 +335,7 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
 
 
 def _bent(block: Block, part: Projected, degree: int) -> Complex:
-    """Derivatives (C, K, ``degree``) of a block as projected by the law of its force, linear terms making up for them."""
+    """Derivatives (C, K, ``degree``) of a projected block by the law of its force, less what linear terms make up."""
     shapes = smooth_shapes(block.speed_rpm, block.span_rpm, degree)[:, 1:]
     fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
     bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
@@ -365,7 +365,7 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
         if part.freedom < 1:
             break
         weight = block.weight
-        squared = np.where(weight > 0.0, np.abs(part.left) ** 2 / np.maximum(weight, 1e-300) ** 2, 0.0)
+        squared = np.square(np.abs(part.left) / np.where(weight > 0.0, weight, np.inf))
         scatter, noise = _told(
             squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom
         )
