@@ -42,6 +42,18 @@ LIGHT = (0.001, 0.003, 0.01)
 TRIED_STARTS = 3
 """Best starts that are followed."""
 
+MOST_BLOCKS = 24
+"""Orders, in each recording of a sweep, that are asked for poles: those that stand out most."""
+
+CLEARLY = 3.0
+"""Standard errors of a row beyond which what is left of it is no noise."""
+
+MATTERS = 0.03
+"""Share of an order's largest amplitude below which no row tells of a pole alone."""
+
+FELT = 0.05
+"""Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
+
 AT_ONCE = 2
 """Poles that are asked for together at most."""
 
@@ -158,6 +170,7 @@ def poles_of_orders(
     if not blocks:
         return (), ()
     prior = Prior.of(known, covariance)
+    blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[:MOST_BLOCKS]
     state = Fitted.of([with_best_law(block, known) for block in blocks], known, prior)
     if len(known):
         state = state.moved()
@@ -254,11 +267,31 @@ class Fitted:
         poles = still.joined(_moved(Blocks(good, still), free, NO_PRIOR if fixed else self.prior))
         return Fitted.of([with_bent_law(block, poles) for block in self.blocks], poles, self.prior)
 
-    def with_pole(self, frequency_hz: float, damping: float) -> Fitted:
-        """With one pole more, near a start, the others staying where they are."""
-        more = self.poles.joined(NO_POLES.with_pole(frequency_hz, damping))
-        told = [with_best_law(block, more) if block.scatter > WELL_LAID else block for block in self.blocks]
-        return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
+    def with_pole(self, start: tuple[float, float]) -> Fitted:
+        """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
+        more = self.poles.joined(NO_POLES.with_pole(*start))
+        return Fitted.of([self._told(block, more) for block in self.blocks], more, self.prior).moved(
+            fixed=len(self.poles)
+        )
+
+    @staticmethod
+    def _told(block: Block, poles: Poles) -> Block:
+        """``block`` with its law told anew where the ``poles`` may have hidden it."""
+        if block.scatter <= WELL_LAID or block.passage is not None:
+            return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
+        return with_best_law(block, poles)
+
+    @property
+    def misses(self) -> float:
+        """Largest share of an order's amplitude that the poles leave of any row, far over its noise."""
+        worst = 0.0
+        for block, part in zip(self.blocks, self.projected, strict=True):
+            left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
+            size = np.sqrt(block.size) if block.power else block.size
+            share = np.where(left > CLEARLY * block.noise * block.error, left / np.maximum(block.size, 1e-300), 0.0)
+            share *= 0.5 if block.power else 1.0
+            worst = max(worst, float(np.max(np.where(size > MATTERS * size.max(), share, 0.0))))
+        return worst
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -322,7 +355,7 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
             break
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
-        trial = state.with_pole(f, zeta)
+        trial = state.with_pole((f, zeta))
         saved = trial.saves(state)
         if saved > most and not moved_out(
             trial.poles.chosen(np.arange(len(trial.poles)) == len(state.poles)), tried, most_damping
@@ -453,7 +486,7 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     number = len(state.prior.place)
     while number < len(state.poles):
         fewer = Fitted.of(state.blocks, state.poles.without(number), state.prior)
-        if state.saves(fewer) > _limit(state.blocks, chance / TRIALS):
+        if state.saves(fewer) > _limit(state.blocks, chance / TRIALS) and fewer.misses > FELT:
             number += 1
         else:
             state, number = fewer, len(state.prior.place)
