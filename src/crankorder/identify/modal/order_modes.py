@@ -38,10 +38,11 @@ def proven_by(proof: Proof) -> str:
 
 
 def is_proven(proof: Proof) -> bool:
-    """Whether two orders show the mode, or one with its phase turn and both flanks."""
-    if len(proof.orders) > 1:
-        return proof.rows >= ROWS_OF_TWO
-    return False
+    """Whether two orders show the mode, at several speeds: one alone is evidence.
+
+    ``proof``: the orders that show it.
+    """
+    return len(proof.orders) > 1 and proof.rows >= ROWS_OF_TWO
 
 
 def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -> Mode | None:

@@ -232,6 +232,14 @@ def _covariance(state: Fitted, fixed: int) -> Array:
     return np.asarray(by_channels * np.outer(scale * more, scale * more))
 
 
+def _independent_share(part: Projected) -> float:
+    """How many of the rows of a sweep, as projected, are independent: what is left may have a memory, as of its angle."""
+    left = part.left
+    total = float(np.sum(np.abs(left) ** 2))
+    memory = abs(complex(np.sum(left[:, 1:] * left[:, :-1].conj()))) / max(total, 1e-300)
+    return float(max((1.0 - memory) / (1.0 + memory), 1.0 / left.shape[1]))
+
+
 def _scores_together(scores: Array) -> Array:
     """Sum of the products of ``scores`` (K, parameters) with themselves and their neighbours by speed."""
     reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
@@ -302,6 +310,8 @@ class Fitted:
                 saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
             share = max(many.freedom, 0) / (after.parts * int(after.rows.sum()))
+            if after.passage is not None:
+                share *= _independent_share(many)
             saved += (missed(before, few) - missed(after, many)) * share
         return saved
 
