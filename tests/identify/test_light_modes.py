@@ -1,4 +1,4 @@
-"""Lightly damped modes and tones: a tone only where the data exclude a width, and both where they stand side by side."""
+"""Lightly damped modes and tones: a tone only where the data exclude a width, and both side by side."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from made.floors import no_orders
-from made.floor_bound import whittle_bound
-from made.structures import RATE_HZ, Structure, drawn, recorded, swept_up, with_pair
 
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.settings import load_settings
+from made.floor_bound import whittle_bound
+from made.floors import no_orders
+from made.structures import RATE_HZ, Structure, drawn, recorded, swept_up, with_pair
 
 
 def fitted(campbell: xr.Dataset, made: Structure) -> ModalFit:

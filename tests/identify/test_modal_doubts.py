@@ -8,7 +8,7 @@ import pytest
 from tests.made.floors import Made, campbell_of, no_orders
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modal.doubts import common_step
+from crankorder.identify.modal.doubts import common_step, said_wide
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
@@ -51,3 +51,8 @@ def test_the_step_of_tones_on_a_grid_is_found_in_spite_of_strangers(step_hz: flo
 def test_tones_of_no_common_step_have_none() -> None:
     assert common_step((31.7, 47.03, 88.91, 113.3, 171.17, 208.77, 301.93), 0.05) == 0.0
     assert common_step((10.0, 20.0, 30.0), 0.05) == 0.0
+
+
+def test_the_evidence_says_when_the_frequency_is_known_badly() -> None:
+    assert said_wide(100.0, 0.09) == ""
+    assert "± 0.39 %" in said_wide(100.0, 0.2)

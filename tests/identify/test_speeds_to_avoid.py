@@ -1,4 +1,4 @@
-"""Speeds to avoid, worst first, and the bands of speed that are free."""
+"""Speeds to avoid, worst first; bands that are free because the data exclude an amplification; and those left open."""
 
 from __future__ import annotations
 
@@ -6,41 +6,55 @@ import numpy as np
 import pytest
 
 from crankorder.identify.crossings import crossings
-from crankorder.identify.found import OrderResponse
+from crankorder.identify.found import SpeedVerdicts, UnseenBound
+from crankorder.identify.speed_records import avoided_records, band_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
-from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode, resonant
+from made.drawn_orders import DrawnMachine, drawn_machine, judged
+from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
 
 SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)
+UNIT = {"A": "m/s2", "pressure": "bar"}
 
 
-def judged(orders, modal):
-    records = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
-    return speeds_to_avoid(records, tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
+def seen_everything(*orders: float, most: float = 1.0) -> tuple[UnseenBound, ...]:
+    """Bounds that exclude any mode nobody saw: what finely stepped speeds would give."""
+    return tuple(UnseenBound(order, SPEEDS_RPM, np.full(len(SPEEDS_RPM), most)) for order in orders)
+
+
+def judge(orders, modal, *, speed_rpm=RANGE, stated=()) -> SpeedVerdicts:
+    found = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=SETTINGS, stated=stated)
+    return speeds_to_avoid(found, tuple(orders), modal, speed_rpm=speed_rpm, unit=UNIT, settings=SETTINGS)
+
+
+def ends(bands) -> list[tuple[float, float]]:
+    return [(band.low_rpm, band.high_rpm) for band in bands]
 
 
 def test_two_orders_that_meet_two_modes_at_one_speed_are_one_speed_to_avoid():
     modes = [mode(115.0, 0.016), mode(230.0, 0.014)]
     orders = [agreed(k, line(k, size * resonant(k, SPEEDS_RPM, modes))) for k, size in ((4.0, 1.0), (8.0, 0.1))]
-    avoid, free = judged(orders, fit(*modes))
-    at_1725 = [record for record in avoid if record["rpm_range"][0] < 1725.0 < record["rpm_range"][1]]
+    verdicts = judge(orders, fit(*modes, unseen=seen_everything(4.0, 8.0)))
+    records = avoided_records(verdicts)
+    at_1725 = [record for record in records if record["rpm_range"][0] < 1725.0 < record["rpm_range"][1]]
     assert len(at_1725) == 1 and at_1725[0]["rank"] == 1
     assert at_1725[0]["orders"] == [4.0, 8.0] and at_1725[0]["order"] == 4.0
     assert "order 4 meets 115 Hz and order 8 meets 230 Hz" in at_1725[0]["reason"]
-    assert all(not (band["low_rpm"] < 1725.0 < band["high_rpm"]) for band in free)
+    assert all(not (low < 1725.0 < high) for low, high in ends(verdicts.free))
 
 
-def test_the_range_is_the_half_power_width_and_the_interval_of_the_speed():
+def test_the_range_is_the_half_power_width_and_the_interval_and_three_per_cent_beside_are_not_free():
     modes = [mode(100.0, 0.02)]
-    avoid, free = judged([agreed(4.0, line(4.0, resonant(4.0, SPEEDS_RPM, modes)))], fit(*modes))
-    (record,) = avoid
+    orders = [agreed(4.0, line(4.0, resonant(4.0, SPEEDS_RPM, modes)))]
+    verdicts = judge(orders, fit(*modes, unseen=seen_everything(4.0)))
+    (record,) = verdicts.avoid
     interval = 1500.0 * np.hypot(0.02 / 100.0, 1e-4 / 4.0) * 1.96
-    assert record["rpm_range"] == pytest.approx([1500 - 30 - interval, 1500 + 30 + interval], abs=0.01)
-    assert [(band["low_rpm"], band["high_rpm"]) for band in free] == [
-        (600.0, record["rpm_range"][0]),
-        (record["rpm_range"][1], 2000.0),
-    ]
+    assert record.rpm_range == pytest.approx((1500 - 30 - interval, 1500 + 30 + interval), abs=0.01)
+    (before, after) = ends(verdicts.free)
+    assert before[0] == 600.0 and after[1] == 2000.0
+    assert before[1] <= 1500.0 * 0.97 and after[0] >= 1500.0 * 1.03
+    assert before[1] > 1500.0 * 0.9 and after[0] < 1500.0 * 1.1
 
 
 def test_what_costs_most_against_the_loudest_of_its_channel_ranks_first():
@@ -51,35 +65,147 @@ def test_what_costs_most_against_the_loudest_of_its_channel_ranks_first():
         agreed(4.0, line(4.0, shape[4.0])),
         agreed(1.0, line(1.0, 1000.0 * SPEEDS_RPM / 1000, channel="pressure")),
     ]
-    avoid, _ = judged(orders, fit(*modes))
-    assert [record["rank"] for record in avoid] == list(range(1, len(avoid) + 1))
-    costs = [record["cost"] for record in avoid]
+    records = avoided_records(judge(orders, fit(*modes)))
+    assert [record["rank"] for record in records] == list(range(1, len(records) + 1))
+    costs = [record["cost"] for record in records]
     assert costs == sorted(costs, reverse=True)
-    assert avoid[0]["order"] == 4.0 and avoid[0]["channel"] == "A"
+    assert records[0]["order"] == 4.0 and records[0]["channel"] == "A"
 
 
 def test_the_peak_between_two_measured_speeds_is_that_of_the_fit():
     modal = fit(mode(105.0, 0.01))  # at 1575 rpm, between 1550 and 1600
     seen = line(4.0, resonant(4.0, SPEEDS_RPM, modal.modes, gain=-1.0))
-    response = OrderResponse(4.0, "A", 2.0, 1000.0, 1.0 + 0j, np.array([1.0 + 0j]), True)
-    avoid, _ = judged([agreed(4.0, seen)], fit(*modal.modes, responses=(response,)))
-    assert avoid[0]["amplitude"] == pytest.approx(1.575**2 * np.hypot(1.0, 50.0), rel=1e-6)
-    assert avoid[0]["amplitude"] > seen.amplitude.max()
+    response = made_response(4.0, modal, smooth=1.0, residue=(1.0,))
+    verdicts = judge([agreed(4.0, seen)], fit(*modal.modes, responses=(response,)))
+    assert verdicts.avoid[0].amplitude == pytest.approx(1.575**2 * np.hypot(1.0, 50.0), rel=1e-6)
+    assert verdicts.avoid[0].amplitude > seen.amplitude.max()
 
 
-def test_a_free_band_says_what_nobody_has_judged_in_it():
+def test_a_mode_in_doubt_at_which_an_order_peaks_is_to_be_avoided_and_called_what_it_is():
+    modes = [mode(100.0, undecided="a tone or a mode")]
+    verdicts = judge([agreed(4.0, line(4.0, resonant(4.0, SPEEDS_RPM, modes)))], fit(*modes))
+    assert verdicts.avoid[0].rpm == pytest.approx(1500.0)
+    assert "may be a natural frequency" in verdicts.avoid[0].reason
+
+
+@pytest.mark.parametrize("doubt", ["", "a tone or a mode"])
+def test_a_crossing_that_nobody_could_judge_is_open_with_its_verdict(doubt: str):
     orders = [agreed(4.0, line(4.0, (SPEEDS_RPM / 1000) ** 2))]
-    avoid, free = judged(orders, fit(mode(105.0, 0.0005)))
-    assert avoid == []
-    assert [(band["low_rpm"], band["high_rpm"]) for band in free] == [RANGE]
-    assert free[0]["remark"] == "not judged: order 4 with 105 Hz at 1575 rpm"
+    narrow = mode(105.0, 0.0005, undecided=doubt)  # at 1575 rpm, 1.6 rpm wide between 1550 and 1600
+    verdicts = judge(orders, fit(narrow, unseen=seen_everything(4.0)))
+    assert verdicts.avoid == ()
+    (band,) = verdicts.open
+    assert band.low_rpm < 1575.0 * 0.97 + 1.0 and band.high_rpm > 1575.0 * 1.03 - 1.0
+    assert band.remark == f"order 4 with 105 Hz: {'undecided mode' if doubt else 'not measured'}"
+    assert ends(verdicts.free) == [(600.0, band.low_rpm), (band.high_rpm, 2000.0)]
 
 
-def test_a_free_band_names_the_crossings_of_a_mode_that_is_in_doubt():
+def test_nothing_is_free_where_a_mode_that_nobody_saw_could_amplify():
     orders = [agreed(4.0, line(4.0, (SPEEDS_RPM / 1000) ** 2))]
-    _, free = judged(orders, fit(mode(105.0, undecided="a tone or a mode")))
-    assert free[0]["remark"] == "not judged: order 4 with 105 Hz at 1575 rpm"
+    most = np.where((SPEEDS_RPM > 900.0) & (SPEEDS_RPM < 1200.0), 17.0, 1.0)
+    verdicts = judge(orders, fit(unseen=(UnseenBound(4.0, SPEEDS_RPM, most),)))
+    assert ends(verdicts.free) == [(600.0, 900.0), (1200.0, 2000.0)]
+    (band,) = verdicts.open
+    assert ends([band]) == [(900.0, 1200.0)]
+    assert band.remark == "not tested between: order 4 could be amplified up to 17 times unseen"
+    assert all("(99 %)" in free.remark and "3 times" in free.remark for free in verdicts.free)
 
 
-def test_a_test_of_unknown_speed_has_neither():
-    assert speeds_to_avoid([], (), fit(), speed_rpm=(np.nan, np.nan), settings=SETTINGS) == ([], [])
+def test_an_order_of_which_nothing_is_known_leaves_all_speeds_open():
+    orders = [agreed(4.0), agreed(7.0)]
+    verdicts = judge(orders, fit(unseen=seen_everything(4.0)))
+    assert verdicts.free == () and ends(verdicts.open) == [RANGE]
+    assert verdicts.open[0].remark.startswith("order 7: measured at too few speeds")
+    assert judge([], fit()).open[0].remark == "no order stands out"
+
+
+def test_speeds_beyond_those_of_an_order_are_not_free():
+    seen = UnseenBound(4.0, np.linspace(900.0, 1500.0, 30), np.ones(30))
+    verdicts = judge([agreed(4.0)], fit(unseen=(seen,)))
+    assert all(low >= 900.0 and high <= 1500.0 for low, high in ends(verdicts.free)), ends(verdicts.free)
+
+
+def test_a_stated_gear_mesh_that_does_not_stand_out_leaves_its_crossing_open():
+    verdicts = judge([agreed(1.0)], fit(mode(700.0), unseen=seen_everything(1.0)), stated=[37.0])
+    at = 60.0 * 700.0 / 37.0
+    assert [band.remark for band in verdicts.open] == ["order 37 with 700 Hz: not measured"]
+    assert verdicts.open[0].low_rpm < at < verdicts.open[0].high_rpm
+
+
+def test_a_test_of_unknown_speed_says_nothing_and_one_at_one_speed_has_no_free_band():
+    unknown = speeds_to_avoid([], (), fit(), speed_rpm=(np.nan, np.nan), unit=UNIT, settings=SETTINGS)
+    assert unknown == SpeedVerdicts((), (), ())
+    speed = np.array([1500.0])
+    one = agreed(4.0, line(4.0, 2.0, speed_rpm=speed))
+    assert judge([one], fit(mode(100.0)), speed_rpm=(1500.0, 1500.0)).free == ()
+    assert judge([one], fit(), speed_rpm=(1500.0, 1500.0)).free == ()
+
+
+def test_free_and_open_bands_and_speeds_to_avoid_cover_the_tested_range():
+    for seed in range(3):
+        machine = drawn_machine(seed)
+        _, _, verdicts = judged(machine, seed)
+        covered = [*ends(verdicts.free), *ends(verdicts.open), *(item.rpm_range for item in verdicts.avoid)]
+        at = np.linspace(machine.speed_rpm.min() + 0.5, machine.speed_rpm.max() - 0.5, 400)
+        beside = [(item.rpm * 0.96, item.rpm * 1.04) for item in verdicts.avoid]  # not free, and named by what they are
+        assert all(any(low <= rpm <= high for low, high in [*covered, *beside]) for rpm in at)
+        assert not any(f[0] < o[1] and o[0] < f[1] for f in ends(verdicts.free) for o in ends(verdicts.open))
+        assert band_records(verdicts.open) == [
+            {"low_rpm": item.low_rpm, "high_rpm": item.high_rpm, "remark": item.remark} for item in verdicts.open
+        ]
+
+
+def called_free(machine: DrawnMachine, verdicts: SpeedVerdicts) -> tuple[int, list[tuple[float, float, float]]]:
+    """How many ranges of ``machine`` are dangerous, and of those called free anywhere order, natural frequency, by how
+    much it is amplified in what is called free.
+    """  # fmt: skip
+    dangerous, wrong = machine.dangerous(SETTINGS.free_amplification), []
+    for low, high, number, which in dangerous:
+        at = np.linspace(low, high, 201)
+        free = np.array([any(a < rpm < b for a, b in ends(verdicts.free)) for rpm in at])
+        if free.any():
+            by = float(machine.amplification(number, which, at[free]).max())
+            wrong.append((machine.orders[number].order, float(machine.natural_hz[which]), by))
+    return len(dangerous), wrong
+
+
+KINDS = {
+    "fine": {},
+    "coarse": {"n_speeds": (12, 24), "span_rpm": (2500.0, 5000.0)},
+    "few": {"n_speeds": (4, 11), "span_rpm": (3000.0, 3000.0), "even": False},
+    "square law": {"smooth": False},
+    "exact force": {"smooth": False, "scatter": (0.0,)},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_dangerous_speed_is_called_free(kind: str):
+    for seed in range(3):
+        machine = drawn_machine(seed, **KINDS[kind])
+        assert called_free(machine, judged(machine, seed)[2])[1] == [], seed
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_a_hundred_machines_no_dangerous_speed_is_called_free(kind: str):
+    wrong, dangerous, share = [], 0, []
+    for seed in range(3000, 3100):
+        machine = drawn_machine(seed, **KINDS[kind])
+        verdicts = judged(machine, seed)[2]
+        share.append(sum(high - low for low, high in ends(verdicts.free)) / np.ptp(machine.speed_rpm))
+        some, called = called_free(machine, verdicts)
+        dangerous += some
+        wrong += [(seed, *item) for item in called]
+    print(kind, "dangerous", dangerous, "called free", len(wrong), "share free", np.mean(share))
+    assert dangerous > 300
+    assert wrong == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_a_quiet_machine_in_fine_steps_most_speeds_are_free(seed: int):
+    machine = drawn_machine(seed, n_modes=(0, 0), n_speeds=(400, 400), error=1e-4, scatter=(0.0005,))
+    modal, found, verdicts = judged(machine, seed)
+    free = sum(high - low for low, high in ends(verdicts.free))
+    assert not [item for item in modal.modes if not item.undecided]
+    assert not [item for item in found if item.excited] and verdicts.avoid == ()
+    assert free > 0.8 * np.ptp(machine.speed_rpm)

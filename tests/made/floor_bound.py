@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from made.structures import Structure
 from numpy.typing import NDArray
+
+from made.structures import Structure
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+OF_ONE_MARK = {"phase_reference": "tdc", "cycle_known": 1}
+"""Attributes of an order map whose phases all tell from one mark of the crank."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Made:
@@ -89,8 +92,14 @@ def no_orders(campbell: xr.Dataset) -> xr.Dataset:
     dims = ("channel", "speed", "order")
     nothing = np.zeros((campbell.sizes["channel"], campbell.sizes["speed"], 0))
     names = ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
-    coords = {"channel": campbell["channel"].values, "speed": campbell["speed"].values, "order": np.zeros(0)}
-    return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords)
+    channels = campbell["channel"].values
+    coords = {
+        "channel": channels,
+        "unit": ("channel", ["m/s2"] * len(channels)),
+        "speed": campbell["speed"].values,
+        "order": np.zeros(0),
+    }
+    return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords, attrs=OF_ONE_MARK)
 
 
 def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: float, seed: int) -> xr.Dataset:
@@ -115,7 +124,9 @@ def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: flo
         },
         coords={
             "channel": list("XYZ"[: shape[0]]),
+            "unit": ("channel", ["m/s2"] * shape[0]),
             "speed": speed,
             "order": np.array([order for order, _ in forces]),
         },
+        attrs=OF_ONE_MARK,
     )

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.identify.found import AgreedOrder, Lock, ModalFit, Mode, OrderLine
+from crankorder.identify.found import AgreedOrder, Lock, ModalFit, Mode, OrderLine, OrderResponse
+from crankorder.identify.modal.order_responses import Block, responses_of
+from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
 SPEEDS_RPM = np.arange(600.0, 2001.0, 50.0)
 
@@ -61,3 +63,46 @@ def resonant(order: float, speed_rpm: np.ndarray, modes: Sequence[Mode], gain: f
     damping = np.array([item.damping_ratio for item in modes])
     response = 1.0 + gain * np.sum(x**2 / (1.0 - x**2 + 2j * damping * x), axis=1)
     return np.asarray((speed_rpm / 1000.0) ** 2 * np.abs(response))
+
+
+def poles_of(modes: Sequence[Mode]) -> Poles:
+    """The poles of ``modes``."""
+    poles = NO_POLES
+    for item in modes:
+        poles = poles.with_pole(item.frequency_hz, item.damping_ratio)
+    return poles
+
+
+def made_response(
+    order: float, modal: ModalFit, *, smooth: complex, residue: Sequence[complex], channel: str = "A"
+) -> OrderResponse:
+    """A response known without error: its force grows with speed squared and is one at 1000 rpm."""
+    terms = 1 + len(residue)
+    return OrderResponse(
+        order=order,
+        channel=channel,
+        exponent=2.0,
+        law=(),
+        reference_rpm=1000.0,
+        span_rpm=(float(SPEEDS_RPM[0]), float(SPEEDS_RPM[-1])),
+        smooth=np.array([smooth], dtype=complex),
+        residue=np.array(residue, dtype=complex),
+        reached=np.arange(len(modal.modes)),
+        covariance=np.zeros((terms, terms), dtype=complex),
+        freedom=2 * (len(SPEEDS_RPM) - terms),
+        error=0.0,
+        fits=True,
+    )
+
+
+def fitted_response(
+    order: float, speed_rpm: Any, amplitude: Any, modal: ModalFit, *, error: float, channel: str = "A"
+) -> OrderResponse:
+    """Response of one channel by the fit of a block of the complex ``amplitude`` behind the modes of ``modal``."""
+    speed = np.asarray(speed_rpm, dtype=np.float64)
+    block = Block(
+        order, (channel,), order * speed / 60.0, speed, np.asarray(amplitude, dtype=complex)[None],
+        np.full((1, len(speed)), error), 1000.0,
+    )  # fmt: skip
+    (response,) = responses_of([block], poles_of(modal.modes))
+    return response

@@ -64,7 +64,11 @@ def full_findings(plain: dict[str, Any]) -> dict[str, Any]:
             "amplitude": 2.1,
         },
     ]
-    findings["free_bands"] = [{"low_rpm": 300.0, "high_rpm": 1690.0}, {"low_rpm": 1850.0, "high_rpm": 2000.0}]
+    excluded = "the data exclude that an order is amplified more than 3 times (99 %)"
+    ends = ((300.0, 1690.0), (1850.0, 2000.0))
+    findings["free_bands"] = [{"low_rpm": low, "high_rpm": high, "remark": excluded} for low, high in ends]
+    said = "order 2 with 60 Hz: is amplified more than 3 times"
+    findings["open_bands"] = [{"low_rpm": 1690.0, "high_rpm": 1850.0, "remark": said}]
     race = {"seen_in": "envelope", "band_hz": [2000.0, 4000.0], "slip_percent": -0.8, "slip_percent_ci95": [-0.9, -0.7]}
     race |= {"line": "BPFO", "order": 3.556, "order_ci95": [3.553, 3.559], "order_expected": 3.585, "harmonics": 4}
     race |= {

@@ -143,7 +143,7 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
             "speed": rpm,
             "order": order,
         },
-        attrs={"phase_reference": reference},
+        attrs={"phase_reference": reference, "cycle_known": 1},
     )
 
 

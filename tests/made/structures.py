@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from made.recordings import run_up, steady
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.settings import load_settings
+from made.recordings import run_up, steady
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Structure:
         return 2.0 * s / RATE_HZ
 
     def noise_of(self, n_samples: int, gain: float, random: np.random.Generator, orders: Array | None = None) -> Array:
-        """Samples (channels, ``n_samples``) of noise, and of further forces ``orders`` (modes, samples) on the modes."""
+        """Samples (channels, ``n_samples``) of noise, and of forces ``orders`` (modes, samples) on the modes."""
         lead = round(WARM_UP_S * RATE_HZ)
         force = random.standard_normal((self.drive.shape[1], n_samples + lead))
         made = self.noise[:, None] * random.standard_normal((len(self.noise), n_samples))

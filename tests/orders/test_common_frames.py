@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.orders.common_frames import common_frames, shorter_frames
+from crankorder.orders.common_frames import common_frames, reframed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.quantities import flags_of
@@ -32,7 +32,7 @@ def a_steady_one(seed, noise=0.0):
 @pytest.mark.parametrize("revs", [8, 4])
 def test_frames_cut_from_longer_ones_are_those_that_the_samples_give(seed, revs):
     recording = a_steady_one(seed, noise=0.3)
-    cut = shorter_frames(frames_of(recording), revs)
+    cut = reframed(frames_of(recording), revs)
     direct = frames_of(recording, revs_per_frame=revs, overlap=1.0 - 2.0 / revs)
     assert cut.sizes["order"] == direct.sizes["order"]
     both = np.intersect1d(np.round(cut["crank_angle"], 6), np.round(direct["crank_angle"], 6))
@@ -65,7 +65,7 @@ def test_a_gap_in_a_long_frame_is_one_in_all_shorter_ones_that_touch_it():
     usable = np.ones(band["signal"].shape, dtype=bool)
     usable[0, 12000:12100] = False
     band["usable"] = (("channel", "time"), usable, {"units": "1"})
-    cut = shorter_frames(frames_of((band, shaft)), 8)
+    cut = reframed(frames_of((band, shaft)), 8)
     assert np.isnan(cut["spectrum"].values[0].real).any()
     assert np.isfinite(cut["spectrum"].values[1].real).all()
     assert np.isfinite(cut["spectrum"].values[0].real).any()

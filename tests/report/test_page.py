@@ -13,6 +13,7 @@ import pytest
 from crankorder.quantities import schema_of
 from crankorder.report.page import index_page, report_page
 from crankorder.report.sentences.story import headline, story_of
+from crankorder.report.tables import tables_of
 
 HOSTILE = (
     "</script><script>alert(1)</script>",
@@ -109,7 +110,7 @@ def test_everything_that_identification_finds_is_in_a_table(full: Any, settings:
 
 
 @pytest.mark.parametrize(
-    "table", ["orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "bearings", "lines"]
+    "table", ["orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "open_bands", "bearings", "lines"]
 )
 def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(table: str, full: Any, settings: Any) -> None:
     needed = set(schema_of("findings")["properties"][table]["items"]["required"])
@@ -126,12 +127,25 @@ def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(table: s
             assert "</html>" in report_page(findings, pictures=[], provenance={}, settings=settings)
 
 
-@pytest.mark.parametrize("key", ["speeds_to_avoid", "free_bands", "energy", "balance", "unexplained_energy_fraction"])
+@pytest.mark.parametrize(
+    "key", ["speeds_to_avoid", "free_bands", "open_bands", "energy", "balance", "unexplained_energy_fraction"]
+)
 @pytest.mark.parametrize("value", [None, "absent"])
 def test_a_list_that_is_absent_or_unknown_breaks_nothing(key: str, value: Any, full: Any, settings: Any) -> None:
     findings = {**full, key: value} if value is None else {name: one for name, one in full.items() if name != key}
     assert headline(findings)
     assert "None" not in " ".join(_Reader(report_page(findings, pictures=[], provenance={}, settings=settings)).words)
+
+
+def test_free_and_open_bands_stand_in_one_table_by_speed_each_with_its_reason(full: Any) -> None:
+    (avoid,) = (one for anchor, one in tables_of(full, limit=60) if anchor == "avoid")
+    beside = avoid["beside"]
+    assert beside is not None
+    verdicts = [(row[0], row[2]) for row in beside["rows"]]
+    assert verdicts == [("300–1690", "free"), ("1690–1850", "not free, or not known"), ("1850–2000", "free")]
+    assert [row[1] for row in beside["rows"]] == ["1390", "160", "150"]
+    assert "more than 3 times (99 %)" in beside["rows"][0][3]
+    assert "order 2 with 60 Hz: is amplified" in beside["rows"][1][3]
 
 
 def test_the_bars_of_the_energy_are_the_shares_and_never_longer_than_the_whole(full: Any, settings: Any) -> None:

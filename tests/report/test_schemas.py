@@ -38,6 +38,11 @@ def test_the_findings_of_the_design_are_accepted_and_so_are_more_keys(campaign: 
 def test_everything_that_identification_may_give_is_accepted_and_wrong_values_are_refused(full: Any) -> None:
     assert _faults(full, "findings") == []
     assert _faults({**full, "free_bands": [{"low_rpm": 300.0}]}, "findings") != []
+    still_open = {"low_rpm": 900.0, "high_rpm": 1200.0, "remark": "not tested between"}
+    assert _faults({**full, "open_bands": [still_open]}, "findings") == []
+    for key in still_open:  # a speed is never open without the reason
+        lacking = {name: value for name, value in still_open.items() if name != key}
+        assert any(key in fault for fault in _faults({**full, "open_bands": [lacking]}, "findings"))
     assert _faults({**full, "orders": [{**full["orders"][0], "lock": "perhaps"}]}, "findings") != []
     assert _faults({**full, "energy": {"channels": [{"channel": "X", "orders": 1.5}]}}, "findings") != []
 

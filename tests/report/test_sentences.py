@@ -34,6 +34,13 @@ from crankorder.report.sentences.story import (
     strongest_sentence,
 )
 
+EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"
+UNTESTED = {
+    "low_rpm": 900.0,
+    "high_rpm": 1200.0,
+    "remark": "not tested between: order 2 could be amplified by any amount unseen; order 3 too",
+}
+
 
 @pytest.mark.parametrize(
     ("value", "interval", "text"),
@@ -176,8 +183,8 @@ def test_speeds_to_avoid_come_from_their_own_list_and_never_from_crossings_besid
     assert "1690 to 1760" in two[1] and "order 4" in two[1] and "order 8" in two[1]
     full["speeds_to_avoid"] = []
     assert avoid_sentences(full) == []
-    full["free_bands"] = [{"low_rpm": 300.0, "high_rpm": 2000.0}]
-    wanted = "No order was seen to excite a natural frequency between 300 and 2000 rpm."
+    full["free_bands"] = [{"low_rpm": 300.0, "high_rpm": 2000.0, "remark": EXCLUDED}]
+    wanted = f"Free of resonances: 300 to 2000 rpm; {EXCLUDED}."
     assert wanted in story_of(full)["what_to_do"] and wanted in headline(full)
 
 
@@ -187,13 +194,42 @@ def test_a_speed_that_stands_for_several_crossings_names_them_all(full: Any) -> 
     assert "order 4 excites the 115 Hz natural frequency and order 8 excites the 230 Hz natural frequency" in said
 
 
-def test_crossings_that_nobody_judged_are_not_passed_off_as_free(full: Any) -> None:
-    assert not any("could not be judged" in one for one in story_of(full)["what_to_do"])
-    doubtful = {**full["crossings"][0], "rpm": 900.0, "in_range": True, "verdict": "undecided mode"}
-    more = story_of({**full, "crossings": [doubtful]})["what_to_do"]
-    assert any(one.startswith("Free of") and "could not be judged" in one for one in more)
-    full["free_bands"][0]["remark"] = "not judged: order 3 with 60 Hz at 1200 rpm"
-    assert any(one.startswith("Free of") and "could not be judged" in one for one in story_of(full)["what_to_do"])
+def test_what_the_data_leave_open_is_not_passed_off_as_free(full: Any) -> None:
+    assert not any("not known" in one for one in story_of(full | {"open_bands": []})["what_to_do"])
+    more = story_of(full | {"free_bands": [], "open_bands": [UNTESTED], "speeds_to_avoid": []})["what_to_do"]
+    assert more[:2] == [
+        "No speed of the tested range can be called free of resonances.",
+        "Not free, or not known: 900 to 1200 rpm: not tested between: order 2 could be amplified by any amount unseen.",
+    ]
+    both = story_of(full | {"open_bands": [{**UNTESTED, "high_rpm": 1000.0}, UNTESTED]})["what_to_do"]
+    assert any(one.startswith("Free of resonances") for one in both)
+    assert any(one.startswith("Not free, or not known: 900 to 1200 rpm (and 1 more band): ") for one in both)
+
+
+def test_nothing_is_all_clear_while_speeds_are_open(full: Any) -> None:
+    quiet: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
+    quiet |= {"orders": full["orders"], "speeds_to_avoid": [], "speed_range_rpm": [300.0, 2000.0]}
+    for free, still_open in (([], [UNTESTED]), ([{"low_rpm": 300.0, "high_rpm": 900.0}], [UNTESTED]), ([], [])):
+        story = story_of({**quiet, "free_bands": free, "open_bands": still_open})
+        assert not any("asks for action" in one for one in story["what_to_do"])
+        assert story["what_to_do"]
+    every = story_of({**quiet, "free_bands": [{"low_rpm": 300.0, "high_rpm": 2000.0}], "open_bands": []})
+    assert ALL_CLEAR in every["what_to_do"]
+
+
+def test_a_test_at_one_speed_says_that_it_cannot_know(full: Any) -> None:
+    one: dict[str, Any] = {"speeds_to_avoid": [], "free_bands": [], "open_bands": [], "bearings": [], "lines": []}
+    one |= {"speed_range_rpm": [1800.0, 1800.0], "unexplained_energy_fraction": 0.0}
+    story = story_of(full | one)
+    assert "A test at one speed cannot tell which speeds are free of resonances." in story["what_to_do"]
+    assert "A test at one speed cannot tell which speeds are free of resonances." in headline(full | one)
+    assert not any("Free of" in said or "asks for action" in said for said in story["what_to_do"])
+
+
+def test_a_mode_in_doubt_is_not_called_a_natural_frequency_where_an_order_peaks(full: Any) -> None:
+    met = {**full["speeds_to_avoid"][0], "mode_hz": 265.0, "orders": [2.0], "modes_hz": [265.0]}
+    (said,) = avoid_sentences({**full, "speeds_to_avoid": [met]})
+    assert "order 2 peaks at 265 Hz, which may be a natural frequency" in said and "excites" not in said
 
 
 def test_a_locked_line_that_raises_no_alarm_asks_for_no_re_run(full: Any) -> None:
@@ -204,7 +240,7 @@ def test_a_locked_line_that_raises_no_alarm_asks_for_no_re_run(full: Any) -> Non
 
 
 def test_free_bands_are_told(full: Any) -> None:
-    assert "Free of excited crossings: 300 to 1690 and 1850 to 2000 rpm." in story_of(full)["what_to_do"]
+    assert f"Free of resonances: 300 to 1690 and 1850 to 2000 rpm; {EXCLUDED}." in story_of(full)["what_to_do"]
 
 
 def test_keeps_its_size_is_said_only_where_the_law_says_so(full: Any, campaign: Any) -> None:

@@ -9,8 +9,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.campbell.starts import leading_frames
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.shaft.speed_groups import speed_groups
+
+LEAST_LEFT = 0.25
+"""Frames that must be left without a start transient."""
 
 
 @nb.njit(cache=True, nogil=True)
@@ -33,6 +37,8 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     is the peak (or RMS, as the frames ask) of a tone wherever it lies between two bins, so that an order line does not
     fade at every other speed; ``psd`` is the one-sided power spectral density. A frame that a gap touches is left out
     of the channel concerned (then ``n_frames_used`` counts the others); a channel without any is NaN at that speed.
+    Where recordings seem to begin with a transient, ``settled_psd`` is the density without the frames that hold it, at
+    ``settled_frequency``, and ``settled_share`` the share of the frames that it is of.
     """
     frames = [item for item in frames if item.sizes["frame"]] or frames[:1]
     first = frames[0]
@@ -41,16 +47,14 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     frequency = np.arange(min(n_shown), dtype=np.float64) * grid_hz
     speed = np.concatenate([item["speed"].values for item in frames])
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
+    mean_rpm = np.array([speed[group].mean() for group in groups])
     tone, density, counts, scale = _group_means(frames, groups, frequency)
+    settled = _settled(frames, groups, frequency, density, counts)
     result = xr.Dataset(
         coords={
             **channel_coords(first),
             "frequency": ("frequency", frequency, first["frequency"].attrs),
-            "speed": (
-                "speed",
-                np.array([speed[group].mean() for group in groups]),
-                {"units": "min-1", "long_name": "speed"},
-            ),
+            "speed": ("speed", mean_rpm, {"units": "min-1", "long_name": "speed"}),
         }
     )
     dims = ("channel", "speed", "frequency")
@@ -61,6 +65,8 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     with np.errstate(over="ignore"):
         psd = density / scale / scale
     result["psd"] = (dims, psd, {"units": "see unit, squared per Hz", "long_name": "power spectral density"})
+    if settled is not None:
+        _add_settled(result, *settled, scale)
     _count(result, np.array([len(group) for group in groups], dtype=np.int64), counts)
     result.attrs = {
         "window": first.attrs["window"],
@@ -131,6 +137,61 @@ def _group_means(
         return tone / counts[..., None], density / counts[..., None], counts, common[:, None, None]
 
 
+def _settled(
+    frames: list[xr.Dataset],
+    groups: list[NDArray[np.int64]],
+    frequency: NDArray[np.float64],
+    density: NDArray[np.float64],
+    counts: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Bins at which recordings begin with a transient; density there without it, and the share of frames that it is of.
+
+    Both (channel, group, bin), from the mean ``density`` (channel, group, frequency) of all ``counts`` (channel, group)
+    frames; None where no recording begins with a transient.
+    """
+    leading = leading_frames(frames)
+    if leading is None:
+        return None
+    n_frames = [item.sizes["frame"] for item in frames]
+    group_of = np.empty(sum(n_frames), dtype=np.int64)
+    for number, group in enumerate(groups):
+        group_of[group] = number
+    first = np.concatenate([[0], np.cumsum(n_frames)[:-1]])
+    scales = [item["scale"].values if "scale" in item else np.ones(len(density)) for item in frames]
+    common = np.min(scales, axis=0)
+    left, share = density * counts[..., None], np.ones(density.shape) * counts[..., None]
+    for item, scale, count, begin in zip(frames, scales, leading, first, strict=True):
+        for number in range(int(count.max(initial=0))):
+            power = item["power"].values[:, number].astype(np.float64)
+            used = np.isfinite(power[:, :1]) & (count > number)
+            taken = np.where(used, power * ((common / scale) ** 2)[:, None], 0.0)
+            into = group_of[begin + number]
+            left[:, into] -= _density_on_grid(item, taken[:, None], frequency)[:, 0]
+            share[:, into] -= _on_grid(item, used[:, None].astype(np.float64), frequency)[:, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        held = share / counts[..., None]
+        made = np.where(share > LEAST_LEFT, np.maximum(left, 0.0) / share, np.nan)
+    bins = np.flatnonzero((held < 1.0 - 1e-9).any(axis=(0, 1)))
+    return bins, made[..., bins], np.where(share > LEAST_LEFT, held, 0.0)[..., bins]
+
+
+def _add_settled(
+    result: xr.Dataset,
+    bins: NDArray[np.int64],
+    density: NDArray[np.float64],
+    share: NDArray[np.float64],
+    scale: NDArray[np.float64],
+) -> None:
+    """Add to ``result`` what is left at ``bins`` without start transients."""
+    dims = ("channel", "speed", "settled_frequency")
+    words = {"units": "Hz", "long_name": "frequency at which recordings begin with a transient"}
+    result.coords["settled_frequency"] = ("settled_frequency", result["frequency"].values[bins], words)
+    with np.errstate(over="ignore"):
+        words = {"units": "see unit, squared per Hz", "long_name": "power spectral density without start transients"}
+        result["settled_psd"] = (dims, density / scale / scale, words)
+    result["settled_share"] = (dims, share, {"units": "1", "long_name": "share of the frames that it is of"})
+
+
 def _without_image(item: xr.Dataset) -> list[int]:
     """Bins of the spectrum that have no mirror image: the first, and the one at half of the rate."""
     n_bins = item.sizes["frequency"]
@@ -163,9 +224,14 @@ def _density_on_grid(
     item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """One-sided power spectral density at each of ``frequency``, linear between the bins."""
-    bins_hz = item["frequency"].values
     density = power / (2.0 * _enbw_hz(item))
     density[..., _without_image(item)] *= 0.5
+    return _on_grid(item, density, frequency)
+
+
+def _on_grid(item: xr.Dataset, density: NDArray[np.float64], frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``density`` (channel, group, bin) at each of ``frequency``, linear between the bins."""
+    bins_hz = item["frequency"].values
     at = np.minimum(frequency / float(item.attrs["resolution_hz"]), len(bins_hz) - 1.0)
     low = np.minimum(np.floor(at + 1e-9).astype(np.int64), max(0, len(bins_hz) - 2))
     share = at - low

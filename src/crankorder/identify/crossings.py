@@ -184,7 +184,8 @@ def _unless_excited(
     rpm = 60.0 * mode.frequency_hz / agreed.order
     if not inside:
         return "outside the tested range"
-    quiet = bool(trends) and max(item.ratio_high for item in trends) < CLEARLY_EXCITED
+    resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
+    quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < CLEARLY_EXCITED
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
     near = rpm * (1.0 + mode.damping_ratio * np.linspace(-1.0, 1.0, 5))
     known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
@@ -195,7 +196,6 @@ def _unless_excited(
         return "undecided mode"
     if quiet:
         return "not excited"
-    resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     return "not decided" if resolved or known else "not measured"
 
 

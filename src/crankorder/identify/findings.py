@@ -14,13 +14,17 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
+from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
 
@@ -47,24 +51,24 @@ def find(
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    lines = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
-    orders = orders_agreed(lines, frames=frames, order_map=order_map, settings=asked)
-    modal = modal_fit(campbell, order_map, orders, settings=asked, followed=followed)
+    in_map = _orders_in_map(order_map, frames, settings)
+    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
+    in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
+    orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(orders, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
+    causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
     tested = _tested_rpm(order_map, campbell)
-    stated = [order for _, order in sources.gears]
-    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
+    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
-    shares = energy_shares(campbell, order_map, orders, modal, causes, settings=asked)
-    records = order_records(orders, causes, meetings, unit=unit)
+    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    records = order_records(orders, causes, meetings, modal, unit=unit)
     findings = {
         "schema_version": SCHEMA_VERSION,
         "test": test,
@@ -78,14 +82,25 @@ def find(
         "open_bands": band_records(speeds.open),
         "bearings": bearings,
         "lines": line_records(records, modal, causes, channels=list(unit)),
-        "unexplained_energy_fraction": shares["unexplained_energy_fraction"],
-        "energy": {key: value for key, value in shares.items() if key != "unexplained_energy_fraction"},
+        **_energy(shares),
         "balance": balance,
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
     }
     return findings if balance is not None else findings | {"balance_reason": no_balance}
+
+
+def _orders_in_map(order_map: xr.Dataset, frames: Sequence[xr.Dataset], settings: Settings) -> tuple[AgreedOrder, ...]:
+    """Orders that stand out in the OrderMap, with what it holds of them."""
+    lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
+    return orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify)
+
+
+def _energy(shares: dict[str, Any]) -> dict[str, Any]:
+    """Shares of the energy as the findings hold them: what is not explained beside the rest."""
+    rest = {key: value for key, value in shares.items() if key != "unexplained_energy_fraction"}
+    return {"unexplained_energy_fraction": shares["unexplained_energy_fraction"], "energy": rest}
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

@@ -30,6 +30,8 @@ class OrderLine:
     ``reservation`` says, where it is not empty, what speaks against the line. ``ends`` (speeds, 2) are those of the
     amplitude's 95 % intervals, over all values that it held, and ``phase_ci95_deg`` (speeds,) the half widths of those
     of the phase; None where ``amplitude_error`` says it all. ``remark`` is what else there is to say of this channel.
+    ``worth`` (speeds,) is how many independent values each one stands for, None for 1: rows of an order that was
+    followed through a sweep share their errors with their neighbours.
     """
 
     channel: str
@@ -47,6 +49,7 @@ class OrderLine:
     ends: NDArray[np.float64] | None = None
     phase_ci95_deg: NDArray[np.float64] | None = None
     remark: str = ""
+    worth: NDArray[np.float64] | None = None
 
     @property
     def strongest(self) -> int:

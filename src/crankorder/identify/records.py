@@ -9,6 +9,7 @@ import numpy as np
 
 from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone, Whirl
+from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
@@ -21,15 +22,18 @@ def order_records(
     orders: tuple[AgreedOrder, ...],
     causes: Causes,
     meetings: Sequence[Mapping[str, Any]],
+    modal: ModalFit,
     *,
     unit: Mapping[str, str],
 ) -> list[dict[str, Any]]:
     """Records of ``orders``, one per order and channel, by channel in the sequence of ``unit``, then by order.
 
-    ``causes`` explain them; ``meetings`` are the records of the crossings; ``unit`` is that of each channel.
+    ``causes`` explain them; ``meetings`` are the records of the crossings; ``modal`` says what they would reach at
+    held speeds; ``unit`` is that of each channel.
     """
     records = [
         _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel])
+        | _held(held_peak(modal, agreed.order, line.channel))
         for agreed in orders
         for line in agreed.lines
     ]
@@ -68,10 +72,22 @@ def _order_record(
         "speed_law": None if law is None else _law(law, met_hz),
         "meets_hz": met_hz,
         "speed_range_rpm": [float(end) for end in visible_range_rpm(line)],
-        "n_speeds": len(line.seen),
+        "n_speeds": len(np.unique(line.seen)),
         "evidence": _once(*said, cause.evidence),
         "level_over_floor_db": line.level_over_floor_db,
         "explained_by": cause.text,
+    }
+
+
+def _held(peak: HeldPeak | None) -> dict[str, Any]:
+    """Fields of what an order would reach in a sweep if the speed were held at the ``peak``; null where unknown."""
+    if peak is None:
+        return {"amplitude_held": None, "amplitude_held_ci95": None, "speed_rpm_at_held": None}
+    low, high = interval(peak.amplitude, peak.error, freedom=peak.freedom)
+    return {
+        "amplitude_held": peak.amplitude,
+        "amplitude_held_ci95": [max(0.0, low), high],
+        "speed_rpm_at_held": peak.rpm,
     }
 
 

@@ -70,6 +70,18 @@ def amplitude_at(response: OrderResponse, rpm: float, modal: ModalFit) -> float:
     return float(abs(smooth[0] + parts[0].sum()))
 
 
+def held_amplitudes(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Floats, Floats]:
+    """Peak amplitude (G,) of ``response`` at ``rpm`` (G,) by the fit ``modal`` if each were held, and its error.
+
+    That is the error of the linear terms and that of the damping of the modes, which a peak goes with.
+    """
+    smooth, parts, columns = _parts(response, rpm, modal)
+    linear = np.einsum("gi,ij,gj->g", columns, response.covariance, columns.conj()).real
+    damping = np.array([mode.damping_error / mode.damping_ratio for mode in modal.modes])
+    by_damping = np.square(np.abs(parts) * damping).sum(axis=1)
+    return np.abs(smooth + parts.sum(axis=1)), np.sqrt(np.maximum(linear, 0.0) + by_damping)
+
+
 def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: ModalFit) -> WithAndWithout:
     """Amplitude of ``response`` at ``rpm`` (G,) with mode ``number`` of ``modal`` and without it."""
     smooth, parts, columns = _parts(response, rpm, modal)

@@ -47,7 +47,7 @@ class _Open:
 
 @dataclass(frozen=True)
 class _Limits:
-    """An amplification of ``factor`` is not free; ``sigmas`` make it sure; amplitudes below ``matters`` do not count."""
+    """Amplified ``factor`` times is not free; ``sigmas`` make it sure; amplitudes below ``matters`` do not count."""
 
     factor: float
     sigmas: float
@@ -190,10 +190,8 @@ def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
 
 def _by_avoided(avoid: Sequence[AvoidedSpeed]) -> list[_Open]:
     """What speeds to avoid take: these are not open, but neither are they free."""
-    beside = 1.0 + BESIDE
-    return [
-        _Open(min(a.rpm_range[0], a.rpm / beside), max(a.rpm_range[1], a.rpm * beside), "") for a in avoid
-    ]  # fmt: skip
+    low, high = 1.0 - BESIDE, 1.0 + BESIDE
+    return [_Open(min(a.rpm_range[0], a.rpm * low), max(a.rpm_range[1], a.rpm * high), "") for a in avoid]
 
 
 def _by_modes(
@@ -261,7 +259,8 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free."""
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / group[0].order
-    reach = max(NEAR_DAMPINGS * mode.damping_ratio, BESIDE)
+    beside = BESIDE + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
+    reach = max(NEAR_DAMPINGS * mode.damping_ratio, beside)
     low, high = max(group[0].span_rpm[0], rpm * (1.0 - reach)), min(group[0].span_rpm[1], rpm * (1.0 + reach))
     if low >= high:
         return []
@@ -275,7 +274,7 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     said = "is amplified" if (least > limits.factor).any() else "may be amplified"
     inside = np.flatnonzero(over)
     begin, end = float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
-    begin, end = min(begin, rpm / (1.0 + BESIDE)), max(end, rpm * (1.0 + BESIDE))
+    begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
     return [_Open(begin, end, f"{what}: {said} more than {limits.factor:g} times")]
 
 
@@ -292,6 +291,10 @@ def _by_unseen(
         name = f"order {agreed.order:.4g}"
         if not bounds:
             made.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
+            continue
+        first = min(float(bound.speed_rpm[0]) for bound in bounds)
+        last = max(float(bound.speed_rpm[-1]) for bound in bounds)
+        made += [_Open(a, b, f"{name} was not measured there") for a, b in ((low, first), (last, high)) if b > a]
         for bound in bounds:
             made += _between(bound, settings.free_amplification, name)
     return made

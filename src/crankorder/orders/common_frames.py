@@ -27,7 +27,7 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
 
     The length is that of most, the longer one where two are as common; where a recording's own sweep asked for shorter
     frames it is the shortest of these, and longer frames whose length is a multiple are cut into such
-    (:func:`shorter_frames`), which is "info". Those of any other length are left out, which is "bad". Recordings by
+    (:func:`reframed`), which is "info". Those of any other length are left out, which is "bad". Recordings by
     crank angle of fewer samples per revolution end at a lower order: the others are cut there, and the remark is
     "info".
     """
@@ -38,7 +38,7 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     common = min(swept) if swept else max(set(lengths), key=lambda length: (lengths.count(length), length))
     used, flags = [], []
     for item, length in zip(frames, lengths, strict=True):
-        cut = shorter_frames(item, common) if swept and length > common and length % common == 0 else None
+        cut = reframed(item, common) if swept and length > common and length % common == 0 else None
         if length == common or cut is not None:
             used.append(item if cut is None else cut)
         if length != common:
@@ -48,16 +48,16 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
 
 
-def shorter_frames(item: xr.Dataset, revs: int) -> xr.Dataset | None:
-    """OrderFrames of ``revs`` revolutions cut from the longer ones of the OrderFrames ``item``; None where none fit.
+def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
+    """OrderFrames of ``revs`` revolutions made of those of another length, ``item``; None where none fit.
 
     Hann windows that overlap add up to a smooth sum, so the overlapping frames, transformed back, give the signal by
-    crank angle again up to the highest order, and shorter frames of it are what they would have been at first; but for
+    crank angle again up to the highest order, and other frames of it are what they would have been at first; but for
     the two ends of a record, where a window alone is near 0.
     """
     length = int(item.attrs["revs_per_frame"])
     begin = item["crank_angle"].values
-    n_orders = (item.sizes["order"] - 1) // (length // revs) + 1
+    n_orders = (item.sizes["order"] - 1) * revs // length + 1
     if item.attrs["window"] != "hann" or not len(begin):
         return None
     per_rev = 2 * math.ceil((item.sizes["order"] - 1) / length) + 4

@@ -24,6 +24,7 @@ from crankorder.orders.intervals import (
     phase_interval_deg,
 )
 from crankorder.orders.phase_marks import LOCATED
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 
 ON_BIN = 1e-6
 """An order this close to a bin of the map stands on it."""
@@ -116,6 +117,30 @@ class TrackReader:
         """Whether ``order`` was followed through a sweep."""
         return any(_place_in(item, order) >= 0 for item in self.items)
 
+    def worth(self, order: float) -> Array:
+        """How many independent values each row (rows,) of ``order`` stands for, 1 at most.
+
+        Rows of an order that was followed through a sweep are closer than its filter parts.
+        """
+        parts = [np.ones(len(self.map_rpm))]
+        for item in self.items:
+            place, time = _place_in(item, order), item["time"].values
+            share = np.ones(len(time))
+            if place >= 0 and len(time) > 1:
+                width = item["bandwidth_hz"].values[place]
+                share = noise_bandwidth_share(int(item.attrs["poles"])) * width * np.abs(np.gradient(time))
+            parts.append(np.minimum(share, 1.0))
+        return np.concatenate(parts)
+
+    def nearest_row_of_map(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Of each of the ``rows`` (chosen,) the row of the map at the nearest speed: itself where it is one."""
+        known = np.flatnonzero(np.isfinite(self.map_rpm))
+        if not len(known):
+            return np.minimum(rows, max(len(self.map_rpm) - 1, 0))
+        apart = np.abs(self.speed_rpm[rows][:, None] - self.map_rpm[known])
+        nearest = known[np.where(np.isnan(apart), np.inf, apart).argmin(axis=1)]
+        return np.asarray(np.where(rows < len(self.map_rpm), rows, nearest))
+
     def _rows_of_sweeps(self, followed: list[xr.Dataset]) -> NDArray[np.bool_]:
         """Rows of the map in which all frames are of recordings that ``followed`` holds: theirs are better."""
         names = {str(item.attrs["recording"]) for item in followed}
@@ -200,7 +225,7 @@ class TrackReader:
         middle = np.rint(lines).astype(int)
         last = self.order_map.sizes["order"] - 1
         used = np.arange(max(0, middle.min() - REACH_BINS), min(last, middle.max() + REACH_BINS) + 1)
-        lobes = _hann_lobe(used[:, None] - lines)
+        lobes = hann_lobe(used[:, None] - lines)
         apart = np.abs(used[:, None] - used)
         noise = np.select([apart == k for k in range(3)], HANN_CORRELATION, 0.0)
         weighted = np.linalg.solve(noise, lobes)
@@ -238,7 +263,7 @@ _ON_BIN_NAMES = (
 """Variables of the map that stand for the fields of OrderRows."""
 
 
-def _hann_lobe(off_bins: Array) -> Array:
+def hann_lobe(off_bins: Array) -> Array:
     """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
     edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):

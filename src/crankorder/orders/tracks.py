@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -106,17 +106,33 @@ _VARIABLES = (
 def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:
     """Orders to follow: those that ``findings`` name and those that ``settings`` ask for.
 
-    An order that is locked to the shaft, or may be (its interval holds a multiple of the cycle's frequency in
-    ``order_map``), stands on that multiple, where its phase is known; any other where it was found.
+    Each found one stands where ``track_order`` of the OrderMap ``order_map`` says.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
-    orders = {round(float(order), 9) for order in settings.track_orders}
-    for record in findings["orders"]:
-        multiple = round(record["order"] * cycle) / cycle
-        low, high = record["order_ci95"]
-        locked = record["lock"] == "locked" or (record["lock"] == "undecided" and low <= multiple <= high)
-        orders.add(round(multiple if locked else record["order"], 6))
-    return sorted(orders)
+    found = (
+        track_order(record["order"], record["order_ci95"], record["lock"], revs_per_cycle=cycle)
+        for record in findings["orders"]
+    )
+    return all_tracked(found, settings)
+
+
+def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:
+    """The orders ``found`` and those that ``settings`` ask for, each once, rising."""
+    return sorted({round(float(order), 9) for order in settings.track_orders} | set(found))
+
+
+def track_order(order: float, order_ci95: Sequence[float], lock: str, *, revs_per_cycle: int) -> float:
+    """The number at which the track of a found ``order`` stands, with its interval ``order_ci95`` (low, high).
+
+    An order that is locked to the shaft (``lock`` "locked"), or may be ("undecided" with a multiple of the cycle's
+    frequency in its interval; ``revs_per_cycle`` 1 or 2), stands on that multiple, where its phase is known; any other
+    where it was found. An interval that would hold a multiple wherever it lay says nothing of it.
+    """
+    multiple = round(order * revs_per_cycle) / revs_per_cycle
+    low, high = order_ci95
+    may_be = low <= multiple <= high and high - low < 0.5 / revs_per_cycle
+    locked = lock == "locked" or (lock == "undecided" and may_be)
+    return round(multiple if locked else order, 6)
 
 
 def _band_sum(

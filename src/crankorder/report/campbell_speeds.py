@@ -11,7 +11,7 @@ from crankorder.report.drawing.keys import Key
 from crankorder.report.drawing.labels import EdgeLabel
 from crankorder.report.drawing.palette import AVOID, FREE, NOT_JUDGED
 from crankorder.report.drawing.panel import Panel
-from crankorder.report.sentences.of_speeds import free_bands, is_range, not_judged_rpm, speeds_together
+from crankorder.report.sentences.of_speeds import free_bands, is_range, not_judged_rpm, open_bands, speeds_together
 
 STRIP_IN = 0.13
 """Room in inches that the strip takes right of the diagram."""
@@ -24,8 +24,8 @@ _OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not j
 
 
 def has_strip(findings: dict[str, Any]) -> bool:
-    """True where the ``findings`` name ranges of speed to avoid or free ones."""
-    return bool(_ranges(findings)) or bool(free_bands(findings))
+    """True where the ``findings`` name ranges of speed to avoid, free ones or open ones."""
+    return bool(_ranges(findings)) or bool(free_bands(findings)) or bool(open_bands(findings))
 
 
 def _ranges(findings: dict[str, Any]) -> list[tuple[float, float, float]]:
@@ -45,6 +45,8 @@ def _ranges(findings: dict[str, Any]) -> list[tuple[float, float, float]]:
 def draw_strip(panel: Panel, findings: dict[str, Any]) -> list[EdgeLabel]:
     """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
     low, high = panel.y
+    for number, band in enumerate(open_bands(findings)):
+        _mark(panel, (max(band[0], low), min(band[1], high)), NOT_JUDGED, f"not-free-{number}")
     for number, band in enumerate(free_bands(findings)):
         _mark(panel, (max(band[0], low), min(band[1], high)), FREE, f"free-{number}")
     for number, rpm in enumerate(_open_rpm(findings)):
@@ -80,4 +82,5 @@ def strip_keys(findings: dict[str, Any]) -> list[Key]:
     """What the colours of the strip of the ``findings`` mean."""
     keys = [Key("speed to avoid", AVOID, width=_WIDTH_PT)] if _ranges(findings) else []
     keys += [Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else []
-    return [*keys, Key("crossing not judged", NOT_JUDGED, width=_WIDTH_PT)] if _open_rpm(findings) else keys
+    unknown = bool(open_bands(findings)) or bool(_open_rpm(findings))
+    return [*keys, Key("not free, or not known", NOT_JUDGED, width=_WIDTH_PT)] if unknown else keys

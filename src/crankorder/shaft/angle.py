@@ -59,6 +59,7 @@ def angle_knots(
     teeth_per_rev: float,
     noise_s: float | None,
     settings: ShaftSettings,
+    smooth_times: bool = True,
 ) -> AngleKnots:
     """Knots of the smoothed crank angle, 0 at tooth 0, from one tooth before the first pulse to one after the last.
 
@@ -70,6 +71,7 @@ def angle_knots(
     noise_s : standard deviation of one pulse time, s; None where unknown: it is then taken from the fourth differences
     settings : ``kept_order`` is never smoothed away where the wheel carries it (more keeps more noise);
         ``smoothing_margin`` multiplies the cut-off that the noise asks for (bias falls with its sixth power)
+    smooth_times : False takes the pulses as they are, where they come so unevenly (at rest) that no smoothing follows
 
     Returns
     -------
@@ -81,8 +83,10 @@ def angle_knots(
     spacing = weight.size / tooth.size
     kept = min(settings.kept_order * spacing / teeth_per_rev, CARRIED_CUT_OFF)
     floor = max(LOWEST_CUT_OFF * spacing ** (5 / 6), kept)
-    cut_off, noise = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
-    smooth, leverage = _smoothed(grid, weight, cut_off, noise)
+    cut_off, smooth, leverage = np.inf, grid, np.ones(grid.size)
+    if smooth_times:
+        cut_off, noise = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
+        smooth, leverage = _smoothed(grid, weight, cut_off, noise)
     smooth, slope = _with_slopes(smooth)
     pulse = tooth[:: 1 + tooth.size // MEDIAN_TEETH] - tooth[0]
     usual = noise * float(np.median(np.sqrt(leverage[pulse]) / slope[pulse + 1]))

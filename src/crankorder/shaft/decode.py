@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,22 +16,27 @@ from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_f
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots
 from crankorder.shaft.cycle import cam_mark, firing_tdc
+from crankorder.shaft.encoder_wheel import (
+    MOST_NOISE_TEETH,
+    mark_flags,
+    numbered_part,
+    stated_wheel,
+    times_of,
+    undersampled,
+    uneven_noise_s,
+)
 from crankorder.shaft.in_cycle import knots_with_model
 from crankorder.shaft.knowledge import ShaftKnowledge
 from crankorder.shaft.line_pattern import LinePattern, even_line_times, line_pattern
-from crankorder.shaft.pattern_search import find_pattern
-from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.repair import IntArray
+from crankorder.shaft.pulses import Remark
+from crankorder.shaft.repair import FEW_PULSES, running_parts
+from crankorder.shaft.runs import ShaftRun, joined
 from crankorder.shaft.speed_signal import integrated_speed
-from crankorder.shaft.wheel import NumberedTeeth, number_teeth
-
-FEWEST_SAMPLES_PER_TOOTH = 2.5
-"""A tooth and its gap need a sample each, and the fastest teeth of a turn are shorter than the mean."""
+from crankorder.shaft.uneven import wheel_of
+from crankorder.shaft.wheel import NumberedTeeth
 
 # Jitter so many times the noise of sampling is worth a remark.
 JITTER_RATIO = 1.5
-# Pulses that are enough to tell their noise.
-MOST_NOISE_TEETH = 20_000
 QUANTISED_SAMPLES = 0.2
 """Pulse noise from which it is that of whole samples (0.29 of one)."""
 PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
@@ -113,53 +118,133 @@ def flags_named(recording: str, remarks: Iterable[Remark]) -> list[QualityFlag]:
 
 
 def _numbered(recording: xr.Dataset, settings: ShaftSettings) -> tuple[NumberedTeeth, list[Remark]]:
-    """Pulses of the recording as numbered teeth, and remarks on how the wheel was found."""
-    attrs = recording.attrs
-    if "pulse_time" not in recording.variables:
-        raise InputError(
-            "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
-        )
-    pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), _times(recording, "index_time")
-    wheel, found = _wheel_of(attrs, pulse_s, index_s)
-    stated = float(attrs.get("pulse_noise_s", 0.0))
-    ratio = float(attrs.get("ratio", 1.0))
-    teeth = number_teeth(pulse_s, **wheel, settings=settings, index_time_s=index_s, ratio=ratio, noise_s=stated)
-    return teeth, found
+    """Pulses of the longest run of the recording as numbered teeth, and remarks on how the wheel was found."""
+    wheel, remarks = stated_wheel(recording)
+    return numbered_part(recording, settings, wheel, slice(None)), remarks
 
 
 def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: ShaftKnowledge) -> ShaftAngle:
+    """Angle of all runs between standstills: each is decoded by itself, then they are laid on one angle."""
+    wheel, remarks = stated_wheel(recording)
+    pulse_s = recording["pulse_time"].values.astype(np.float64)
+    parts: list[slice] = [slice(None)]
+    left_out: list[Remark] = []
+    if pulse_s.size > 2 and (np.diff(pulse_s) >= 0.0).all():
+        shape = wheel_of(wheel["pulses_per_rev"], wheel.get("missing_teeth", 0), wheel.get("tooth_angles_deg"))
+        ratio = float(recording.attrs.get("ratio", 1.0))
+        widest = float(shape.spans.max() * shape.places.size / shape.grid)
+        given = {"pulses_per_rev": shape.places.size * ratio, "gap": widest}
+        parts, left_out = running_parts(pulse_s, **given, joined=True)
+    made = []
+    # at rest a few pulses come further and further apart, which no even smoothing follows
+    smooth = len(parts) == 1 or wheel["pulses_per_rev"] > FEW_PULSES
+    for part in parts:
+        try:
+            made.append((part, _from_run(recording, settings, knowledge, wheel, part, smooth=smooth)))
+        except InputError:
+            if len(parts) == 1 or part.stop - part.start == max(one.stop - one.start for one in parts):
+                raise
+            detail = (
+                f"the run from {pulse_s[part.start]:.6g} to {pulse_s[part.stop - 1]:.6g} s cannot be counted: left out"
+            )
+            left_out.append(("encoder_part_unused", "suspect", detail))
+    if len(made) == 1:
+        return _shaft_of(recording, [made[0][1]], made[0][1].knots, [*remarks, *left_out])
+    runs = [
+        ShaftRun(
+            one.knots,
+            (float(one.teeth.time_s[0]), float(one.teeth.time_s[-1])),
+            part.start + int(np.searchsorted(pulse_s[part], one.teeth.time_s[0])),
+            part.start + int(np.searchsorted(pulse_s[part], one.teeth.time_s[-1])),
+            0.0 if one.reference == "none" else float(recording.attrs["revs_per_cycle"]) if one.cycle_known else 1.0,
+        )
+        for part, one in made
+    ]
+    decoded = [one for _, one in made]
+    knots = joined(runs, wheel["pulses_per_rev"] * float(recording.attrs.get("ratio", 1.0)))
+    if any(one.reference == "none" for one in decoded):
+        detail = "no mark tells the angle again after the standstill: between the runs the pulses are counted"
+        left_out.append(("standstill_phase", "info", detail))
+    return _shaft_of(recording, decoded, knots, [*remarks, *left_out])
+
+
+@dataclass(frozen=True)
+class _Decoded:
+    """One run: its teeth, knots with the angle from top dead centre, what that rests on, and remarks."""
+
+    teeth: NumberedTeeth
+    knots: AngleKnots
+    cycle_known: bool
+    reference: str
+    remarks: list[Remark]
+
+
+def _from_run(
+    recording: xr.Dataset,
+    settings: ShaftSettings,
+    knowledge: ShaftKnowledge,
+    wheel: dict[str, Any],
+    part: slice,
+    *,
+    smooth: bool,
+) -> _Decoded:
     attrs = recording.attrs
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
-    teeth, remarks = _numbered(recording, settings)
+    teeth = numbered_part(recording, settings, wheel, part)
     if knowledge.calibration is not None:
         errors = knowledge.calibration.line_error_rev
         even_s = even_line_times(teeth.time_s, teeth.tooth, errors, index_tooth=teeth.index_tooth)
         teeth = replace(teeth, time_s=even_s)
     teeth_per_rev = teeth.teeth_per_rev * ratio
-    knots, tdc, cycle_known, reference, flags = _knots(recording, teeth, teeth_per_rev, settings, knowledge.engine)
-    filled = any(flag == "in_cycle_from_model" for flag, _, _ in flags)
+    knots, tdc, cycle_known, reference, flags = _knots(
+        recording, teeth, teeth_per_rev, settings, knowledge.engine, smooth=smooth
+    )
     if knowledge.calibration is not None:
         left_rev = float(np.sqrt(np.mean(knowledge.calibration.standard_error_rev**2))) / ratio
         knots = replace(knots, standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
-    remarks += [*teeth.flags, *flags]
+    remarks = [*teeth.flags, *flags]
     if stated > 0.0 and knots.noise_s > JITTER_RATIO * stated:
         share = knots.noise_s / float(np.median(np.diff(teeth.time_s)))
         detail = f"pulses jitter by {share:.2g} of their distance, more than their sampling"
         remarks.append(("encoder_jitter", "info", detail))
-    remarks += _undersampled(recording, teeth)
+    remarks += undersampled(recording, teeth)
     period = int(attrs["revs_per_cycle"]) if cycle_known else 1
     turns = period * np.ceil((teeth.tooth[0] / teeth_per_rev - tdc) / period - 1e-9)
     knots = replace(knots, angle_rev=knots.angle_rev - tdc - turns)
-    shaft = _dataset(recording, knots, reference, teeth.time_s.size, remarks, cycle_known=cycle_known)
+    return _Decoded(teeth, knots, cycle_known, reference, remarks)
+
+
+def _shaft_of(recording: xr.Dataset, runs: list[_Decoded], knots: AngleKnots, remarks: list[Remark]) -> ShaftAngle:
+    """ShaftAngle on the ``knots`` of all ``runs``, which knows of its phase what each of them knows."""
+    attrs = recording.attrs
+    teeth, stated = runs[0].teeth, float(attrs.get("pulse_noise_s", 0.0))
+    for one in runs:
+        remarks += [remark for remark in one.remarks if remark not in remarks]
+    reference = "none" if any(one.reference == "none" for one in runs) else runs[0].reference
+    shaft = _dataset(
+        recording,
+        knots,
+        reference,
+        sum(one.teeth.time_s.size for one in runs),
+        remarks,
+        cycle_known=all(one.cycle_known for one in runs),
+    )
     rounded = stated > QUANTISED_SAMPLES / float(attrs.get("rate_hz", np.inf))
-    shaft.attrs["teeth_per_rev"], shaft.attrs["cut_off_order"] = teeth_per_rev, knots.cut_off_order
+    shaft.attrs["teeth_per_rev"] = teeth.teeth_per_rev * float(attrs.get("ratio", 1.0))
+    shaft.attrs["cut_off_order"] = knots.cut_off_order
     shaft.attrs["edge_step_s"] = math.sqrt(12.0) * stated if rounded else 0.0
-    shaft.attrs["in_cycle_filled"] = int(filled)
+    shaft.attrs["in_cycle_filled"] = int(any(flag == "in_cycle_from_model" for flag, _, _ in remarks))
     return shaft
 
 
 def _knots(
-    recording: xr.Dataset, teeth: NumberedTeeth, teeth_per_rev: float, settings: ShaftSettings, engine: Engine | None
+    recording: xr.Dataset,
+    teeth: NumberedTeeth,
+    teeth_per_rev: float,
+    settings: ShaftSettings,
+    engine: Engine | None,
+    *,
+    smooth: bool,
 ) -> tuple[AngleKnots, float, bool, str, list[Remark]]:
     """Knots with angle 0 at tooth 0; the angle of a top dead centre; whether it fires; what it rests on; remarks."""
     noise = float(recording.attrs.get("pulse_noise_s", 0.0)) or None
@@ -168,84 +253,22 @@ def _knots(
     tdc, cycle_known, reference, flags = _tdc(teeth, teeth_per_rev, recording)
     known: dict[str, Any] = {"teeth_per_rev": teeth_per_rev, "noise_s": noise, "settings": settings}
     if engine is None or reference != "tdc":
-        return angle_knots(teeth.time_s, teeth.tooth, **known), tdc, cycle_known, reference, flags
+        return angle_knots(teeth.time_s, teeth.tooth, **known, smooth_times=smooth), tdc, cycle_known, reference, flags
     knots, model = knots_with_model(engine, teeth.time_s, teeth.tooth, tdc_rev=tdc, cycle_known=cycle_known, **known)
     if model.cycle_known:
         flags = [flag for flag in flags if flag[0] != "cycle_phase_unknown"]
     return knots, tdc + model.turns, model.cycle_known, reference, flags + model.flags
 
 
-def _times(recording: xr.Dataset, name: str) -> FloatArray | None:
-    return recording[name].values.astype(np.float64) if name in recording.variables else None
-
-
-def _wheel_of(
-    attrs: dict[str, Any], pulse_s: FloatArray, index_s: FloatArray | None
-) -> tuple[dict[str, Any], list[Remark]]:
-    """Arguments of ``number_teeth`` that say what wheel it is; found from the pulses where nothing states it."""
-    if "tooth_angles_deg" in attrs:
-        angles = tuple(float(angle) for angle in np.atleast_1d(attrs["tooth_angles_deg"]))
-        return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, []
-    if "pulses_per_rev" in attrs:
-        missing = int(attrs.get("missing_teeth", 0))
-        return {"pulses_per_rev": int(attrs["pulses_per_rev"]), "missing_teeth": missing}, []
-    found = find_pattern(pulse_s, index_time_s=index_s)
-    if found is None:
-        raise InputError(
-            "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few",
-            place="encoder.pulses_per_rev",
-            found=f"{pulse_s.size} pulses",
-            remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
-        )
-    remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
-    even = found.pattern.even
-    if even is not None:
-        return {"pulses_per_rev": even[0], "missing_teeth": even[1]}, [remark]
-    angles = found.pattern.angles_deg
-    return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, [remark]
-
-
-def uneven_noise_s(time_s: FloatArray, tooth: IntArray) -> float:
-    """Standard deviation [s] of the pulse times of uneven teeth, from their fourth divided differences, by the median.
-
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers, growing.
-    """
-    if time_s.size < 8:
-        return 0.0
-    count = min(time_s.size, MOST_NOISE_TEETH) - 4
-    total, power = np.zeros(count), np.zeros(count)
-    for k in range(5):
-        weight = np.ones(count)
-        for other in range(5):
-            if other != k:
-                weight /= tooth[k : k + count] - tooth[other : other + count]
-        total += weight * time_s[k : k + count]
-        power += weight**2
-    return float(np.median(np.abs(total) / np.sqrt(power))) / 0.6745
-
-
-def _undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
-    """Remark where a sampled encoder has too few samples per pulse: edges are lost then without any trace."""
-    if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
-        return []
-    steps = np.diff(teeth.time_s) * float(recording.attrs["rate_hz"])
-    fewest = float(np.quantile(steps, 0.02))
-    if fewest >= FEWEST_SAMPLES_PER_TOOTH:
-        return []
-    start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
-    detail = f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample faster"
-    return [("encoder_undersampled", "bad", detail)]
-
-
 def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> tuple[float, bool, str, list[Remark]]:
     """Angle [rev] of a top dead centre where that of tooth 0 is 0; whether it fires; what it rests on; remarks."""
-    attrs, flags = recording.attrs, _mark_flags(teeth, recording)
+    attrs, flags = recording.attrs, mark_flags(teeth, recording)
     tdc = teeth.index_tooth / teeth_per_rev + float(attrs.get("index_to_tdc_deg", 0.0)) / 360.0
     stated = "index_to_tdc_deg" in attrs
     # a mark on the camshaft itself, as of an encoder there
     cycle_known = abs(teeth.index_period / teeth_per_rev - int(attrs["revs_per_cycle"])) < 1e-9
     cycle_known |= int(attrs["revs_per_cycle"]) == 1
-    cam_s = _times(recording, "cam_time")
+    cam_s = times_of(recording, "cam_time")
     if cam_s is not None and not cycle_known:
         place = np.interp(cam_s, teeth.time_s, teeth.tooth / teeth_per_rev, left=np.nan, right=np.nan)
         mark = cam_mark(place, cam_s)
@@ -266,16 +289,6 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
         flags.append(("cycle_phase_unknown", "info", detail))
     single = teeth.teeth_per_rev == 1 and "index_time" not in recording.variables and cam_s is None
     return tdc, cycle_known, "tdc" if stated else "pulse" if single else "index", flags
-
-
-def _mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
-    """Remark where the mark is on a shaft whose turns are no whole crank revolutions."""
-    ratio = float(recording.attrs.get("ratio", 1.0))
-    turns = 1.0 / ratio
-    if not np.isfinite(teeth.index_tooth) or abs(turns - round(turns)) <= 1e-9:
-        return []
-    detail = f"the encoder turns {ratio:g} times per crank revolution: its mark is at top dead centre only once"
-    return [("index_not_on_crank", "suspect", detail)]
 
 
 def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:

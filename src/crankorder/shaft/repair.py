@@ -24,6 +24,10 @@ STANDSTILL_RPM, STANDSTILL_SHARE = 30.0, 0.1
 SAME_COUNT_TEETH = 0.5
 # The speed beside a hole is the median over this many intervals.
 BESIDE = 4
+# Runs on both sides of a standstill are joined from so many pulses and revolutions on.
+FEWEST_PULSES, FEWEST_REVS = 6, 2.0
+# Of so few pulses per revolution one interval may hide a standstill: it is longer than both beside it by this factor.
+FEW_PULSES, TURNING_RATIO = 8, 1.5
 # By this factor these intervals grow into a stop and shrink out of it.
 SLOWED = 1.2
 
@@ -52,42 +56,78 @@ class FollowedWheel:
     misfit: float
 
 
-def running_part(time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
-    """The longest run of pulses without a standstill, and remarks on what was left out.
+def running_parts(
+    time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0, joined: bool = False
+) -> tuple[list[slice], list[Remark]]:
+    """The runs of pulses without a standstill, in turn, and remarks on what was left out.
 
     ``time_s``: (pulses,), s, increasing. ``pulses_per_rev``: pulses that come per crank revolution. ``gap``: the
-    widest distance of two of them over the usual one. A hole that the speeds on both sides fill with the same number of
-    pulses is no standstill. One track cannot tell the direction: what turns
-    less than a revolution beside a standstill may be a kick-back and is flagged ``direction_unknown``.
+    widest distance of two of them over the usual one. ``joined``: all runs of two revolutions or more, and of pulses
+    enough to follow them, where the shaft stands between them; else only the longest. A hole that the speeds on both
+    sides fill with the same number of pulses is no standstill. One track cannot tell the direction: what turns less
+    than a revolution beside a standstill may be a kick-back and is flagged ``direction_unknown``.
     """
     step = np.diff(time_s)
     limit = gap * 60.0 / (STANDSTILL_RPM * pulses_per_rev)
-    if step.max() <= limit:
-        return slice(0, time_s.size), []
+    turned = _turning_points(step) if gap == 1.0 and pulses_per_rev <= FEW_PULSES else []
+    if step.max() <= limit and not turned:
+        return [slice(0, time_s.size)], []
     limit = max(limit, gap * float(np.median(step)) / STANDSTILL_SHARE)
     holes = [int(at) for at in np.flatnonzero(step > limit)]
-    stops = [at for at in holes if not _same_count(step, at, limit)]
+    stops = sorted({at for at in holes if not _same_count(step, at, limit)} | set(turned))
     if not stops:
-        return slice(0, time_s.size), []
+        return [slice(0, time_s.size)], []
     edges = [0, *(at + 1 for at in stops), time_s.size]
     parts = [slice(first, end) for first, end in pairwise(edges)]
     longest = max(parts, key=lambda part: part.stop - part.start)
-    stray = [part for part in parts if part.stop - part.start < max(2.0, pulses_per_rev) and part != longest]
+    still = [at for at in stops if at in turned or _speed_is_low(step, at, limit)]
+    used = [longest]
+    if joined and len(still) == len(stops):
+        fewest = max(FEWEST_PULSES, FEWEST_REVS * pulses_per_rev)
+        used = [part for part in parts if part == longest or part.stop - part.start > fewest]
+    return used, _left_out(time_s, parts, used, still, [at for at in stops if at not in still], pulses_per_rev)
+
+
+def running_part(time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
+    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
+    parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
+    return parts[0], flags
+
+
+def _left_out(
+    time_s: FloatArray,
+    parts: list[slice],
+    used: list[slice],
+    still: list[int],
+    lost: list[int],
+    pulses_per_rev: float,
+) -> list[Remark]:
+    """Remarks on those of the ``parts`` that are not ``used``, and on the holes at which the shaft stands or not."""
+    stray = [part for part in parts if part.stop - part.start < max(2.0, pulses_per_rev) and part not in used]
     flags: list[Remark] = []
-    still = [at for at in stops if _speed_is_low(step, at, limit)]
     if still:
-        flags.append(("standstill", "info", f"the shaft stands still {_spans(time_s, still, stray)}: left out"))
-    lost = [at for at in stops if at not in still]
+        what = "no orders there" if len(used) > 1 else "left out"
+        flags.append(("standstill", "info", f"the shaft stands still {_spans(time_s, still, stray)}: {what}"))
     if lost:
         flags.append(("encoder_gap", "suspect", f"no pulses {_spans(time_s, lost, stray)}: the count is lost there"))
     if stray:
         n = sum(part.stop - part.start for part in stray)
         detail = f"{n} pulses of less than a revolution beside a standstill, {_times(time_s, stray)}: left out"
         flags.append(("direction_unknown", "suspect", detail))
-    runs = [part for part in parts if part not in stray and part != longest]
+    runs = [part for part in parts if part not in stray and part not in used]
     if runs:
         flags.append(("encoder_part_unused", "suspect", f"shorter runs of the shaft left out, {_times(time_s, runs)}"))
-    return longest, flags
+    return flags
+
+
+def _turning_points(step: FloatArray) -> list[int]:
+    """Intervals of a few pulses per revolution that are far longer than those beside, into which the shaft slows."""
+    longer = [
+        at
+        for at in range(BESIDE, step.size - BESIDE)
+        if step[at] > TURNING_RATIO * max(step[at - 1], step[at + 1]) and _stops_and_starts(step, at)
+    ]
+    return [at for at in longer if np.all(np.diff(step[at - BESIDE : at]) > 0.0)]
 
 
 def _beside(step: FloatArray, at: int) -> tuple[float, float]:

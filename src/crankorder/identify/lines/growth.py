@@ -46,13 +46,10 @@ LAW_SCATTER = 0.1
 LARGEST_DEVIATING = 0.34
 """Share of speeds that may deviate from a law that is said to hold at the others."""
 
-CHOSEN_BY = 2.0
-"""The largest amplitude is chosen by what it surely is: less so many standard errors."""
-
-LOW_SHARE = 1.6
+LOW_SHARE = 1.8
 """Of the chance outside the interval so many halves lie below it: little is left above, where one error is added."""
 
-SIMULTANEOUS = 0.005
+SIMULTANEOUS = 0.001
 """Chance given to the simultaneous interval within which the conditional one is taken."""
 
 Floats = NDArray[np.float64]
@@ -117,7 +114,8 @@ def growth(line: OrderLine) -> Growth | None:
     if len(speed) < FEWEST_SPEEDS or not np.ptp(speed) > 0.0:
         return None
     x, y = np.log(speed / np.exp(np.log(speed).mean())), np.log(amplitude)
-    error = _log_errors(line.amplitude_error[known] / amplitude, line.degrees_of_freedom[known])
+    shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth[known])
+    error = _log_errors(shared * line.amplitude_error[known] / amplitude, line.degrees_of_freedom[known])
     coefficient, weight = _robust_line(x, y, error)
     residual = y - coefficient[0] - coefficient[1] * x
     core_scale = np.hypot(error, _excess(residual, error, weight > 0.0))
@@ -211,23 +209,23 @@ def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, f
 def largest(line: OrderLine) -> Largest:
     """Largest amplitude of ``line`` over its speeds with a 95 % interval that allows for its having been chosen.
 
-    That speed is taken at which the amplitude is surely the largest: less two standard errors. Still what was chosen
-    is too large on average: given the choice it is distributed as if cut off below at what the next one reaches. The
-    interval holds all true amplitudes that this makes no surprise of, within a wider one that holds for all speeds at
-    once (hybrid interval of Andrews, Kitagawa and McCloskey 2024, Quarterly Journal of Economics 139), and what lies
-    one standard error above.
+    It is the largest of its track's rows. What was chosen so is too large on average: given the choice it is
+    distributed as if cut off below at what the next one reaches that shares no error with it. The interval holds all
+    true amplitudes that this makes no surprise of, within a wider one that holds for all speeds at once (hybrid
+    interval of Andrews, Kitagawa and McCloskey 2024, Quarterly Journal of Economics 139), and what lies one standard
+    error above.
     """
     error = np.where(np.isfinite(line.amplitude_error), line.amplitude_error, np.inf)
-    least = line.amplitude - CHOSEN_BY * error
-    at = int(np.argmax(least)) if np.isfinite(least).any() else line.strongest
+    known = np.where(np.isfinite(error), line.amplitude, -np.inf)
+    at = int(np.argmax(known)) if np.isfinite(known).any() else line.strongest
     seen, one = float(line.amplitude[at]), float(error[at])
     speed = float(line.speed_rpm[at])
     if one == 0.0 or not np.isfinite(one):
         return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
     freedom = known_freedom(float(line.degrees_of_freedom[at]))
-    others = np.delete(least, at)
-    cut = (float(np.max(others)) - seen) / one + CHOSEN_BY if len(others) else -np.inf
-    wide = half_width(freedom, level=1.0 - SIMULTANEOUS / len(least))
+    others, count = _independent_of(at, known, line.worth)
+    cut = (float(np.max(others)) - seen) / one if len(others) else -np.inf
+    wide = half_width(freedom, level=1.0 - SIMULTANEOUS / count)
     share = 0.5 * (0.05 - SIMULTANEOUS) / (1.0 - SIMULTANEOUS)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
     below, above = (_not_surprising(cut, wide, freedom, part) for part in parts)
@@ -242,6 +240,18 @@ def largest(line: OrderLine) -> Largest:
         low = seen * float((alone[0] / seen) ** (-below / usual)) if below < 0.0 else seen
         high = max(high, alone[1]) if len(others) == 0 or _is_stretched(alone, seen, one * usual) else high
     return Largest(at, speed, seen, low, high)
+
+
+def _independent_of(at: int, amplitude: Floats, worth: Floats | None) -> tuple[Floats, float]:
+    """Amplitudes that share no error with number ``at``, and how many independent ones there are in all.
+
+    ``worth`` is that of each; rows within a whole independent one of another share errors with it.
+    """
+    if worth is None:
+        return np.delete(amplitude, at), float(len(amplitude))
+    place = np.cumsum(worth) - 0.5 * worth
+    apart = np.abs(place - place[at]) > 1.0 - 1e-9
+    return amplitude[apart], max(1.0, float(worth.sum()))
 
 
 def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
@@ -266,7 +276,8 @@ def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> fl
 
 def mean_level(line: OrderLine) -> MeanLevel:
     """Mean amplitude of ``line`` over the speeds seen, each by its error and the scatter beyond, with its interval."""
-    amplitude, error = line.amplitude, np.hypot(line.amplitude_error, LAW_TOLERANCE * line.amplitude)
+    shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth)
+    amplitude, error = line.amplitude, np.hypot(shared * line.amplitude_error, LAW_TOLERANCE * line.amplitude)
     known = np.isfinite(error)
     amplitude, error = amplitude[known], error[known]
     if len(amplitude) < 2:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
 
+from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.swept_company import company_of
+from crankorder.orders.common_frames import reframed
 from crankorder.orders.map import order_map
 from crankorder.settings import Settings
 
@@ -15,27 +19,53 @@ SAME_BINS = 0.5
 """A line within so many bins of a multiple of the cycle's frequency is taken to be it: in a sweep a bin tells
 no better, and the two together could not be told apart."""
 
+LONGEST_REVS, FEWEST_FRAMES = 128, 4
+"""Longest frames in which lines are looked for, and how many lengths of them a recording must hold: short frames
+show how a line changes, long ones which lines there are."""
+
 
 def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
     """Orders (cycles per crank revolution, rising) that stand out in the OrderFrames ``frames`` of one recording.
 
     In any channel, locked or not; ``settings`` of identify say what stands out, those of orders how frames are
-    averaged. Lines that frames cannot tell from a multiple of the cycle's frequency, or from a stronger line, are one
-    with that; of more than twenty the strongest are taken.
+    averaged. They are looked for in frames of several lengths, for the sweep asks for short ones, which blur lines
+    that are close; a line so close that it does not stand out by itself is found by what the other one leaves. Lines
+    that frames cannot tell from a multiple of the cycle's frequency, or from one seen in longer frames, or from a
+    stronger one, are one with that; of more than twenty the strongest are taken.
     """
     if not frames["spectrum"].notnull().any():
         return []
-    lines = order_lines(
-        order_map([frames], settings=settings.orders),
-        settings=settings.identify,
-        orders=settings.orders,
-        frames=[frames],
-    )
-    step, cycle = 1.0 / float(frames.attrs["revs_per_frame"]), int(frames.attrs["revs_per_cycle"])
-    kept: list[float] = []
-    for line in sorted(lines, key=lambda line: -line.level_over_floor_db):
-        multiple = round(line.order * cycle) / cycle
-        order = multiple if abs(line.order - multiple) < SAME_BINS * step else line.order
-        if order > 0.0 and all(abs(order - other) > step for other in kept):
-            kept.append(order)
-    return sorted(kept[:MOST_FOLLOWED])
+    cycle = int(frames.attrs["revs_per_cycle"])
+    kept: list[tuple[float, float]] = []
+    lengths = _lengthened(frames)
+    for item in lengths:
+        step = 1.0 / float(item.attrs["revs_per_frame"])
+        for line in sorted(_lines(item, settings), key=lambda line: -line.level_over_floor_db):
+            multiple = round(line.order * cycle) / cycle
+            order = multiple if abs(line.order - multiple) < SAME_BINS * step else line.order
+            if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
+                kept.append((order, line.level_over_floor_db))
+    for item in lengths:
+        for order, level in list(kept):
+            company = company_of(order, item, [other for other, _ in kept])
+            if company > 0.0 and all(abs(company - other) > 0.5 * abs(company - order) for other, _ in kept):
+                kept.append((company, level))
+    strongest = sorted(kept, key=lambda one: -one[1])[:MOST_FOLLOWED]
+    return sorted(order for order, _ in strongest)
+
+
+def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
+    found = order_map([frames], settings=settings.orders)
+    return order_lines(found, settings=settings.identify, orders=settings.orders, frames=[frames])
+
+
+def _lengthened(frames: xr.Dataset) -> list[xr.Dataset]:
+    """``frames`` and those of twice, four times … their length that the recording holds, the longest first."""
+    begin, length = frames["crank_angle"].values, int(frames.attrs["revs_per_frame"])
+    held = float(np.ptp(begin)) + length
+    items, revs = [frames], 2 * length
+    while revs <= LONGEST_REVS and held >= FEWEST_FRAMES * revs:
+        item = reframed(frames, revs)
+        items += [] if item is None or not item.sizes["frame"] else [item]
+        revs *= 2
+    return items[::-1]

@@ -25,6 +25,9 @@ KNOWN = (0.5, 0.75)
 UNCERTAIN = 0.01
 """Half the 95 % interval of the frequency, as a share of it, beyond which a hump is no clear mode."""
 
+TOLD_WIDE = 0.002
+"""Half the 95 % interval of the frequency, as a share of it, beyond which the evidence says how wide it is."""
+
 NORMAL_95 = 1.96
 """Standard errors in half a 95 % interval."""
 
@@ -128,6 +131,15 @@ def doubt_about(
     if prominence_db < WEAK_DB and zeta_error > WELL_KNOWN * zeta:
         return f"stands only {prominence_db:.1f} dB out of the floor"
     return ""
+
+
+def said_wide(frequency_hz: float, error_hz: float) -> str:
+    """Words of the evidence on a mode whose frequency is not well known; "" where it is.
+
+    ``frequency_hz``: in Hz, with the standard error ``error_hz``.
+    """
+    half = NORMAL_95 * error_hz / frequency_hz
+    return f"; the 95 % interval of its frequency is ± {100.0 * half:.2g} % wide" if half > TOLD_WIDE else ""
 
 
 def on_grid(frequency_hz: float, reach_hz: float, still: tuple[float, ...], floor: Floor) -> str:

@@ -134,7 +134,7 @@ def _bound(
         added = np.maximum(added, _added(block, part, speed, least_damping * times, reach * spread))
     # the noise of the nearest row hides what is smaller
     near = np.abs(np.log(speed[:, None] / block.speed_rpm)).argmin(axis=1)
-    noise = NOISE_SHARE * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
+    noise = NOISE_SHARE * block.noise * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
     base = _fitted(block, part, poles, speed)
     if block.power:
         base, added, noise = np.sqrt(np.maximum(base, 0.0)), np.sqrt(added), np.sqrt(noise)

@@ -20,6 +20,12 @@ LEAK = 0.05
 CLIP_CHANCE = 1e-5
 """Chance that noise alone makes a cell so high above the same bin at other speeds that it is left out as a line."""
 
+FOOT_CHANCE = 0.2
+"""Chance that noise alone is as high beside a masked line as what is taken for more of its skirt."""
+
+FOOT_BINS = 16
+"""Bins on each side of what a line's window covers that its skirt may reach: speed and amplitude are not still."""
+
 LINE_CHANCE = 1e-3
 """Chance below which a half order at one speed is taken to be there."""
 
@@ -97,16 +103,17 @@ def quiet_floor(
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
     used = np.flatnonzero(frequency > LOWEST_BINS * float(campbell.attrs["enbw_hz"]))
-    psd = campbell["psd"].values[:, :, used].astype(np.float64)
+    psd, share = _settled(campbell, used)
     averages = _independent(campbell)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
     psd, averages, speed = psd[:, known], averages[:, known], campbell["speed"].values[known]
+    worth = averages[:, :, None] * share[:, known]
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
-    whole = _mean(psd, averages)[0]
+    whole = _mean(psd, worth)[0]
     moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
@@ -114,18 +121,30 @@ def quiet_floor(
             near = np.abs(frequency[used] - order * rpm / 60.0) <= MASKED_BINS * seen.bin_hz
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
     psd, gain = _at_unit_gain(psd, averages)
+    if psd.shape[1] > 1:
+        _mask_feet(psd, worth, moving)
     unclipped = psd.copy()
     if psd.shape[1] > 2:
-        _clip(psd, averages)
-    mean, total = _mean(psd, averages)
+        _clip(psd, worth)
+    mean, total = _mean(psd, worth)
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
 
 
+def _settled(campbell: xr.Dataset, used: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Densities (channels, speeds, ``used`` bins) without start transients, and the share of the frames they are of."""
+    psd = campbell["psd"].values.astype(np.float64)
+    share = np.ones(psd.shape)
+    if "settled_psd" in campbell:
+        bins = np.searchsorted(campbell["frequency"].values, campbell["settled_frequency"].values - 1e-9)
+        psd[..., bins], share[..., bins] = campbell["settled_psd"].values, campbell["settled_share"].values
+    return psd[..., used], share[..., used]
+
+
 def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
     """Mean of ``psd`` over the speeds, weighted by ``averages``, and the sum of those; NaN takes no part."""
-    weight = np.where(np.isnan(psd), 0.0, averages[:, :, None])
+    weight = np.where(np.isnan(psd), 0.0, averages)
     total = weight.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.nansum(weight * np.nan_to_num(psd), axis=1) / total, total
@@ -202,16 +221,47 @@ def _clip(psd: Array, averages: Array) -> None:
     """NaN into cells (and their neighbours) of ``psd`` that stand over their bin's median as noise hardly ever does."""
     from scipy.special import gammainccinv
 
-    shape = np.maximum(averages, 1.0)
+    shape, of = np.unique(np.maximum(averages, 1.0), return_inverse=True)
     median = gammainccinv(shape, 0.5) / shape
-    limit = gammainccinv(shape, CLIP_CHANCE) / shape / median
-    high = psd > limit[:, :, None] * _median(psd, axis=1)[:, None]
+    limit = (gammainccinv(shape, CLIP_CHANCE) / shape / median)[of.reshape(averages.shape)]
+    high = psd > limit * _median(psd, axis=1)[:, None]
     wide = high.copy()
     wide[..., 1:] |= high[..., :-1]
     wide[..., :-1] |= high[..., 1:]
     # what stands at a third of the speeds or more is no line that moves
     wide &= (high.mean(axis=1) < 0.34)[:, None]
     psd[wide] = np.nan
+
+
+def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
+    """NaN into cells of ``psd`` beside ``moving`` lines as far as they stand over the same bins at other speeds.
+
+    From the mask of a line outwards as long as it goes on: a line whose speed or amplitude wanders has a wider foot
+    than the window, and no mode is seen at one speed alone. Two speeds are held against the lower of them.
+    """
+    from scipy.special import fdtri, gammainccinv
+
+    shape, of = np.unique(np.maximum(1.5 * averages, 1.0), return_inverse=True)
+    if psd.shape[1] > 2:
+        level = _median(psd, axis=1)
+        limit = gammainccinv(shape, FOOT_CHANCE) / gammainccinv(shape, 0.5)
+    else:
+        level = np.fmin.reduce(psd, axis=1)
+        limit = fdtri(2.0 * shape, 2.0 * shape, 1.0 - FOOT_CHANCE)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        over = psd / level[:, None] / limit[of.reshape(averages.shape)]
+    over = np.nan_to_num(over, posinf=0.0)
+    foot = moving.copy()
+    for _ in range(FOOT_BINS):
+        grown = foot.copy()
+        # the mean of a cell and the next one further out must stand over the others
+        grown[..., 1:-1] |= foot[..., :-2] & (over[..., 1:-1] + over[..., 2:] > 2.0)
+        grown[..., 1:-1] |= foot[..., 2:] & (over[..., 1:-1] + over[..., :-2] > 2.0)
+        if np.array_equal(grown, foot):
+            break
+        foot = grown
+    alone = np.any(~foot & np.isfinite(psd), axis=1, keepdims=True)
+    psd[foot & alone] = np.nan
 
 
 def _median(values: Array, *, axis: int) -> Array:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
 from crankorder.identify.modal.bands import Band, bands_of
 from crankorder.identify.modal.covariance import pole_covariance
-from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air
+from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air, said_wide
 from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
-from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, mode_of, proven_by
+from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, mode_of, proven_by, tone_as_mode
 from crankorder.identify.modal.order_responses import Block, fitting, responses_of
-from crankorder.identify.modal.order_search import OrderPole, Proof, poles_of_orders, settled
+from crankorder.identify.modal.order_search import OrderPole, Proof, orders_raised, poles_of_orders, settled
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
 from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
@@ -172,16 +172,23 @@ def _with_order_modes(
     more = [mode for mode in said if mode is not None]
     for mode in more:
         kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
+    doubted = _raised_tones(fit, more, blocks, kept)
+    for tone in doubted:
+        mode, part = tone_as_mode(tone, doubted[tone], settings=settings)
+        more.append(mode)
+        kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
+        parts.append(part)
     every = (*fit.modes, *more)
     rank = np.argsort(kept.frequency_hz, kind="stable")
     at = np.stack([2 * rank, 2 * rank + 1], axis=1).ravel()
     of_own = np.array([[2 * k, 2 * k + 1] for k in own], dtype=np.int64).ravel()
+    whole = [fit.covariance, covariance[np.ix_(of_own, of_own)], *parts[len(extra) :]]
     poles = Poles(kept.frequency_hz[rank], kept.damping[rank], kept.tone[rank])
     return replace(
         fit,
         modes=tuple(every[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(_raised(tone, mode) for mode in more)),
-        covariance=_side_by_side([fit.covariance, covariance[np.ix_(of_own, of_own)]])[np.ix_(at, at)],
+        tones=tuple(tone for tone in fit.tones if not any(_is_shown(tone, mode) for mode in more)),
+        covariance=_side_by_side(whole)[np.ix_(at, at)],
         responses=responses_of(blocks, poles),
         unseen=least_seen(
             blocks,
@@ -194,10 +201,24 @@ def _with_order_modes(
     )
 
 
-def _raised(tone: Tone, mode: Mode) -> bool:
+def _is_shown(tone: Tone, mode: Mode) -> bool:
     """Whether ``tone`` is what the floor shows of a ``mode`` that orders raise."""
     near = max(mode.damping_ratio * mode.frequency_hz, 3.0 * np.hypot(mode.frequency_error_hz, tone.frequency_error_hz))
     return tone.kind == "tone" and abs(tone.frequency_hz - mode.frequency_hz) <= near
+
+
+def _raised_tones(
+    fit: ModalFit, more: list[Mode], blocks: tuple[Block, ...], poles: Poles
+) -> dict[Tone, tuple[float, ...]]:
+    """Tones of ``fit`` that are none of the modes ``more``, at which orders rise, and these orders."""
+    found = {}
+    for tone in fit.tones:
+        if tone.kind != "tone" or any(_is_shown(tone, mode) for mode in more):
+            continue
+        orders = orders_raised(blocks, poles, tone.frequency_hz)
+        if orders:
+            found[tone] = orders
+    return found
 
 
 def _found(
@@ -334,6 +355,7 @@ def _mode(
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
     if proof.orders:
         words += f"; {proven_by(proof)}"
+    words += said_wide(f, error)
     doubt = tone_or_mode(problem, fit, number, settings=settings) or doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )

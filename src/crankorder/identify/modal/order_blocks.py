@@ -124,25 +124,24 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     bandwidth = item["bandwidth_hz"].values[row].astype(np.float64)
     inside = (time - time[0] >= FROM_ENDS / bandwidth[0]) & (time[-1] - time >= FROM_ENDS / bandwidth[-1])
     amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
+    poles = int(item.attrs["poles"])
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
-    rows = known.any(axis=0)
+    rows = known.any(axis=0) & _independent(time, bandwidth, poles)
     if np.count_nonzero(rows) < 2 * SPARE:
         return None
-    poles = int(item.attrs["poles"])
     time, speed, bandwidth = time[rows], speed[rows], bandwidth[rows]
-    shared = np.sqrt(_rows_per_independent(time, bandwidth, poles))
     return _block(
         agreed.order,
         [str(name) for name in item["channel"].values],
         speed,
         np.nan_to_num(amplitude[:, rows]),
-        np.where(known, error, np.inf)[:, rows] * shared,
+        np.where(known, error, np.inf)[:, rows],
         passage=passage_of(agreed.order, time, speed, bandwidth, poles=poles),
         recording=str(item.attrs["recording"]),
     )
 
 
-def _rows_per_independent(time: Array, bandwidth: Array, poles: int) -> Array:
-    """How many rows share what the filter knows of each: their errors are so many times as large, squared."""
-    spacing = np.gradient(time)
-    return np.asarray(np.maximum(1.0, 1.0 / (noise_bandwidth_share(poles) * bandwidth * spacing)))
+def _independent(time: Array, bandwidth: Array, poles: int) -> NDArray[np.bool_]:
+    """Which rows to take so that hardly any shares its noise with the one before: one in a reciprocal bandwidth."""
+    passed = np.cumsum(noise_bandwidth_share(poles) * bandwidth * np.gradient(time))
+    return np.asarray(np.diff(np.floor(passed), prepend=-1.0) > 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.found import Mode
+from crankorder.identify.found import Mode, Tone
 from crankorder.identify.modal.order_search import OrderPole, Proof
 from crankorder.settings import IdentifySettings
 
@@ -38,10 +38,11 @@ def proven_by(proof: Proof) -> str:
 
 
 def is_proven(proof: Proof) -> bool:
-    """Whether two orders show the mode, or one with its phase turn and both flanks."""
-    if len(proof.orders) > 1:
-        return proof.rows >= ROWS_OF_TWO
-    return False
+    """Whether two orders show the mode, at several speeds: one alone is evidence.
+
+    ``proof``: the orders that show it.
+    """
+    return len(proof.orders) > 1 and proof.rows >= ROWS_OF_TWO
 
 
 def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -> Mode | None:
@@ -57,6 +58,21 @@ def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -
     return Mode(
         f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, _doubt(pole, error, zeta_error)
     )
+
+
+def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Array]:
+    """A ``tone`` at which ``orders`` rise as an undecided mode, with its covariance (2, 2).
+
+    ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.
+    """
+    names = ", ".join(f"{order:g}" for order in orders)
+    word = "orders" if len(orders) > 1 else "order"
+    zeta = settings.least_damping_ratio
+    doubt = f"tone or mode: {word} {names} {'rise' if len(orders) > 1 else 'rises'} there"
+    covariance = np.diag([tone.frequency_error_hz**2, zeta**2])
+    channels = tuple(tone.amplitude)
+    mode = Mode(tone.frequency_hz, tone.frequency_error_hz, zeta, zeta, channels, 0.0, tone.evidence, orders, doubt)
+    return mode, covariance
 
 
 def _doubt(pole: OrderPole, error: float, zeta_error: float) -> str:

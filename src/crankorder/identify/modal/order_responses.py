@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -38,6 +38,12 @@ LAW_STEPS = 2
 MOST_BEND = 0.5
 """Largest step of a law, as a logarithm."""
 
+ENOUGH_FREEDOM = 40
+"""Real numbers beyond the unknowns from which residuals tell that the stated errors are too large."""
+
+LEAST_NOISE = 0.02
+"""Share of the stated errors that is believed at least."""
+
 MOST_ROUNDS = 3
 """Times that scatter and linear terms are told from one another."""
 
@@ -58,10 +64,10 @@ class Block:
     Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``) to the power
     ``exponent`` times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed;
     beside the modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as
-    a share of the amplitude, beyond ``error``. ``passage`` says how the order swept (None: every speed was held).
-    ``power``: whether the phases say nothing, so that ``amplitude`` holds squares. ``recording`` is that of a sweep, ""
-    of a whole test. ``law_span_rpm`` are the speeds over which the polynomials run, where they are not those of the
-    rows. ``made`` keeps the columns along a sweep that were made last, by pole and law.
+    a share of the amplitude, beyond ``error``, of which the share ``noise`` is true. ``passage`` says how the order
+    swept (None: every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares.
+    ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials
+    run, where they are not those of the rows. ``made`` keeps the columns along a sweep that were made last.
     """
 
     order: float
@@ -75,6 +81,7 @@ class Block:
     law: tuple[complex, ...] = ()
     degree: int = 0
     scatter: float = LEAST_SCATTER
+    noise: float = 1.0
     passage: Passage | None = None
     power: bool = False
     recording: str = ""
@@ -103,7 +110,7 @@ class Block:
     @property
     def weight(self) -> Array:
         """Reciprocal standard error (C, K) of each part, the scatter of the force included; 0 where unknown."""
-        return np.asarray(1.0 / np.hypot(self.error, self.scatter * self.size))
+        return np.asarray(1.0 / np.hypot(self.noise * self.error, self.scatter * self.size))
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
@@ -306,7 +313,8 @@ def project(block: Block, poles: Poles) -> Projected:
 def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
     """Derivatives (rows, 2 poles) of the residual of ``block`` by (ln f, ln ζ) of ``poles``, its sign reversed.
 
-    ``part``: the block as projected with them.
+    Linear terms make up for what they can, and so does the law of the force, to first order. ``part``: the block as
+    projected with them.
     """
     reached, per = part.reached, block.columns_per_mode
     made = np.zeros((*block.amplitude.shape, 2 * len(poles)), dtype=complex)
@@ -317,7 +325,21 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
             turned = slope[None] * linear[:, None]
             turned = turned.reshape(*turned.shape[:2], len(reached), per).sum(axis=3) * block.weight[..., None]
             made[..., 2 * reached + offset] = turned - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ turned)
-    return _as_real(made, block)
+    rows = _as_real(made, block)
+    if part.freedom < ENOUGH_FREEDOM:
+        return rows
+    bent = _bent(block, part, max(len(block.law), 1))
+    both = _as_real(bent if block.power else np.concatenate([bent, 1j * bent], axis=2), block)
+    unit = np.linalg.qr(both / np.maximum(np.linalg.norm(both, axis=0), 1e-300))[0]
+    return np.asarray(rows - unit @ (unit.T @ rows))
+
+
+def _bent(block: Block, part: Projected, degree: int) -> Complex:
+    """Derivatives (C, K, ``degree``) of a projected block by the law of its force, less what linear terms make up."""
+    shapes = smooth_shapes(block.speed_rpm, block.span_rpm, degree)[:, 1:]
+    fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
+    bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
+    return np.asarray(bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent))
 
 
 def _as_real(values: Complex, block: Block) -> Array:
@@ -335,37 +357,53 @@ def missed(block: Block, part: Projected) -> float:
 def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
     """``block`` with the scatter by which its residuals behind ``poles`` are as large as expected (Paule and Mandel).
 
-    And the block as projected with that.
+    Where they are smaller than the errors say even without scatter, and many, the errors are that share of what was
+    stated. And the block as projected with that.
     """
     part = project(block, poles)
     for _ in range(MOST_ROUNDS):
         if part.freedom < 1:
             break
         weight = block.weight
-        squared = np.where(weight > 0.0, np.abs(part.left) ** 2 / np.maximum(weight, 1e-300) ** 2, 0.0)
-        scatter = _scatter(squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom)
-        settled = abs(scatter - block.scatter) <= 0.05 * scatter
-        if scatter == block.scatter:
+        squared = np.square(np.abs(part.left) / np.where(weight > 0.0, weight, np.inf))
+        scatter, noise = _told(
+            squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom
+        )
+        settled = abs(scatter - block.scatter) <= 0.05 * scatter and abs(noise - block.noise) <= 0.05 * noise
+        if scatter == block.scatter and noise == block.noise:
             break
-        block = replace(block, scatter=scatter)
+        block = replace(block, scatter=scatter, noise=noise)
         part = project(block, poles)
         if settled:
             break
     return block, part
 
 
-def _scatter(squared: Array, error: Array, size: Array, freedom: int) -> float:
-    """Share s for which Σ ``squared`` / (``error`` + s² ``size``) is ``freedom``, by halving its logarithm."""
-    low, high = np.log(LEAST_SCATTER), np.log(1e3)
-    if float(np.sum(squared / (error + LEAST_SCATTER**2 * size))) <= freedom:
-        return LEAST_SCATTER
+def _told(squared: Array, error: Array, size: Array, freedom: int) -> tuple[float, float]:
+    """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is ``freedom``.
+
+    n is one as long as s is more than the least.
+    """
+    known = np.isfinite(error)
+    squared, error, size = squared[known], error[known], size[known]
+
+    def left(scatter: float, noise: float) -> float:
+        return float(np.sum(squared / (noise**2 * error + scatter**2 * size)))
+
+    if left(LEAST_SCATTER, 1.0) > freedom:
+        return _halved(lambda scatter: left(scatter, 1.0) > freedom, LEAST_SCATTER, 1e3), 1.0
+    if freedom < ENOUGH_FREEDOM:
+        return LEAST_SCATTER, 1.0
+    return LEAST_SCATTER, _halved(lambda noise: left(LEAST_SCATTER, noise) > freedom, LEAST_NOISE, 1.0)
+
+
+def _halved(is_below: Callable[[float], bool], low: float, high: float) -> float:
+    """Where ``is_below`` turns false between ``low`` and ``high``, by halving the logarithm."""
+    first, last = np.log(low), np.log(high)
     for _ in range(20):
-        middle = 0.5 * (low + high)
-        if float(np.sum(squared / (error + np.exp(2.0 * middle) * size))) > freedom:
-            low = middle
-        else:
-            high = middle
-    return float(np.exp(0.5 * (low + high)))
+        middle = 0.5 * (first + last)
+        first, last = (middle, last) if is_below(float(np.exp(middle))) else (first, middle)
+    return float(np.exp(0.5 * (first + last)))
 
 
 def with_best_law(block: Block, poles: Poles) -> Block:
@@ -404,10 +442,7 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     if not block.law:
         return block
     part = project(block, poles)
-    shapes = smooth_shapes(block.speed_rpm, block.span_rpm, len(block.law))[:, 1:]
-    fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
-    bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
-    bent = bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent)
+    bent = _bent(block, part, len(block.law))
     rows, left = bent.reshape(-1, len(block.law)), part.left.ravel()
     solved = (
         np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
@@ -461,7 +496,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     part.reached,
                     np.asarray(covariance[number], dtype=np.complex128),
                     part.freedom // len(item.channels),
-                    float(np.median(item.error[number][np.isfinite(item.error[number])])),
+                    item.noise * float(np.median(item.error[number][np.isfinite(item.error[number])])),
                     part.freedom > 0 and item.scatter <= MOST_SCATTER,
                     item.recording,
                 )

@@ -30,8 +30,29 @@ MOST_POLES = 12
 TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 """Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
 
+NEXT_TO = 0.015
+"""Share of a frequency within which a row lies next to it."""
+
+RISES = 2.0
+"""Amplitude over that on both sides from which an order rises."""
+
+LIGHT = (0.001, 0.003, 0.01)
+"""Damping ratios of a mode that may be taken for a tone."""
+
 TRIED_STARTS = 3
 """Best starts that are followed."""
+
+MOST_BLOCKS = 24
+"""Orders, in each recording of a sweep, that are asked for poles: those that stand out most."""
+
+CLEARLY = 3.0
+"""Standard errors of a row beyond which what is left of it is no noise."""
+
+MATTERS = 0.03
+"""Share of an order's largest amplitude below which no row tells of a pole alone."""
+
+FELT = 0.05
+"""Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
 
 AT_ONCE = 2
 """Poles that are asked for together at most."""
@@ -65,6 +86,9 @@ SETTLED = 0.05
 
 MODEL_SHARE = 0.1
 """Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
+
+ROWS_OF_SWEEP = 5
+"""Rows that a sweep through a whole resonance is worth at least: its filter smooths them into fewer."""
 
 STEPS = 12
 """Steps of a fit at most."""
@@ -146,10 +170,11 @@ def poles_of_orders(
     if not blocks:
         return (), ()
     prior = Prior.of(known, covariance)
+    blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[:MOST_BLOCKS]
     state = Fitted.of([with_best_law(block, known) for block in blocks], known, prior)
     if len(known):
         state = state.moved()
-    tried = Tried(blocks)
+    tried = Tried.of(blocks)
     while len(state.poles) - len(known) < MOST_POLES:
         more = _more(state, tried, chance=chance, most_damping=most_damping)
         if more is None:
@@ -180,22 +205,49 @@ def settled(
 
 
 def _covariance(state: Fitted, fixed: int) -> Array:
-    """Covariance of the poles after the ``fixed`` ones: curvature, and scores of correlated channels (White 1982)."""
+    """Covariance of the poles after the ``fixed`` ones: curvature, and scores as they are seen to scatter (White 1982).
+
+    Channels are correlated, and so are speeds side by side where the law of a force is not quite that of the fit: the
+    scores of neighbours count together (Newey and West 1987), where that makes more of them.
+    """
     own = slice(2 * fixed, 2 * len(state.poles))
     size = own.stop - own.start
-    hessian, inner = np.zeros((size, size)), np.zeros((size, size))
+    hessian, inner, beside = (np.zeros((size, size)) for _ in range(3))
     for block, part in zip(state.blocks, state.projected, strict=True):
-        if block.scatter > MOST_SCATTER:
+        if block.scatter > MOST_SCATTER or part.freedom < 1:
             continue
         rows = jacobian(block, state.poles, part)[:, own]
         rows = rows.reshape(block.parts, *block.amplitude.shape, size)
+        left = np.stack([part.left.real] if block.power else [part.left.real, part.left.imag])
         hessian += np.einsum("pcki,pckj->ij", rows, rows)
         norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
         inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
+        spare = block.parts * int(block.rows.sum()) / part.freedom
+        beside += spare * _scores_together(np.einsum("pcki,pck->ki", rows, left)[np.argsort(block.speed_rpm)])
     inverse = np.linalg.pinv(hessian, hermitian=True)
     scale = np.stack([state.poles.frequency_hz, state.poles.damping], axis=1).ravel()[own]
-    return np.asarray(inverse @ inner @ inverse * np.outer(scale, scale))
+    by_channels, by_neighbours = (inverse @ middle @ inverse for middle in (inner, beside))
+    more = np.sqrt(np.maximum(np.diag(by_neighbours) / np.maximum(np.diag(by_channels), 1e-300), 1.0))
+    return np.asarray(by_channels * np.outer(scale * more, scale * more))
+
+
+def _independent_share(part: Projected) -> float:
+    """Share of the rows of a sweep that are independent: what is left of them may have a memory, as of its angle."""
+    left = part.left
+    total = float(np.sum(np.abs(left) ** 2))
+    memory = abs(complex(np.sum(left[:, 1:] * left[:, :-1].conj()))) / max(total, 1e-300)
+    return float(max((1.0 - memory) / (1.0 + memory), 1.0 / left.shape[1]))
+
+
+def _scores_together(scores: Array) -> Array:
+    """Sum of the products of ``scores`` (K, parameters) with themselves and their neighbours by speed."""
+    reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
+    total = scores.T @ scores
+    for lag in range(1, reach + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+    return np.asarray(total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,37 +275,67 @@ class Fitted:
         poles = still.joined(_moved(Blocks(good, still), free, NO_PRIOR if fixed else self.prior))
         return Fitted.of([with_bent_law(block, poles) for block in self.blocks], poles, self.prior)
 
-    def with_pole(self, frequency_hz: float, damping: float) -> Fitted:
-        """With one pole more, near a start, the others staying where they are."""
-        more = self.poles.joined(NO_POLES.with_pole(frequency_hz, damping))
-        told = [with_best_law(block, more) if block.scatter > WELL_LAID else block for block in self.blocks]
-        return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
+    def with_pole(self, start: tuple[float, float]) -> Fitted:
+        """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
+        more = self.poles.joined(NO_POLES.with_pole(*start))
+        return Fitted.of([self._told(block, more) for block in self.blocks], more, self.prior).moved(
+            fixed=len(self.poles)
+        )
+
+    @staticmethod
+    def _told(block: Block, poles: Poles) -> Block:
+        """``block`` with its law told anew where the ``poles`` may have hidden it."""
+        if block.scatter <= WELL_LAID or block.passage is not None:
+            return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
+        return with_best_law(block, poles)
+
+    @property
+    def misses(self) -> float:
+        """Largest share of an order's amplitude that the poles leave of any row, far over its noise."""
+        worst = 0.0
+        for block, part in zip(self.blocks, self.projected, strict=True):
+            left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
+            size = np.sqrt(block.size) if block.power else block.size
+            share = np.where(left > CLEARLY * block.noise * block.error, left / np.maximum(block.size, 1e-300), 0.0)
+            share *= 0.5 if block.power else 1.0
+            worst = max(worst, float(np.max(np.where(size > MATTERS * size.max(), share, 0.0))))
+        return worst
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
         saved = self.prior.misfit(less.poles) - self.prior.misfit(self.poles)
         pairs = zip(less.blocks, less.projected, self.blocks, self.projected, strict=True)
         for before, few, after, many in pairs:
-            if after.scatter <= LEAST_SCATTER and before.scatter <= LEAST_SCATTER:
-                saved += few.chi2 - many.chi2  # no scatter is fitted: squares in known errors
+            if (after.scatter, after.noise) == (before.scatter, before.noise) == (LEAST_SCATTER, 1.0):
+                saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
             share = max(many.freedom, 0) / (after.parts * int(after.rows.sum()))
+            if after.passage is not None:
+                share *= _independent_share(many)
             saved += (missed(before, few) - missed(after, many)) * share
         return saved
 
 
+@dataclass(frozen=True, eq=False)
 class Tried:
-    """Starts for a pole: frequencies in Hz and damping ratios, as far as the rows of any of ``blocks`` reach."""
+    """Starts for a pole: ``frequency_hz`` and ``damping`` (S,)."""
 
-    def __init__(self, blocks: Sequence[Block]) -> None:
-        spans = [(float(b.frequency_hz.min()), float(b.frequency_hz.max())) for b in blocks]
-        low, high = min((a for a, _ in spans), default=1.0), max((b for _, b in spans), default=1.0)
-        frequency, damping = [], []
-        for zeta in TRIED_DAMPING:
-            count = max(2, int(np.ceil(np.log(1.06 * high / low) / zeta)))
-            frequency.append(np.geomspace(0.97 * low, 1.03 * high, count))
-            damping.append(np.full(count, zeta))
-        self.frequency_hz, self.damping = np.concatenate(frequency), np.concatenate(damping)
+    frequency_hz: Array
+    damping: Array
+
+    @classmethod
+    def of(cls, blocks: Sequence[Block]) -> Tried:
+        """Starts as far as the rows of any of ``blocks`` reach."""
+        low = min(float(block.frequency_hz.min()) for block in blocks)
+        high = max(float(block.frequency_hz.max()) for block in blocks)
+        counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
+        frequency = [np.geomspace(0.97 * low, 1.03 * high, count) for count in counts]
+        return cls(np.concatenate(frequency), np.repeat(TRIED_DAMPING, counts))
+
+    @classmethod
+    def near(cls, frequency_hz: float) -> Tried:
+        """Light resonances at ``frequency_hz``."""
+        return cls(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
 
 
 def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
@@ -283,13 +365,46 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
             break
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
-        trial = state.with_pole(f, zeta)
+        trial = state.with_pole((f, zeta))
         saved = trial.saves(state)
         if saved > most and not moved_out(
             trial.poles.chosen(np.arange(len(trial.poles)) == len(state.poles)), tried, most_damping
         ):
             best, most = trial, saved
     return None if best is None else best.moved()
+
+
+def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) -> tuple[float, ...]:
+    """Orders of ``blocks`` that rise where they pass ``frequency_hz``.
+
+    More than noise beside the ``poles`` makes them, with a light resonance tried there; or to twice what they are on
+    both sides, where rows are too far apart for that.
+    """
+    from scipy.special import chdtri
+
+    tried = Tried.near(frequency_hz)
+    found = []
+    for block in blocks:
+        gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
+        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), PROOF_CHANCE))
+        if proven or _stands_out(block, frequency_hz):
+            found.append(block.order)
+    return tuple(dict.fromkeys(found))
+
+
+def _stands_out(block: Block, frequency_hz: float) -> bool:
+    """Whether ``block`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
+    away = np.abs(block.frequency_hz / frequency_hz - 1.0)
+    near = np.flatnonzero(away <= NEXT_TO)
+    if not len(near):
+        return False
+    below = np.flatnonzero(block.frequency_hz < frequency_hz * (1.0 - NEXT_TO))
+    above = np.flatnonzero(block.frequency_hz > frequency_hz * (1.0 + NEXT_TO))
+    sides = [side[np.argmin(away[side])] for side in (below, above) if len(side)]
+    if len(sides) < 2:
+        return False
+    size = np.sqrt(np.abs(block.amplitude)) if block.power else np.abs(block.amplitude)
+    return bool((size[:, near].max(axis=1) > RISES * size[:, sides].max(axis=1)).any())
 
 
 def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
@@ -381,7 +496,7 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     number = len(state.prior.place)
     while number < len(state.poles):
         fewer = Fitted.of(state.blocks, state.poles.without(number), state.prior)
-        if state.saves(fewer) > _limit(state.blocks, chance / TRIALS):
+        if state.saves(fewer) > _limit(state.blocks, chance / TRIALS) and fewer.misses > FELT:
             number += 1
         else:
             state, number = fewer, len(state.prior.place)
@@ -400,13 +515,21 @@ def _named(state: Fitted, number: int) -> OrderPole:
         if block.scatter > MOST_SCATTER or chances.min() > PROOF_CHANCE:
             continue
         shown += [name for name, chance in zip(block.channels, chances, strict=True) if chance <= PROOF_CHANCE]
-        within = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= WITHIN * zeta))
+        within = _rows_within(block, f, zeta)
         rows[block.order] = max(within, rows.get(block.order, 0))
         ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
     if not rows:
         return OrderPole(f, zeta, (), Proof())
     proof = Proof(tuple(sorted(rows)), max(rows.values()), sum(rows.values()), (min(ends), max(ends)))
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _rows_within(block: Block, f: float, zeta: float) -> int:
+    """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
+    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= WITHIN * zeta))
+    low, high = block.frequency_hz.min(), block.frequency_hz.max()
+    whole = block.passage is not None and low < f * (1.0 - WITHIN * zeta) and high > f * (1.0 + WITHIN * zeta)
+    return max(rows, ROWS_OF_SWEEP) if whole else rows
 
 
 def residue_chances(block: Block, part: Projected, number: int) -> Array:

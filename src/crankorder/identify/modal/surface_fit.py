@@ -36,8 +36,8 @@ class Others(Protocol):
 class Problem:
     """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
 
-    ``background`` (B, F) are the columns of what is smooth, the last ``n_lines`` those of strong tones; ``seen`` is the window's sight; ``others`` what else the
-    same poles must explain.
+    ``background`` (B, F) are the columns of what is smooth, the last ``n_lines`` those of strong tones; ``seen`` is
+    the window's sight; ``others`` what else the same poles must explain.
     """
 
     frequency_hz: Array

@@ -117,6 +117,11 @@ def open_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
     return sorted((float(band["low_rpm"]), float(band["high_rpm"])) for band in _bands(findings, "open_bands"))
 
 
+def all_judged(findings: dict[str, Any]) -> bool:
+    """Whether ``findings`` leave no tested speed open; of such as do not speak of open bands nothing is known."""
+    return findings.get("open_bands") is None or bool(free_bands(findings) and not open_bands(findings))
+
+
 def _bands(findings: dict[str, Any], key: str) -> list[dict[str, Any]]:
     return [
         band
@@ -142,7 +147,7 @@ def free_sentences(findings: dict[str, Any]) -> list[str]:
         widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
-        remark = str(_bands(findings, "free_bands")[0].get("remark") or "")
+        remark = named(str(_bands(findings, "free_bands")[0].get("remark") or ""), limit=4 * NAME_CHARACTERS)
         said.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
     speeds = [float(one) for one in findings.get("speed_range_rpm") or [] if is_number(one)]
     if not free and speeds and max(speeds) - min(speeds) < _ONE_SPEED_RPM:

@@ -16,7 +16,7 @@ from crankorder.report.sentences.of_lines import (
 )
 from crankorder.report.sentences.of_modes import mode_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
-from crankorder.report.sentences.of_speeds import avoid_sentences, free_sentences
+from crankorder.report.sentences.of_speeds import all_judged, avoid_sentences, free_sentences
 
 __all__ = [
     "ALL_CLEAR", "NAME_CHARACTERS", "NOT_ASKED_FOR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",
@@ -167,7 +167,7 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     asks += _repeat_sentences(findings)
     if not asks and nothing_proven(findings):
         asks = [TOO_SHORT]
-    if not asks:
+    if not asks and all_judged(findings):
         sought = findings.get("looked_for") or []
         asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in sought else ALL_CLEAR]
     return [*asks[: len(sentences)], *free_sentences(findings), *asks[len(sentences) :]]

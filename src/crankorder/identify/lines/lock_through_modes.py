@@ -1,0 +1,265 @@
+"""Whether an order that a sweep took through modes is locked: by what its phase turns beside what the modes turn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
+from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
+from crankorder.identify.modal.order_blocks import blocks_of
+from crankorder.identify.modal.order_responses import Block, smooth_shapes
+from crankorder.quantities import flags_of
+
+FORCE_TURN = 0.2
+"""Standard deviation [rad] of the first smooth term by which forces and what is far from modes turn the phase …"""
+
+SMOOTHER = 0.5
+"""… and of each further term over that of the one before …"""
+
+FORCE_TERMS = 3
+"""… of so many terms at least."""
+
+FAR_TURN = 1.0
+"""A fit that must be bent by more than this [rad] to allow for a slip is not near enough to tell."""
+
+SAME_ORDER = 1e-3
+"""Share of an order within which a response is that of the order."""
+
+MOST_LEFT = 0.05
+"""Share of an order's power that a fit may leave beyond the noise: 0.2 rad of phase …"""
+
+FEWEST_FREE = 4
+"""Degrees of freedom without which nothing is told."""
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Turn per revolution that is left beside that of the modes, its standard error and degrees of freedom."""
+
+    turn: float
+    error: float
+    freedom: float
+
+
+def with_locks_through_modes(
+    orders: Sequence[AgreedOrder],
+    modal: ModalFit,
+    followed: Sequence[xr.Dataset],
+    order_map: xr.Dataset,
+) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    """``orders`` of which some that were undecided are proven locked by the fit ``modal`` of their sweeps, and the fit
+    by their numbers.
+
+    ``followed`` (RecordingTracks) hold them along their sweeps, ``order_map`` says what they may be locked to. The
+    slope of the phase over the crank angle is fitted beside all that modes and forces may turn; where the 99.9 %
+    interval of it leaves out a slip of 0.1 % of the order, it is locked. Nothing is called slipping by this.
+    """
+    sweeps = [
+        item
+        for item in followed
+        if item.attrs.get("swept", 0) and not any("no encoder pulses" in flag["detail"] for flag in flags_of(item))
+    ]
+    cycle = int(order_map.attrs["revs_per_cycle"])
+    told = tuple(_told(one, modal, sweeps, order_map, cycle) if one.lock == "undecided" else one for one in orders)
+    moved = {old.order: new.order for old, new in zip(orders, told, strict=True) if old.order != new.order}
+    return told, _renumbered(modal, moved) if moved else modal
+
+
+def _renumbered(modal: ModalFit, moved: Mapping[float, float]) -> ModalFit:
+    """``modal`` whose orders have the numbers to which they ``moved``."""
+    return replace(
+        modal,
+        modes=tuple(
+            replace(one, reached_by=tuple(moved.get(order, order) for order in one.reached_by)) for one in modal.modes
+        ),
+        responses=tuple(replace(one, order=moved.get(one.order, one.order)) for one in modal.responses),
+        unseen=tuple(replace(one, order=moved.get(one.order, one.order)) for one in modal.unseen),
+    )
+
+
+def _told(
+    agreed: AgreedOrder, modal: ModalFit, sweeps: Sequence[xr.Dataset], order_map: xr.Dataset, cycle: int
+) -> AgreedOrder:
+    multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
+    found = [
+        left
+        for item in sweeps
+        for block in blocks_of(order_map, (agreed,), [item])
+        if block.recording and (left := _left_of(block, modal, item, multiple)) is not None
+    ]
+    if not found:
+        return agreed
+    joined = _joined(found)
+    error, freedom = joined.error, joined.freedom
+    if lock_of(multiple + joined.turn, error, freedom, revs_per_cycle=cycle, by_phase=True) != "locked":
+        return agreed
+    return replace(
+        agreed, order=multiple, order_error=error, degrees_of_freedom=freedom, lock="locked", needed_revs=None
+    )
+
+
+def _joined(found: Sequence[_Left], *, shared: float = 1.0) -> _Left:
+    """Mean of what was ``found`` by its errors, widened where they scatter more.
+
+    ``shared``: variance of the mean over that of independent ones.
+    """
+    turns: Array = np.array([one.turn for one in found])
+    weight: Array = np.array([1.0 / one.error**2 for one in found])
+    mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
+    scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
+    error = float(np.sqrt(shared * scatter / information))
+    return _Left(mean, error, min(one.freedom for one in found))
+
+
+def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
+    """What turns the phase of ``block`` along ``item`` beside the modes, from ``multiple``; None: not fitted."""
+    fits = {
+        one.channel: one
+        for one in modal.responses
+        if one.fits and one.recording == block.recording and abs(one.order - block.order) <= SAME_ORDER * block.order
+    }
+    channels = [name for name in block.channels if name in fits]
+    if not channels or not modal.modes:
+        return None
+    angle = _angles(block, item)
+    if angle is None:
+        return None
+    followed = item["order"].values
+    off = float(followed[np.abs(followed - block.order).argmin()]) - multiple
+    solved = [_solved(_channel_part(block, fits[name], modal, angle)) for name in channels]
+    told = [one for one in solved if one is not None]
+    if not told:
+        return None
+    # the channels see one force: what turns it turns them all
+    joined = _joined(told, shared=float(len(told)))
+    return replace(joined, turn=joined.turn + off)
+
+
+def _angles(block: Block, item: xr.Dataset) -> Array | None:
+    """Crank angle [rev] of the rows of ``block``, from their middle; its rows are those of ``item`` at their speeds."""
+    speed, angle = item["speed"].values.astype(np.float64), item["crank_angle"].values.astype(np.float64)
+    first = np.flatnonzero(speed == block.speed_rpm[0])
+    rows = np.flatnonzero(np.isin(speed, block.speed_rpm))
+    if not len(first) or len(rows) != len(block.speed_rpm):
+        return None
+    return np.asarray(angle[rows] - angle[rows].mean())
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One channel in standard errors: what is left of what was seen (R,), columns of slip (R,), of turns and poles
+    (R, T), of its own linear terms (R, P), and the rows that say how large these may be."""
+
+    left: Array
+    seen: Array
+    slip: Array
+    shared: Array
+    own: Array
+    shared_now: Array
+    shared_spread: Array
+    own_prior: Array
+    own_prior_left: Array
+    n_laws: int
+
+
+def _with_law(block: Block, response: OrderResponse) -> Block:
+    """The channel of ``response`` in ``block``, with the law that was fitted to it."""
+    one = block.of(np.array([block.channels.index(response.channel)]))
+    return replace(
+        one,
+        exponent=response.exponent,
+        law=response.law,
+        degree=len(response.smooth) - 1,
+        reference_rpm=response.reference_rpm,
+        law_span_rpm=response.span_rpm,
+        made={},
+    )
+
+
+def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Array, Array]:
+    """Rows (S, 2 ``n_linear``) by which the smooth terms of ``response`` turn the first one, and what is left of 0.
+
+    What is across the first term turns the phase, what is along it does not.
+    """
+    first = complex(response.smooth[0])
+    size, count = max(abs(first), 1e-300), len(response.smooth) - 1
+    across = 1j * first / size
+    rows, left = np.zeros((count, 2 * n_linear)), np.zeros(count)
+    for k in range(count):
+        rows[k, 1 + k], rows[k, n_linear + 1 + k] = np.array([across.real, across.imag]) / (FORCE_TURN * size)
+        left[k] = -(complex(response.smooth[1 + k]) * across.conjugate()).real / (FORCE_TURN * size)
+    return rows, left
+
+
+def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Array) -> _Part:
+    one = _with_law(block, response)
+    hz = np.array([mode.frequency_hz for mode in modal.modes])
+    damping = np.array([mode.damping_ratio for mode in modal.modes])
+    smooth, modes = one.smooth(), one.modal(hz, damping)
+    fitted = smooth @ response.smooth + modes @ response.residue
+    weight = one.weight[0]
+    by_f, by_zeta = (slope * response.residue for slope in one.modal_slopes(hz, damping))
+    shapes = smooth_shapes(one.speed_rpm, one.span_rpm, max(len(response.law), FORCE_TERMS))[:, 1:]
+    laws = np.zeros(shapes.shape[1], dtype=complex)
+    laws[: len(response.law)] = response.law
+    grown = fitted[:, None] * shapes
+    shared = [grown * 1j, grown, by_f[:, response.reached], by_zeta[:, response.reached]]
+    reached = [modal.modes[number] for number in response.reached]
+    spread = [
+        FORCE_TURN * SMOOTHER ** np.arange(len(laws)),
+        np.full(len(laws), 10.0),
+        np.array([mode.frequency_error_hz / mode.frequency_hz for mode in reached]),
+        np.array([mode.damping_error / mode.damping_ratio for mode in reached]),
+    ]
+    now = np.concatenate([laws.imag, laws.real * 0.0, np.zeros(2 * len(reached))])
+    linear = np.concatenate([smooth, modes[:, response.reached]], axis=1)
+    own = np.concatenate([linear, 1j * linear], axis=1)
+    prior, prior_left = _prior_of(response, linear.shape[1])
+    return _Part(
+        _parts((one.amplitude[0] - fitted) * weight),
+        _parts(one.amplitude[0] * weight),
+        _parts(2j * np.pi * angle * fitted * weight),
+        _parts(np.concatenate(shared, axis=1) * weight[:, None]),
+        _parts(own * weight[:, None]),
+        now,
+        np.concatenate(spread),
+        prior,
+        prior_left,
+        len(laws),
+    )
+
+
+def _parts(values: Complex) -> Array:
+    """Real parts of the rows of ``values``, then the imaginary ones."""
+    return np.concatenate([values.real, values.imag])
+
+
+def _solved(part: _Part) -> _Left | None:
+    """Slip of a channel beside all else that turns it; None where the fit is not near enough to tell."""
+    spread = np.maximum(part.shared_spread, 1e-12)
+    n_own, n_shared = part.own.shape[1], len(spread)
+    held = np.concatenate([np.zeros((n_shared, 1)), np.diag(1.0 / spread), np.zeros((n_shared, n_own))], axis=1)
+    prior = np.concatenate([np.zeros((len(part.own_prior), 1 + n_shared)), part.own_prior], axis=1)
+    matrix = np.concatenate([np.concatenate([part.slip[:, None], part.shared, part.own], axis=1), held, prior])
+    wanted = np.concatenate([part.left, -part.shared_now / spread, part.own_prior_left])
+    scale = np.sqrt(np.square(matrix).sum(axis=0))
+    scaled = matrix / np.where(scale > 0.0, scale, 1.0)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
+    solution = np.linalg.lstsq(scaled, wanted, rcond=1e-12)[0]
+    found, left = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
+    free = len(part.left) - matrix.shape[1]
+    bent = np.abs(found[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
+    if free < FEWEST_FREE or bent > FAR_TURN or not scale[0] > 0.0:
+        return None
+    if float(np.square(left[: len(part.left)]).sum()) > free + MOST_LEFT * float(np.square(part.seen).sum()):
+        return None
+    worse = max(1.0, float(left @ left) / free)
+    return _Left(float(found[0]), float(np.sqrt(inverse[0, 0] * worse) / scale[0]), float(free))

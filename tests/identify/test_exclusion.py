@@ -1,0 +1,126 @@
+"""What the orders exclude: a hidden mode that amplifies never, fine steps with small errors everything else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from crankorder.identify.found import UnseenBound
+from crankorder.identify.modal.exclusion import least_seen
+from crankorder.identify.modal.order_responses import Block, with_best_law
+from crankorder.identify.modal.surface_fit import NO_POLES
+from crankorder.settings import load_settings
+from made.drawn_orders import CHANNELS, DrawnMachine, blocks_from, drawn_machine
+
+SETTINGS = load_settings().identify
+UNIT = dict.fromkeys(CHANNELS, "m/s2")
+FACTOR = SETTINGS.free_amplification
+LARGE = 0.05
+"""Share of the largest amplitude of any order below which an amplitude endangers nothing."""
+
+
+def _bounds(blocks: list[Block]) -> tuple[UnseenBound, ...]:
+    told = [with_best_law(block, NO_POLES) for block in blocks]
+    return least_seen(
+        told, NO_POLES, unit=UNIT, least_damping=SETTINGS.least_damping_ratio, confidence=SETTINGS.free_confidence
+    )
+
+
+def _planted(seed: int, *, rows: tuple[int, int], **drawn: object) -> tuple[DrawnMachine, float]:
+    """A machine with one mode somewhere between two of its speeds, and the speed at which its first order meets it."""
+    random = np.random.default_rng((seed, 7))
+    machine = drawn_machine(
+        seed, n_speeds=rows, n_modes=(1, 1), n_orders=(1, 1), damping=(0.002, 0.02), span_rpm=(2000.0, 5000.0), **drawn
+    )
+    speed = machine.speed_rpm
+    row = int(random.integers(1, len(speed) - 2))
+    at = speed[row] + (speed[row + 1] - speed[row]) * random.uniform(0.1, 0.9)
+    return replace(machine, natural_hz=np.array([machine.orders[0].order * at / 60.0])), float(at)
+
+
+def _near(bound: UnseenBound, at: float) -> float:
+    """Largest bound at the speeds asked about on both sides of ``at``."""
+    place = int(np.searchsorted(bound.speed_rpm, at))
+    return float(bound.amplification[max(place - 1, 0) : place + 1].max())
+
+
+@pytest.mark.parametrize(("rows", "seeds"), [((8, 14), range(150)), ((15, 40), range(150, 300))])
+def test_a_mode_that_hides_between_two_speeds_and_amplifies_is_not_excluded(
+    rows: tuple[int, int], seeds: range
+) -> None:
+    dangerous, excluded = 0, []
+    for seed in seeds:
+        machine, at = _planted(seed, rows=rows)
+        amplified = float(machine.amplification(0, 0, np.array([at]))[0])
+        there = float(np.abs(machine.amplitude(0, np.array([at]))).max())
+        if amplified <= FACTOR or there < LARGE * np.abs(machine.amplitude(0, machine.speed_rpm)).max():
+            continue
+        dangerous += 1
+        (bound,) = _bounds(blocks_from(machine, seed))
+        if _near(bound, at) <= FACTOR:
+            excluded.append((seed, amplified))
+    assert dangerous > 50
+    assert len(excluded) <= 0.01 * dangerous, excluded
+
+
+@pytest.mark.accuracy
+def test_of_a_thousand_hidden_modes_one_in_a_hundred_is_excluded_at_most() -> None:
+    dangerous, excluded = 0, []
+    for seed in range(10_000, 11_000):
+        machine, at = _planted(seed, rows=(8, 40))
+        amplified = float(machine.amplification(0, 0, np.array([at]))[0])
+        there = float(np.abs(machine.amplitude(0, np.array([at]))).max())
+        if amplified > FACTOR and there > LARGE * np.abs(machine.amplitude(0, machine.speed_rpm)).max():
+            dangerous += 1
+            (bound,) = _bounds(blocks_from(machine, seed))
+            if _near(bound, at) <= FACTOR:
+                excluded.append((seed, amplified))
+    assert len(excluded) <= 0.01 * dangerous, excluded
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_fine_steps_and_small_errors_exclude(seed: int) -> None:
+    machine = drawn_machine(seed, n_modes=(0, 0), n_speeds=(400, 400), error=1e-4, scatter=(0.0005,))
+    for bound in _bounds(blocks_from(machine, seed)):
+        inside = bound.amplification[8:-8]
+        assert np.mean(inside < FACTOR) > 0.95
+
+
+def _steps(seed: int, count: int) -> float:
+    machine = drawn_machine(seed, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(count, count), scatter=(0.05,))
+    (bound,) = _bounds(blocks_from(machine, seed))
+    return float(np.median(bound.amplification))
+
+
+def test_finer_steps_exclude_more() -> None:
+    by_count = [np.median([_steps(seed, count) for seed in range(6)]) for count in (12, 50, 200)]
+    assert by_count == sorted(by_count, reverse=True)
+    assert by_count[0] > FACTOR > by_count[-1]
+
+
+def test_larger_errors_exclude_less() -> None:
+    def bound(error: float) -> NDArray[np.float64]:
+        machine = drawn_machine(3, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(300, 300), scatter=(0.0,), error=error)
+        return _bounds(blocks_from(machine, 3))[0].amplification
+
+    small, large = np.median(bound(1e-3)), np.median(bound(5e-2))
+    assert small < large
+
+
+def test_two_speeds_exclude_nothing_between_them() -> None:
+    machine = drawn_machine(1, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(2, 2))
+    (bound,) = _bounds(blocks_from(machine, 1))
+    assert np.all(bound.amplification[1:-1] > FACTOR)
+
+
+def test_what_amplifies_an_order_of_no_account_is_nothing() -> None:
+    """A bound is over the noise and over a small share of the largest amplitude of any order."""
+    machine = drawn_machine(2, n_modes=(0, 0), n_orders=(2, 2), n_speeds=(40, 40), scatter=(0.0005,))
+    loud, quiet = blocks_from(machine, 2)
+    quiet = replace(quiet, amplitude=1e-5 * quiet.amplitude, error=1e-5 * quiet.error)
+    beside, alone = _bounds([loud, quiet])[1].amplification, _bounds([quiet])[0].amplification
+    assert np.max(beside) == pytest.approx(1.0)
+    assert np.all(beside <= alone) and np.max(alone) > 1.1

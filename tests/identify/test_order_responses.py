@@ -1,0 +1,175 @@
+"""Blocks of orders: what is linear is eliminated, the law of the force and its scatter are told from the data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from crankorder.identify.found import ModalFit
+from crankorder.identify.modal.order_responses import (
+    Block,
+    Blocks,
+    project,
+    responses_of,
+    with_best_law,
+    with_scatter,
+)
+from crankorder.identify.modal.surface_fit import NO_POLES, Poles
+from crankorder.identify.responses import amplitude_at, with_and_without
+from made.found_lines import mode, poles_of
+
+TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))
+ORDER = 3.0
+
+
+def _response(speed: NDArray, residue: NDArray, rigid: complex) -> NDArray:
+    """Acceleration of the modes of TRUE, by their transfer functions."""
+    s = 2j * np.pi * ORDER * speed / 60.0
+    made = np.full(len(speed), rigid, dtype=complex)
+    for hz, zeta, part in zip((60.0, 75.0), (0.02, 0.01), residue, strict=True):
+        w = 2.0 * np.pi * hz
+        made += part * s**2 / (s**2 + 2.0 * zeta * w * s + w**2)
+    return made
+
+
+def _block(
+    seed: int, *, speeds: int = 60, exponent: float = 2.0, bend: complex = 0.0, scatter: float = 0.0,
+    error: float = 1e-3, power: bool = False,
+) -> tuple[Block, NDArray, NDArray]:  # fmt: skip
+    """A block whose force is (s / 1800)^exponent e^(bend ln²(s / 1800)), its residues (C, 2) and rigid parts (C,)."""
+    random = np.random.default_rng(seed)
+    speed = np.linspace(600.0, 1800.0, speeds)
+    residue = random.normal(size=(3, 2)) + 1j * random.normal(size=(3, 2))
+    rigid = random.normal(size=3) + 1j * random.normal(size=3)
+    force = (speed / 1800.0) ** exponent * np.exp(bend * np.log(speed / 1800.0) ** 2)
+    force = force * (1.0 + scatter * (random.normal(size=speeds) + 1j * random.normal(size=speeds)))
+    truth = np.stack([force * _response(speed, part, direct) for part, direct in zip(residue, rigid, strict=True)])
+    noise = error * (random.normal(size=truth.shape) + 1j * random.normal(size=truth.shape))
+    errors = np.full(truth.shape, error)
+    seen = truth + noise
+    if power:
+        errors = 2.0 * error * np.maximum(np.abs(seen), error)
+        seen = np.abs(seen) ** 2 - 2.0 * error**2 + 0j
+    block = Block(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, seen, errors, 1800.0, power=power)
+    return block, residue, rigid
+
+
+def test_linear_terms_are_recovered_within_their_errors() -> None:
+    chi2 = []
+    for seed in range(40):
+        block, residue, rigid = _block(seed, error=0.1)  # beside it the scatter that is always granted is nothing
+        part = project(block, TRUE)
+        wanted = np.concatenate([rigid[:, None], residue], axis=1)
+        off = part.linear - wanted
+        for channel in range(3):
+            inverse = np.linalg.inv(part.covariance[channel])
+            chi2.append(float((off[channel].conj() @ inverse @ off[channel]).real))
+        assert part.chi2 == pytest.approx(part.freedom, abs=5.0 * np.sqrt(2.0 * part.freedom))
+    # 3 complex terms: 6 squares of standard normals, whose variance is 12
+    assert np.mean(chi2) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / len(chi2)))
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 3.0])
+def test_the_power_by_which_the_force_grows_is_told(exponent: float) -> None:
+    for seed in range(4):
+        block, _, _ = _block(seed, exponent=exponent)
+        told = with_best_law(block, TRUE)
+        assert told.exponent == exponent, seed
+        assert (told.degree, len(told.law)) == (0, 0), seed
+
+
+@pytest.mark.parametrize("bend", [0.6, -0.5 + 0.4j, 0.8j])
+def test_a_force_that_follows_no_power_is_followed_within_the_noise(bend: complex) -> None:
+    for seed in range(4):
+        block, _, _ = _block(seed, bend=bend)
+        told, part = with_scatter(with_best_law(block, TRUE), TRUE)
+        assert told.scatter < 5e-3, seed
+        fitted = np.where(told.weight > 0.0, told.amplitude, 0.0) - part.left / told.weight
+        assert np.abs(fitted - block.amplitude).max() < 0.02 * np.abs(block.amplitude).max()
+
+
+@pytest.mark.parametrize("scatter", [0.005, 0.02, 0.1])
+def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
+    found = []
+    for seed in range(40):
+        block, _, _ = _block(seed, scatter=scatter)
+        found.append(with_scatter(block, TRUE)[0].scatter)
+    assert np.mean(found) == pytest.approx(scatter, rel=0.08)
+    # 54 complex numbers tell a standard deviation within a tenth
+    assert np.std(found) < 0.2 * scatter
+
+
+def test_noise_alone_is_no_scatter() -> None:
+    found = [with_scatter(_block(seed, error=0.02)[0], TRUE)[0].scatter for seed in range(40)]
+    assert np.median(found) < 0.01
+
+
+@pytest.mark.parametrize("power", [False, True])
+def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool) -> None:
+    block, _, _ = _block(3, error=0.05, power=power)
+    poles = Poles(np.array([60.4, 74.5]), np.array([0.025, 0.012]), np.zeros(2, dtype=bool))
+    (slopes,), (left,), cost = Blocks((block,)).evaluate(poles)
+    assert cost == pytest.approx(float(left @ left))
+    step = 1e-6
+    for number in range(2):
+        for column, field in ((2 * number, "frequency_hz"), (2 * number + 1, "damping")):
+            moved = [getattr(poles, field) * np.exp(sign * step * (np.arange(2) == number)) for sign in (1.0, -1.0)]
+            costs = [Blocks((block,)).misfit(replace(poles, **{field: value})) for value in moved]
+            change = (costs[0] - costs[1]) / (2.0 * step)
+            # variable projection after Kaufman: the slope of the squares is exact at any point
+            assert -2.0 * float(slopes[:, column] @ left) == pytest.approx(change, rel=1e-4, abs=1e-3)
+
+
+def test_squares_of_modes_with_real_residues_lie_in_the_span_of_their_columns() -> None:
+    """The square is even in the frequency, with two simple poles for each mode: a constant and two columns each."""
+    random = np.random.default_rng(5)
+    speed = np.linspace(600.0, 1800.0, 80)
+    for _ in range(10):
+        rigid, one, other = random.normal(size=3).tolist()
+        square = (speed / 1800.0) ** 4 * np.abs(_response(speed, np.array([one, other]), rigid)) ** 2
+        block = Block(
+            ORDER, ("a",), ORDER * speed / 60.0, speed, square[None].astype(complex), np.full((1, 80), 1e-3), 1800.0,
+            power=True,
+        )  # fmt: skip
+        part = project(block, TRUE)
+        assert np.abs(part.left / block.weight).max() < 1e-9 * square.max()
+
+
+def test_squares_without_a_phase_tell_the_same_poles() -> None:
+    block, _, _ = _block(2, power=True)
+    right = project(block, TRUE).chi2
+    for poles in (NO_POLES, poles_of((mode(61.0, 0.02), mode(75.0, 0.01))), poles_of((mode(60.0, 0.03), mode(75.0)))):
+        assert project(block, poles).chi2 > 10.0 * right
+
+
+def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -> None:
+    block, residue, _ = _block(4)
+    error = block.error.copy()
+    error[1, ::3] = np.inf
+    amplitude = block.amplitude.copy()
+    amplitude[1, ::3] = 0.0
+    part = project(replace(block, error=error, amplitude=amplitude), TRUE)
+    assert np.abs(part.linear[:, 1:] - residue).max() < 0.02
+    assert part.freedom == 2 * (3 * 60 - 20 - 9)
+
+
+def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_without_a_mode() -> None:
+    block, residue, rigid = _block(6, error=1e-4)
+    modes = (mode(60.0, 0.02), mode(75.0, 0.01))
+    responses = responses_of([block], TRUE)
+    modal = ModalFit(modes, (), np.zeros((4, 4)), responses=responses)
+    at = np.linspace(650.0, 1790.0, 37)
+    for row, response in enumerate(responses):
+        assert response.channel == "abc"[row] and response.fits
+        truth = (at / 1800.0) ** 2 * np.abs(_response(at, residue[row], rigid[row]))
+        seen = [amplitude_at(response, rpm, modal) for rpm in at.tolist()]
+        assert np.abs(seen - truth).max() < 2e-3 * truth.max()
+        for number in range(2):
+            two = with_and_without(response, number, at, modal)
+            others = np.where(np.arange(2) == number, 0.0, residue[row])
+            without = (at / 1800.0) ** 2 * np.abs(_response(at, others, rigid[row]))
+            assert np.abs(two.with_mode[0] - truth).max() < 2e-3 * truth.max()
+            assert np.abs(two.without[0] - without).max() < 2e-3 * truth.max()

@@ -1,0 +1,130 @@
+"""A swept oscillator as a tracking filter sees it, against integration of its equation and against steady running."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from crankorder.identify.modal.passage import Passage, passage_of
+
+WIDE_HZ = 400.0
+"""Bandwidth of a filter that lets through all that a passage changes."""
+
+
+def _ramp(
+    rate_rpm_s: float, natural_hz: float, order: float, *, beside: float = 0.4, rows: int = 400
+) -> tuple[NDArray, NDArray]:
+    """Times and speeds of a linear ramp through the speed at which ``order`` meets ``natural_hz``, ± ``beside``."""
+    at = 60.0 * natural_hz / order
+    low, high = (1.0 - beside) * at, (1.0 + beside) * at
+    time = np.linspace(0.0, (high - low) / abs(rate_rpm_s), rows)
+    speed = low + abs(rate_rpm_s) * time
+    return time, speed if rate_rpm_s > 0.0 else speed[::-1]
+
+
+def _integrated(
+    order: float, time: NDArray, speed: NDArray, natural_hz: float, damping: float, force: NDArray
+) -> NDArray:
+    """Envelope of the acceleration of q'' + 2 ζ w q' + w² q = f(t) e^{iφ(t)} relative to φ: with a force of one on a
+    unit mass, whose steady value is −ω² / (w² − ω² + 2 i ζ w ω).
+
+    The displacement is written as Q e^{iφ}; its envelope Q is integrated, not what the code under test integrates.
+    """  # fmt: skip
+    w = 2.0 * np.pi * natural_hz
+    slope = (speed[-1] - speed[0]) / (time[-1] - time[0]) * order / 60.0 * 2.0 * np.pi
+    first = speed[0] * order / 60.0 * 2.0 * np.pi
+
+    def by_time(t: float, state: NDArray) -> list[complex]:
+        q, v = state
+        omega = first + slope * t
+        push = np.interp(t, time, force)
+        turn = (1j * slope - omega**2) * q + 2j * omega * v
+        return [v, push - 2.0 * damping * w * (v + 1j * omega * q) - w**2 * q - turn]
+
+    start = force[0] / (w**2 - first**2 + 2j * damping * w * first)
+    solved = solve_ivp(
+        by_time, (time[0], time[-1]), np.array([start, 0.0], dtype=complex), method="DOP853",
+        t_eval=time, rtol=1e-8, atol=1e-12,    )  # fmt: skip
+    q, v = solved.y
+    omega = first + slope * time
+    push = np.interp(time, time, force)
+    return np.asarray(push - 2.0 * damping * w * (v + 1j * omega * q) - w**2 * q)
+
+
+def _seen(passage: Passage, natural_hz: float, damping: float) -> NDArray:
+    growth = (passage.speed_rpm / passage.speed_rpm.max()) ** 2
+    return passage.response(growth.astype(complex), natural_hz, damping)[0]
+
+
+@pytest.mark.parametrize("rate_rpm_s", [1.0, 10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_passage_is_what_integration_of_the_equation_gives(rate_rpm_s: float, seed: int) -> None:
+    random = np.random.default_rng((seed, int(rate_rpm_s)))
+    natural = float(random.uniform(8.0, 16.0) if rate_rpm_s <= 10.0 else random.uniform(20.0, 120.0))
+    damping = float(np.exp(random.uniform(np.log(0.002), np.log(0.1))))
+    order = float(random.choice([2.0, 4.0] if rate_rpm_s <= 10.0 else [0.5, 1.0, 2.0, 4.0]))
+    rate = rate_rpm_s * (1.0 if seed % 2 else -1.0)
+    sweep_hz = np.sqrt(rate_rpm_s * order / 60.0)  # as wide as the sweep makes a resonance
+    beside = float(np.clip(3.0 * damping + 4.0 * sweep_hz / natural, 0.05, 0.6))
+    time, speed = _ramp(rate, natural, order, beside=beside)
+    truth = _integrated(order, time, speed, natural, damping, (speed / speed.max()) ** 2)
+    seen = _seen(passage_of(order, time, speed, np.full(len(time), WIDE_HZ), poles=2), natural, damping)
+    inside = slice(8, -8)  # the filter's own ends
+    case = (rate, order, natural, damping)
+    assert np.abs(seen - truth)[inside].max() < 0.02 * np.abs(truth).max(), case
+    assert np.abs(seen[inside]).max() == pytest.approx(np.abs(truth[inside]).max(), rel=0.005), case
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("damping", [0.01, 0.03, 0.1])
+def test_at_a_vanishing_rate_a_passage_is_the_steady_response(damping: float, direction: float) -> None:
+    natural, order = 20.0, 2.0
+    # a sweep lags by its rate over the square of the decay rate: a thousandth
+    rate = 1e-3 * (damping * 2.0 * np.pi * natural) ** 2 / (2.0 * np.pi) * 60.0 / order
+    time, speed = _ramp(direction * rate, natural, order, beside=min(0.3, 15.0 * damping), rows=4000)
+    passage = passage_of(order, time, speed, np.full(len(time), 10.0 * damping * natural), poles=2)
+    x = order * speed / 60.0 / natural
+    steady = (speed / speed.max()) ** 2 * -(x**2) / (1.0 - x**2 + 2j * damping * x)
+    seen = _seen(passage, natural, damping)
+    assert np.abs(seen - steady)[20:-20].max() < 0.003 * np.abs(steady).max()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_slopes_are_those_of_differences(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    natural, damping = float(random.uniform(20.0, 80.0)), float(random.uniform(0.003, 0.1))
+    time, speed = _ramp(float(random.uniform(50.0, 600.0)), natural, 1.0, rows=200)
+    passage = passage_of(1.0, time, speed, np.full(len(time), float(random.uniform(3.0, 40.0))), poles=2)
+    growth = (passage.speed_rpm / 1000.0).astype(complex) ** 2
+    _, by_f, by_zeta = passage.response(growth, natural, damping)
+    step = 1e-5
+    for slope, up, down in (
+        (by_f, (natural * np.exp(step), damping), (natural * np.exp(-step), damping)),
+        (by_zeta, (natural, damping * np.exp(step)), (natural, damping * np.exp(-step))),
+    ):
+        change = (passage.response(growth, *up)[0] - passage.response(growth, *down)[0]) / (2.0 * step)
+        assert np.abs(slope - change).max() < 1e-5 * np.abs(change).max()
+
+
+def test_a_passage_is_linear_in_the_force() -> None:
+    time, speed = _ramp(200.0, 40.0, 1.0)
+    passage = passage_of(1.0, time, speed, np.full(len(time), 10.0), poles=2)
+    random = np.random.default_rng(1)
+    one, other = random.standard_normal((2, len(passage.speed_rpm))) * (1.0 + 0.5j)
+    both = passage.response(2.0 * one + 3j * other, 40.0, 0.02)[0]
+    apart = 2.0 * passage.response(one, 40.0, 0.02)[0] + 3j * passage.response(other, 40.0, 0.02)[0]
+    assert np.abs(both - apart).max() < 1e-10 * np.abs(both).max()
+
+
+@pytest.mark.parametrize("poles", [1, 2, 3])
+def test_the_filter_lets_a_steady_envelope_through_and_halves_the_power_at_its_bandwidth(poles: int) -> None:
+    time, speed = np.linspace(0.0, 40.0, 2001), np.linspace(600.0, 1200.0, 2001)
+    bandwidth = 2.0
+    passage = passage_of(1.0, time, speed, np.full(len(time), bandwidth), poles=poles)
+    grid = np.arange(len(passage.speed_rpm)) * passage.step_s
+    for offset_hz, gain in ((0.0, 1.0), (0.5 * bandwidth, np.sqrt(0.5))):
+        through = passage.smoothed(np.exp(2j * np.pi * offset_hz * grid)[:, None])[:, 0]
+        expected = gain * np.exp(2j * np.pi * offset_hz * time)
+        assert np.abs(through - expected)[500:-500].max() < 0.003

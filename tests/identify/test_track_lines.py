@@ -1,0 +1,87 @@
+"""Findings and tracks: one number for both, at the order that was found; how large a held speed would make it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crankorder.identify.found import ModalFit, Mode, OrderResponse
+from crankorder.identify.held_peak import held_peak
+from crankorder.identify.lines.growth import largest
+from crankorder.orders.tracks import track_order
+from identify.test_growth import line_of
+from machines.draw import draw_machine
+from machines.folder import write_folder
+from machines.judge import Said
+from machines.score import run_program
+
+FLOAT32 = 2e-7
+DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one speed", 14)]
+
+
+@pytest.mark.parametrize(("class_name", "seed"), DRAWN)
+def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name: str, seed: int, tmp_path: Path) -> None:
+    machine = draw_machine(class_name, seed)
+    write_folder(machine, tmp_path / "test")
+    assert run_program(tmp_path / "test", tmp_path / "out") == ""
+    said = Said.read(tmp_path / "out")
+    assert said.tracks is not None and said.findings["orders"]
+    for record in said.findings["orders"]:
+        off = np.abs(said.tracks["order"].values - record["order"])
+        assert off.min() <= max(1e-6, record["order_ci95"][1] - record["order"])
+        track = said.tracks.isel(order=int(off.argmin())).sel(channel=record["channel"])
+        sure = track["amplitude"].values[track["amplitude_low"].values > 0.0]
+        assert record["amplitude"] == pytest.approx(sure.max(), rel=FLOAT32)
+        row = track.isel(speed=int(np.nanargmin(np.abs(track["amplitude"].values - record["amplitude"]))))
+        assert record["speed_rpm_at_max"] == pytest.approx(float(row["speed"]), rel=FLOAT32)
+        phase = np.nan if record["phase_deg"] is None else record["phase_deg"]
+        assert phase == pytest.approx(float(row["phase"]), rel=FLOAT32, abs=1e-4, nan_ok=True)
+
+
+def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found() -> None:
+    assert track_order(2.001, (1.99, 2.01), "undecided", revs_per_cycle=2) == 2.0
+    assert track_order(2.02, (2.01, 2.03), "undecided", revs_per_cycle=2) == 2.02
+    assert track_order(2.76, (2.48, 3.04), "undecided", revs_per_cycle=2) == 2.76
+    assert track_order(2.001, (1.99, 2.01), "slips", revs_per_cycle=2) == 2.001
+
+
+def test_rows_that_share_their_errors_are_fewer_and_make_a_narrower_interval_of_the_largest() -> None:
+    rng = np.random.default_rng(3)
+    line = line_of(rng, np.ones(35))
+    plain = largest(line)
+    for name, worth in (("worth", np.full(35, 0.1)),):
+        object.__setattr__(line, name, worth)
+    shared = largest(line)
+    assert shared.at == plain.at and shared.high - shared.low < plain.high - plain.low
+
+
+def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) -> OrderResponse:
+    one = np.array([1.0 + 0j])
+    covariance = np.diag([error**2, error**2]).astype(complex)
+    reached = np.array([0])
+    return OrderResponse(
+        2.0, "X", 0.0, (), 1800.0, (900.0, 3000.0), 0.0 * one, one, reached, covariance, 40, error, fits, recording
+    )
+
+
+def _fit(damping_error: float, *responses: OrderResponse) -> ModalFit:
+    mode = Mode(60.0, 0.1, 0.01, damping_error, ("X",), 20.0, "")
+    return ModalFit((mode,), (), np.zeros((2, 2)), responses)
+
+
+def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
+    peak = held_peak(_fit(0.0, _response()), 2.0, "X")
+    assert peak is not None
+    assert peak.amplitude == pytest.approx(50.0, rel=2e-3)  # 1 / (2 damping)
+    assert peak.rpm == pytest.approx(1800.0, rel=2e-3)
+    wider = held_peak(_fit(0.001, _response()), 2.0, "X")
+    assert wider is not None and wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
+
+
+def test_no_response_of_a_sweep_says_nothing_of_held_speeds() -> None:
+    assert held_peak(_fit(0.0, _response(recording="")), 2.0, "X") is None
+    assert held_peak(_fit(0.0, _response(fits=False)), 2.0, "X") is None
+    assert held_peak(_fit(0.0, _response()), 2.0, "Y") is None
+    assert held_peak(_fit(0.0, _response()), 2.5, "X") is None
