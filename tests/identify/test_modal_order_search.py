@@ -34,7 +34,7 @@ class Told:
 
 def _modes(blocks: list[Block]) -> list[Mode]:
     chance, most = SETTINGS.false_alarm_probability, SETTINGS.max_damping_ratio
-    laid, poles = poles_of_orders(blocks, NO_POLES, chance=chance, most_damping=most)
+    laid, poles = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), chance=chance, most_damping=most)
     _, _, poles, covariance = settled(laid, NO_POLES, poles)
     parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(poles))]
     found = [mode_of(pole, part, settings=SETTINGS) for pole, part in zip(poles, parts, strict=True)]
@@ -205,7 +205,7 @@ def test_a_mode_that_is_known_is_not_found_again() -> None:
     blocks = blocks_from(_by_order_one((61.0,), (0.08,)), 1)
     chance, most = SETTINGS.false_alarm_probability, SETTINGS.max_damping_ratio
     known = NO_POLES.with_pole(61.0, 0.08)
-    laid, poles = poles_of_orders(blocks, known, chance=chance, most_damping=most)
+    laid, poles = poles_of_orders(blocks, known, np.diag([1e-4, 1e-6] * len(known)), chance=chance, most_damping=most)
     assert poles == ()
     _, proofs, _, _ = settled(laid, known, poles)
     assert proofs[0].orders == (1.0,) and proofs[0].most_rows > 5

@@ -25,12 +25,13 @@ CHANNELS = ("X", "Y", "Z")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnOrder:
-    """An order whose force is (0.3 + (s / s_max)^``power``) e^{i ``turn`` s / s_max}, seen directly and by the modes.
+    """An order whose force is (``still`` + (s / s_max)^``power``) e^{i ``turn`` s / s_max}, direct and by the modes.
 
     ``rigid`` (channels,) is what it adds beside the modes, ``residue`` (channels, modes) what each mode makes of it.
     """
 
     order: float
+    still: float
     power: float
     turn: float
     rigid: Complex
@@ -56,7 +57,7 @@ class DrawnMachine:
         item = self.orders[number]
         s = 2j * np.pi * item.order * np.asarray(speed_rpm) / 60.0
         share = np.asarray(speed_rpm) / self.speed_rpm.max()
-        force = (0.3 + share**item.power) * np.exp(1j * item.turn * share)
+        force = (item.still + share**item.power) * np.exp(1j * item.turn * share)
         made = np.repeat(item.rigid[:, None], len(s), axis=1).astype(complex)
         for mode, (hz, zeta) in enumerate(zip(self.natural_hz, self.damping, strict=True)):
             if mode != without:
@@ -113,8 +114,12 @@ def drawn_machine(
     scatter: tuple[float, ...] = (0.0005, 0.005, 0.02),
     error: float = 0.003,
     even: bool = True,
+    smooth: bool = True,
 ) -> DrawnMachine:
-    """A machine of ``seed``: its numbers drawn between the given ends; speeds ``even``, or anywhere."""
+    """A machine of ``seed``: its numbers drawn between the given ends; speeds ``even``, or anywhere.
+
+    Forces follow some smooth law of the speed, or (``smooth`` false) its square.
+    """
     r = np.random.default_rng(seed)
     modes = int(r.integers(n_modes[0], n_modes[1] + 1))
     natural = np.sort(r.uniform(30.0, 300.0, modes))
@@ -129,8 +134,9 @@ def drawn_machine(
         orders.append(
             DrawnOrder(
                 order=order,
-                power=float(r.uniform(0.0, 2.5)),
-                turn=float(0.3 * r.normal()),
+                still=0.3 if smooth else 0.0,
+                power=float(r.uniform(0.0, 2.5)) if smooth else 2.0,
+                turn=float(0.3 * r.normal()) if smooth else 0.0,
                 rigid=0.5 * r.normal(size=len(CHANNELS)) * np.exp(2j * np.pi * r.random()),
                 residue=shape * drive,
             )

@@ -150,7 +150,8 @@ def _excess(cells: Cells) -> Array:
         count = np.count_nonzero(np.isfinite(known), axis=1)
         middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)
         over = np.minimum(np.sqrt(cells.averages) * (known / middle - 1.0), CAP)
-        over[:, :, :] -= np.nan_to_num(np.nanmedian(over, axis=2, keepdims=True))
+        held = np.isfinite(over).any(axis=2)  # a channel may be missing at some speeds
+        over[held] -= np.nanmedian(over[held], axis=1, keepdims=True)
         total = np.nansum(over, axis=0) / np.sqrt(np.maximum(np.isfinite(over).sum(axis=0), 1))
     total[~np.isfinite(over).any(axis=0)] = np.nan
     scatter = 1.4826 * float(np.nanmedian(np.abs(total)))
