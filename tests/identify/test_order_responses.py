@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
+from crankorder.identify.modal import order_responses
 from crankorder.identify.modal.order_responses import (
     Block,
     Blocks,
@@ -108,7 +109,8 @@ def test_noise_alone_is_no_scatter() -> None:
 
 
 @pytest.mark.parametrize("power", [False, True])
-def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool) -> None:
+def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(order_responses, "ENOUGH_FREEDOM", 10**9)  # the law of the force stays as it is
     block, _, _ = _block(3, error=0.05, power=power)
     poles = Poles(np.array([60.4, 74.5]), np.array([0.025, 0.012]), np.zeros(2, dtype=bool))
     (slopes,), (left,), cost = Blocks((block,)).evaluate(poles)
@@ -121,6 +123,16 @@ def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool) -> No
             change = (costs[0] - costs[1]) / (2.0 * step)
             # variable projection after Kaufman: the slope of the squares is exact at any point
             assert -2.0 * float(slopes[:, column] @ left) == pytest.approx(change, rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize("power", [False, True])
+def test_what_the_law_of_the_force_can_make_up_for_is_no_slope_of_a_pole(power: bool) -> None:
+    block, _, _ = _block(3, error=0.05, power=power)
+    (slopes,), (left,), _ = Blocks((block,)).evaluate(TRUE)
+    step = 1e-5
+    (bent,) = Blocks((replace(block, law=(step,)),)).evaluate(TRUE)[1]
+    bend = (bent - left) / step
+    assert np.linalg.norm(slopes.T @ bend) < 1e-3 * np.linalg.norm(slopes) * np.linalg.norm(bend)
 
 
 def test_squares_of_modes_with_real_residues_lie_in_the_span_of_their_columns() -> None:

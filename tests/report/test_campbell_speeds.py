@@ -36,7 +36,7 @@ def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avo
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
     (mark,) = figure.strokes("open-")
     assert tuple(mark.values[1]) == pytest.approx((895.5, 904.5))
-    assert "crossing not judged" in {words.text for words in figure.words}
+    assert "not free, or not known" in {words.text for words in figure.words}
 
 
 def test_without_such_lists_there_is_no_strip(campaign: Any, settings: Any) -> None:
