@@ -107,7 +107,7 @@ def test_nothing_is_free_where_a_mode_that_nobody_saw_could_amplify():
     assert ends(verdicts.free) == [(600.0, 900.0), (1200.0, 2000.0)]
     (band,) = verdicts.open
     assert ends([band]) == [(900.0, 1200.0)]
-    assert band.remark == "not tested between: order 4 could be amplified up to 17 times unseen"
+    assert band.remark == "not tested between: order 4 could be amplified more than 3 times unseen"
     assert all("(99 %)" in free.remark and "3 times" in free.remark for free in verdicts.free)
 
 

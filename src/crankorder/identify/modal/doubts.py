@@ -16,6 +16,9 @@ HARMONIC_SIGMAS = 3.0
 WIDE_SIGMAS = 4.0
 """Standard errors by which the damping of a line on a multiple of a tone must differ from none."""
 
+WEAK_AT_ONE_DB = 6.0
+"""Prominence below which a hump at one speed is no proof: the skirts of orders that are modulated stay beneath it."""
+
 WEAK_DB = 3.0
 """Prominence below which a hump of the floor is no proof of a mode, unless its damping is well known."""
 
@@ -128,6 +131,8 @@ def doubt_about(
         return "its frequency is less certain than it is wide"
     if NORMAL_95 * error > UNCERTAIN * f:
         return f"its frequency is known to {100.0 * NORMAL_95 * error / f:.1f} % only"
+    if prominence_db < WEAK_AT_ONE_DB and at_one_speed(floor, settings=settings):
+        return f"stands only {prominence_db:.1f} dB out of the floor, at one speed: modulated orders look so"
     if prominence_db < WEAK_DB and zeta_error > WELL_KNOWN * zeta:
         return f"stands only {prominence_db:.1f} dB out of the floor"
     return ""
@@ -175,18 +180,18 @@ def common_step(tones_hz: tuple[float, ...], near_hz: float) -> float:
 def of_lines_within(problem: Problem, fit: SurfaceFit, number: int, floor: Floor, *, settings: IdentifySettings) -> str:
     """Why pole ``number`` of ``fit`` may be the modulation of the lines within its half-power width; else "".
 
-    Only at one speed, where lines that move with it stay beneath the same hump.
+    Only at one speed, or without any, where lines that move with it stay beneath the same hump.
     ``problem``: the floors that were fitted; ``floor``: in all channels; ``settings``: those in use.
     """
-    if not at_one_speed(floor, settings=settings):
+    if np.isfinite(floor.speed_rpm).any() and not at_one_speed(floor, settings=settings):
         return ""
     f = float(fit.poles.frequency_hz[number])
     within = np.abs(problem.frequency_hz - f) <= max(float(fit.poles.damping[number]) * f, 2.0 * problem.seen.bin_hz)
     own_part = fit.part(number)
     channel = int(np.argmax(own_part[:, within].sum(axis=1)))
-    tones = np.zeros(len(problem.frequency_hz))
+    tones = (fit.linear @ fit.columns - fit.without_lines(problem))[channel]
     for other in np.flatnonzero(fit.poles.tone).tolist():
-        tones += fit.part(other)[channel]
+        tones = tones + fit.part(other)[channel]
     model = fit.linear[channel] @ fit.columns
     on_line = within & ((problem.averages[channel] <= 0.0) | (tones > 0.5 * model))
     at = int(np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]))

@@ -18,6 +18,9 @@ ROWS_OF_TWO = 3
 KNOWN = 1.0 / 3.0
 """Standard error of the damping, as a share of it, beyond which a pole is but a part of the shape."""
 
+KNOWN_ALONE = 0.1
+"""The same of a pole that one order alone shows: a force that peaks fits a resonance less well."""
+
 UNCERTAIN = 0.01
 """Standard error of the frequency, as a share of it, beyond which a pole is none for certain."""
 
@@ -80,7 +83,7 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float) -> str:
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
     low, high = proof.span_hz
     said = []
-    if len(proof.orders) == 1 and proof.most_rows < ROWS_OF_TURN:
+    if len(proof.orders) == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
         said.append(f"told by order {proof.orders[0]:g} alone at {proof.most_rows} speeds: its force may peak there")
     elif proof.rows < ROWS_OF_TWO:
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
