@@ -44,7 +44,7 @@ def judged(name: str, seed: int) -> tuple[Counter[tuple[str, str]], bool]:
             said["slips" if machine.slip[nearest] else "locked", item.lock] += 1
         else:
             said["made up", item.lock] += 1
-    size = [np.abs(frames["spectrum"].values[:, :, round(16 * order)]).max() for order in true]
+    size = [float(np.abs(frames["spectrum"].sel(order=order, method="nearest")).max()) for order in true]
     strongest = true[int(np.argmax(size))]
     return said, any(abs(item.order - strongest) < 0.05 for item in found)
 

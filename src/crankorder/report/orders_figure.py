@@ -102,7 +102,7 @@ def _shown(tracks: xr.Dataset, *, limit: int) -> _Tracks:
         if name in tracks
     }
     amplitude, error = values["amplitude"], values["standard_error"]
-    peak = np.max(np.nan_to_num(amplitude), axis=2, initial=0.0)
+    peak = np.max(np.nan_to_num(amplitude), axis=2, initial=0.0).astype(np.float64)
     share = (peak / np.maximum(peak.max(axis=1, initial=0.0, keepdims=True), 1e-300)).max(axis=0, initial=0.0)
     ranked = np.argsort(-share, kind="stable")[:limit]
     kept = np.sort(ranked)

@@ -133,18 +133,18 @@ def _followed_even(
     usual = float(np.median(near))
     ratios = settings.double_pulse_ratio, settings.lost_pulse_ratio
 
-    def counted(times: FloatArray, tooth_s: float) -> tuple[IntArray, IntArray]:
+    def counted(times: FloatArray, recent: FloatArray) -> tuple[IntArray, IntArray]:
         kept, tooth = np.zeros(times.size, dtype=np.int64), np.zeros(times.size, dtype=np.int64)
-        n = _count(times, np.full(window, tooth_s), *ratios, slack_s, kept, tooth)
+        n = _count(times, recent, *ratios, slack_s, kept, tooth)
         return kept[:n], tooth[:n]
 
     steady = bool(near.max() < STEADY_RATIO * usual)
     start = -1 if steady else _steady_start(step, window)
     if start < 0:
-        return counted(time_s, usual)
+        return counted(time_s, np.full(window, usual))
     # a start from rest looks like lost pulses beside the median of what follows, but not counted back from there
-    after, number = counted(time_s[start:], float(step[start]))
-    before, back = counted(-time_s[start::-1], float(step[start]))
+    after, number = counted(time_s[start:], np.full(window, step[start]))
+    before, back = counted(-time_s[start::-1], step[start : start + window][::-1].copy())
     kept = np.concatenate([start - before[:0:-1], start + after])
     return kept, np.concatenate([-back[:0:-1], number]) + back[-1]
 
@@ -220,10 +220,10 @@ def _check_times(time_s: FloatArray) -> None:
 def _count(time_s, recent, double_ratio, lost_ratio, slack_s, kept, tooth):  # type: ignore[no-untyped-def]
     """Fill in which pulses are ``kept`` and the number of the ``tooth`` of each one of them; how many they are.
 
-    The time of one tooth is followed as the mean over ``recent``, the last few intervals.
+    The time of one tooth is followed as the mean over ``recent``, the last few intervals, the oldest first.
     """
     n, window, m, slot, count, last = time_s.size, recent.size, 1, 0, 0, time_s[0]
-    share, total = 1.0 / window, recent[0] * window
+    share, total = 1.0 / window, recent.sum()
     for i in range(1, n):
         tooth_s, interval = total * share, time_s[i] - last
         teeth = 1
