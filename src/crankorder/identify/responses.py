@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
+from crankorder.identify.modal.exclusion import NOISE_SHARE
 from crankorder.identify.modal.order_responses import force, smooth_shapes
 from crankorder.identify.resonance import resonance
-
-NOISE_SHARE = 2.0
-"""Standard errors of a row beneath which an amplitude counts as so large: less is not seen."""
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
