@@ -32,6 +32,8 @@ CLEAR = 8.0
 """Amplitude over its standard error at which an order stands clear of the noise."""
 FORCE_POWERS = 3
 """Powers of speed in the unknown smooth factor of each force."""
+ROUNDING = 1e-12
+"""Share of the largest singular value below which a direction is none."""
 STEP = 1e-3
 """Relative step of the numerical derivatives, in shares of the damping."""
 
@@ -122,8 +124,9 @@ def _from_order(machine: Machine, number: int) -> tuple[FloatArray, float, bool]
     hertz = np.concatenate([part.frequency_hz for part in parts])
     inverse = np.linalg.inv(machine.floor_psd(hertz))
     columns, total = _columns(machine, number, parts)
-    whitened = np.einsum("rcd,pdr->pcr", inverse, columns, optimize=True) * weight
-    gram = np.einsum("pcr,qcr->pq", np.conj(columns), whitened, optimize=True).real
+    root = np.linalg.cholesky(inverse).conj()
+    whitened = np.einsum("rdc,pdr->pcr", root, columns, optimize=True) * np.sqrt(weight)
+    rows = whitened.reshape(len(whitened), -1).T
     density = np.einsum("cr,rcd,dr->r", np.conj(total), inverse, total, optimize=True).real * weight
     turning, strongest, at = 0.0, 0.0, 0
     for part in parts:  # each recording has a phase of its own, for a slipping order keeps none between them
@@ -133,7 +136,8 @@ def _from_order(machine: Machine, number: int) -> tuple[FloatArray, float, bool]
         turning += float((own * (2.0 * np.pi * (part.angle - centre)) ** 2).sum())
         strongest = max(strongest, float(own.sum()))
     error = 1.0 / np.sqrt(max(turning, 1e-300))
-    return _without_nuisance(gram, 2 * len(machine.modes)), error, strongest >= CLEAR**2
+    told = _left_of(np.concatenate([rows.real, rows.imag]), 2 * len(machine.modes))
+    return told, error, strongest >= CLEAR**2
 
 
 def _columns(machine: Machine, number: int, parts: list[_Rows]) -> tuple[ComplexArray, ComplexArray]:
@@ -166,6 +170,21 @@ def _columns(machine: Machine, number: int, parts: list[_Rows]) -> tuple[Complex
         bent = total * ((hertz - middle) / half) ** power
         columns += [bent, 1j * bent]
     return np.stack(columns), np.asarray(total)
+
+
+def _left_of(rows: FloatArray, wanted: int) -> FloatArray:
+    """Information on the first ``wanted`` parameters from whitened slopes (row, parameter), the others unknown.
+
+    Orthogonal throughout: with strong orders a Gram matrix would take what its rounding loses for knowledge.
+    """
+    rows = np.asarray(np.linalg.qr(rows, mode="r"))
+    nuisance = rows[:, wanted:] / np.maximum(np.linalg.norm(rows[:, wanted:], axis=0), 1e-300)
+    basis, values, _ = np.linalg.svd(nuisance, full_matrices=False)
+    basis = basis[:, values > ROUNDING * values[0]]
+    kept = rows[:, :wanted]
+    for _ in range(2):
+        kept = kept - basis @ (basis.T @ kept)
+    return np.asarray(kept.T @ kept)
 
 
 def _without_nuisance(gram: FloatArray, wanted: int) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import SPARE, Block
 from crankorder.identify.modal.passage import passage_of
-from crankorder.orders.phase_marks import phases_compare
+from crankorder.orders.phase_marks import WHOLE, one_mark, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 
 ON_BIN = 1e-3
@@ -31,6 +32,7 @@ SAME_ORDER = 1e-3
 """Share of an order within which a followed one is the same."""
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
 
 
 def blocks_of(
@@ -64,19 +66,34 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     known = np.isfinite(size) & (error > 0.0) & (freedom >= LEAST_FREEDOM) & (speed > 0.0)
     wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
-    if np.isfinite(phase[known]).all() and phases_compare([order_map], np.array([agreed.order]))[0]:
-        return [_block(agreed.order, names, speed, size * np.exp(1j * np.radians(phase)), wide)]
-    noise = np.where(known, wide, 0.0)
-    beats = np.where(known, 2.0 * np.maximum(size, noise) * noise, np.inf)
-    return [_block(agreed.order, names, speed, size**2 - 2.0 * noise**2, beats, power=True)]
+    phasor = size * np.exp(1j * np.radians(np.where(known, phase, 0.0)))
+    told = bool(np.isfinite(phase[known]).all())
+    if told and phases_compare([order_map], np.array([agreed.order]))[0]:
+        return [_block(agreed.order, names, speed, phasor, wide)]
+    if told and one_mark([order_map]) and _is_half(agreed.order):
+        made = _block(agreed.order, names, speed, phasor, wide)
+        return [made and replace(made, amplitude=_without_turns(made.amplitude), sign_free=True)]
+    made = _block(agreed.order, names, speed, phasor, wide, power=True)
+    return [made and made.squared]
+
+
+def _is_half(order: float) -> bool:
+    """Whether ``order`` comes back after a cycle of two turns, with the other sign after one of them."""
+    return abs(2.0 * order - round(2.0 * order)) < 2.0 * WHOLE
+
+
+def _without_turns(amplitude: Complex) -> Complex:
+    """``amplitude`` (C, K) with the signs of its rows by which each turns least from the one before."""
+    beside = np.sum((amplitude[:, :-1].conj() * amplitude[:, 1:]).real, axis=0)
+    return np.asarray(amplitude * np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0))))
 
 
 def _of_sizes(order: float, line: OrderLine) -> Block | None:
     """Block of the squares of ``line``, whose phase is none of the shaft's."""
-    size, error = line.amplitude[None], line.amplitude_error[None]
+    error = line.amplitude_error[None]
     error = np.where(np.isfinite(error) & (error > 0.0) & (line.speed_rpm > 0.0), error, np.inf)
-    beats = np.where(np.isfinite(error), 2.0 * np.maximum(size, error) * error, np.inf)
-    return _block(order, [line.channel], line.speed_rpm, size**2, beats, power=True)
+    made = _block(order, [line.channel], line.speed_rpm, line.amplitude[None], error, power=True)
+    return made and made.squared
 
 
 def _block(

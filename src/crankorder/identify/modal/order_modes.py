@@ -56,7 +56,7 @@ def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -
     error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
     low, high = proof.span_hz
-    if not proof.orders or zeta > settings.max_damping_ratio or not low * (1.0 - zeta) <= f <= high * (1.0 + zeta):
+    if not proof.orders or zeta > settings.max_damping_ratio:
         return None
     return Mode(
         f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, _doubt(pole, error, zeta_error)

@@ -47,6 +47,9 @@ LEAST_NOISE = 0.02
 MOST_ROUNDS = 3
 """Times that scatter and linear terms are told from one another."""
 
+MOST_TURNS = 8
+"""Times that the signs of rows are told anew."""
+
 MOST_KEPT = 64
 """Columns along a sweep that are kept."""
 
@@ -66,6 +69,7 @@ class Block:
     beside the modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as
     a share of the amplitude, beyond ``error``, of which the share ``noise`` is true. ``passage`` says how the order
     swept (None: every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares.
+    ``sign_free``: whether a row may as well have the other sign, for nothing says which turn of a cycle comes first.
     ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials
     run, where they are not those of the rows. ``made`` keeps the columns along a sweep that were made last.
     """
@@ -84,6 +88,7 @@ class Block:
     noise: float = 1.0
     passage: Passage | None = None
     power: bool = False
+    sign_free: bool = False
     recording: str = ""
     law_span_rpm: tuple[float, float] | None = None
     made: dict[tuple[object, ...], tuple[Complex, Complex, Complex]] = field(default_factory=dict, repr=False)
@@ -126,6 +131,20 @@ class Block:
     def columns_per_mode(self) -> int:
         """Linear terms of each mode: a complex residue, or two real numbers behind squares."""
         return 2 if self.power else 1
+
+    @cached_property
+    def squared(self) -> Block:
+        """The block as squares, which have no phase."""
+        noise = np.where(np.isfinite(self.error), self.error, 0.0)
+        size = np.abs(self.amplitude)
+        beats = np.where(np.isfinite(self.error), 2.0 * np.maximum(size, noise) * noise, np.inf)
+        square = np.asarray(size**2 - 2.0 * noise**2, dtype=np.complex128)
+        return replace(self, amplitude=square, error=beats, power=True, sign_free=False, scatter=2.0 * self.scatter)
+
+    def turned_above(self, frequency_hz: float) -> Block:
+        """The block with the other sign in the rows above ``frequency_hz``: a resonance between them turns the phase."""
+        sign = np.where(self.frequency_hz > frequency_hz, -1.0, 1.0)
+        return replace(self, amplitude=self.amplitude * sign)
 
     def of(self, channels: NDArray[np.int64]) -> Block:
         """The block of some ``channels`` (numbers) alone."""
@@ -360,7 +379,7 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
     Where they are smaller than the errors say even without scatter, and many, the errors are that share of what was
     stated. And the block as projected with that.
     """
-    part = project(block, poles)
+    block, part = _with_signs(block, poles)
     for _ in range(MOST_ROUNDS):
         if part.freedom < 1:
             break
@@ -376,6 +395,23 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
         part = project(block, poles)
         if settled:
             break
+    return block, part
+
+
+def _with_signs(block: Block, poles: Poles) -> tuple[Block, Projected]:
+    """``block`` as projected, its rows with the signs by which the others foretell them best where these are free."""
+    part = project(block, poles)
+    for _ in range(MOST_TURNS if block.sign_free else 0):
+        measured = block.amplitude * block.weight
+        alone = 1.0 - np.sum(np.abs(part.basis) ** 2, axis=2)
+        agrees = np.sum((measured.conj() * (alone * measured - part.left)).real, axis=0)
+        if not (agrees < 0.0).any():
+            break
+        trial = replace(block, amplitude=np.where(agrees < 0.0, -block.amplitude, block.amplitude))
+        tried = project(trial, poles)
+        if tried.chi2 >= part.chi2:
+            break
+        block, part = trial, tried
     return block, part
 
 

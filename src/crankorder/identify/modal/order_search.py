@@ -181,8 +181,7 @@ def poles_of_orders(
             break
         state = more
     state = _pruned(state, chance=chance)
-    named = [_named(state, number) for number in range(len(known), len(state.poles))]
-    return state.blocks, tuple(item for item in named if item.proof.rows > 1)
+    return state.blocks, tuple(_named(state, number) for number in range(len(known), len(state.poles)))
 
 
 def settled(
@@ -278,9 +277,8 @@ class Fitted:
     def with_pole(self, start: tuple[float, float]) -> Fitted:
         """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
         more = self.poles.joined(NO_POLES.with_pole(*start))
-        return Fitted.of([self._told(block, more) for block in self.blocks], more, self.prior).moved(
-            fixed=len(self.poles)
-        )
+        turned = [_turned(block, more, start[0]) for block in self.blocks]
+        return Fitted.of([self._told(block, more) for block in turned], more, self.prior).moved(fixed=len(self.poles))
 
     @staticmethod
     def _told(block: Block, poles: Poles) -> Block:
@@ -314,6 +312,15 @@ class Fitted:
                 share *= _independent_share(many)
             saved += (missed(before, few) - missed(after, many)) * share
         return saved
+
+
+def _turned(block: Block, poles: Poles, frequency_hz: float) -> Block:
+    """``block`` with the signs of its rows as they are, or turned at ``frequency_hz``: what the ``poles`` fit better."""
+    inside = block.frequency_hz.min() < frequency_hz < block.frequency_hz.max()
+    if not (block.sign_free and inside):
+        return block
+    both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
+    return min(both, key=lambda pair: missed(*pair))[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,6 +435,9 @@ def _gains(state: Fitted, tried: Tried) -> Array:
         if block.scatter > WELL_LAID and block.rows.min() > 4 * FEWEST_ROWS:
             # a peak may have hidden how the force grows
             block = replace(block, degree=MOST_DEGREE)
+            part = project(block, state.poles)
+        if block.sign_free:  # signs without the pole may have turned its phase away
+            block = block.squared
             part = project(block, state.poles)
         still = replace(block, passage=None)
         columns = still.modal(tried.frequency_hz[near], _widened(block, tried, near))
