@@ -55,7 +55,10 @@ FELT = 0.05
 """Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
 
 AT_ONCE = 2
-"""Poles that are asked for together at most."""
+"""Poles that are asked for together at most where the others leave nothing that is felt."""
+
+MOST_AT_ONCE = 5
+"""Poles that are asked for together at most: each may hide in what the others leave."""
 
 TRIALS = 400.0
 """Frequencies and damping ratios that are independent of one another, about."""
@@ -97,6 +100,7 @@ PROOF_CHANCE = 1e-4
 """Chance of so large a residue of one order without the mode, below which the order proves it."""
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
 
 
 @dataclass(frozen=True)
@@ -348,15 +352,17 @@ class Tried:
 def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
     """``state`` with one or two poles more, or None where none is asked for.
 
-    Where one does not save enough a second one is tried with it: each may hide in what the other leaves.
+    Where one does not save enough others are tried with it: each may hide in what they leave.
     """
     more = state
-    for number in range(1, AT_ONCE + 1):
+    for number in range(1, MOST_AT_ONCE + 1):
+        if number > AT_ONCE and more.misses < FELT:
+            return None
         trial = _one_more(more, tried, most_damping=most_damping)
         if trial is None:
             return None
         more = trial
-        if more.saves(state) > number * _limit(more.blocks, chance / TRIALS):
+        if more.saves(state) > _limit(more.blocks, chance, number):
             return more
     return None
 
@@ -365,7 +371,7 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
     """``state`` with the one pole more that saves most; None where no start promises anything."""
     gains = _gains(state, tried)
     best, most = None, 0.0
-    promising = PROMISING * _limit(state.blocks, 1.0 / TRIALS)
+    promising = PROMISING * _limit(state.blocks, 1.0)
     for _ in range(TRIED_STARTS):
         at = int(np.argmax(gains))
         if not gains[at] > promising:
@@ -432,24 +438,43 @@ def _gains(state: Fitted, tried: Tried) -> Array:
             continue
         low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
-        if block.scatter > WELL_LAID and block.rows.min() > 4 * FEWEST_ROWS:
-            # a peak may have hidden how the force grows
-            block = replace(block, degree=MOST_DEGREE)
-            part = project(block, state.poles)
-        if block.sign_free:  # signs without the pole may have turned its phase away
-            block = block.squared
-            part = project(block, state.poles)
-        still = replace(block, passage=None)
-        columns = still.modal(tried.frequency_hz[near], _widened(block, tried, near))
-        freedom = part.freedom / len(block.channels)
+        settled = block.scatter <= LEAST_SCATTER
+        if not settled:
+            block, part = _anew(block, part, state.poles)
+        columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
+        freedom = max(part.freedom / len(block.channels) - 2.0, 0.0)
         for weight, basis, left in zip(block.weight, part.basis, part.left, strict=True):
             made = columns * weight[:, None]
             made -= basis @ (basis.conj().T @ made)
-            along = np.abs(left.conj() @ made) ** 2 / np.maximum(np.sum(np.abs(made) ** 2, axis=0), 1e-300)
-            along = along.reshape(len(near), block.columns_per_mode).sum(axis=1)
-            share = np.minimum(along / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
-            total[near] += np.maximum(-freedom * np.log1p(-share) - EXPECTED_GAIN, 0.0)
+            explained = _explained(made, left, block.columns_per_mode)
+            share = np.minimum(explained / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
+            gain = explained if settled else -freedom * np.log1p(-share)
+            total[near] += np.maximum(gain - EXPECTED_GAIN, 0.0)
     return total
+
+
+def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
+    """``block`` and how it is projected (``part``), without what a pole that is missing may have led it to."""
+    if block.scatter > WELL_LAID and block.rows.min() > 4 * FEWEST_ROWS:
+        block = replace(block, degree=MOST_DEGREE)  # a peak may have hidden how the force grows
+    elif not block.sign_free:
+        return block, part
+    if block.sign_free:
+        block = block.squared  # signs without the pole may have turned its phase away
+    return block, project(block, poles)
+
+
+def _explained(columns: Complex, left: Complex, per: int) -> Array:
+    """Squares of ``left`` (K,) that each ``per`` neighbours of ``columns`` (K, S · per), one or two, explain, (S,)."""
+    norm = np.maximum(np.sum(np.abs(columns) ** 2, axis=0), 1e-300)
+    first = columns[:, ::per]
+    along = np.abs(left.conj() @ first) ** 2 / norm[::per]
+    if per == 1:
+        return np.asarray(along)
+    turned = np.sum(first.conj() * columns[:, 1::per], axis=0) / norm[::per]
+    second = columns[:, 1::per] - first * turned
+    rest = np.maximum(np.sum(np.abs(second) ** 2, axis=0), 1e-6 * norm[1::per])
+    return np.asarray(along + np.abs(left.conj() @ second) ** 2 / rest)
 
 
 def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
@@ -494,11 +519,15 @@ def _evaluated(joint: Blocks, poles: Poles, prior: Prior) -> tuple[list[Array], 
     return [*jacobians, slopes], [*residuals, left], cost + float(np.sum(left**2))
 
 
-def _limit(blocks: Sequence[Block], chance: float) -> float:
-    """What a pole saves by ``chance``: two numbers of its own and two for each order and channel."""
+def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
+    """What a ``number`` of poles save by ``chance`` at any of the starts.
+
+    Each has two numbers of its own and two for each order and channel.
+    """
     from scipy.special import chdtri
 
-    return float(chdtri(2.0 + 2.0 * sum(len(block.channels) for block in blocks), chance))
+    freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
+    return float(chdtri(freedom, chance / TRIALS**number))
 
 
 def _pruned(state: Fitted, *, chance: float) -> Fitted:
@@ -506,7 +535,7 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     number = len(state.prior.place)
     while number < len(state.poles):
         fewer = Fitted.of(state.blocks, state.poles.without(number), state.prior)
-        if state.saves(fewer) > _limit(state.blocks, chance / TRIALS) and fewer.misses > FELT:
+        if state.saves(fewer) > _limit(state.blocks, chance) and fewer.misses > FELT:
             number += 1
         else:
             state, number = fewer, len(state.prior.place)
