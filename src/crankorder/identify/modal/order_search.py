@@ -531,15 +531,30 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
 
 
 def _pruned(state: Fitted, *, chance: float) -> Fitted:
-    """Without the poles that the others have made idle; those with a prior stay."""
+    """Without the poles that the others have made idle; those with a prior stay.
+
+    One within the width of another is idle too if that one and the laws of the forces can make up for it.
+    """
     number = len(state.prior.place)
     while number < len(state.poles):
-        fewer = Fitted.of(state.blocks, state.poles.without(number), state.prior)
-        if state.saves(fewer) > _limit(state.blocks, chance) and fewer.misses > FELT:
+        rest = state.poles.without(number)
+        fewer = Fitted.of(state.blocks, rest, state.prior)
+        needed = state.saves(fewer) > _limit(state.blocks, chance) and fewer.misses > FELT
+        if needed and _is_beside(state.poles, number):
+            fewer = Fitted.of([with_best_law(block, rest) for block in state.blocks], rest, state.prior).moved()
+            needed = state.saves(fewer) > _limit(state.blocks, chance)
+        if needed:
             number += 1
         else:
             state, number = fewer, len(state.prior.place)
     return state
+
+
+def _is_beside(poles: Poles, number: int) -> bool:
+    """Whether pole ``number`` and another one lie within the widths of both."""
+    apart = np.abs(np.log(poles.frequency_hz / poles.frequency_hz[number]))
+    apart[number] = np.inf
+    return bool((apart < np.minimum(poles.damping, poles.damping[number])).any())
 
 
 def _named(state: Fitted, number: int) -> OrderPole:
