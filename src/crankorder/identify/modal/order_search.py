@@ -54,6 +54,9 @@ MATTERS = 0.03
 FELT = 0.05
 """Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
 
+FELT_ERROR = 0.01
+"""Share of an order's amplitude that counts as a standard error where a pole's gain is foretold: less is not felt."""
+
 AT_ONCE = 2
 """Poles that are asked for together at most where the others leave nothing that is felt."""
 
@@ -438,8 +441,11 @@ def _gains(state: Fitted, tried: Tried) -> Array:
             continue
         low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
-        settled = block.scatter <= LEAST_SCATTER
-        if not settled:
+        settled = block.scatter < FELT_ERROR
+        if settled:
+            block = replace(block, scatter=FELT_ERROR)
+            part = project(block, state.poles)
+        else:
             block, part = _anew(block, part, state.poles)
         columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
         freedom = max(part.freedom / len(block.channels) - 2.0, 0.0)
