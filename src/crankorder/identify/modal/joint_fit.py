@@ -17,8 +17,9 @@ from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_s
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, mode_of, proven_by, tone_as_mode
+from crankorder.identify.modal.order_proof import OrderPole, Proof
 from crankorder.identify.modal.order_responses import Block, fitting, responses_of
-from crankorder.identify.modal.order_search import OrderPole, Proof, orders_raised, poles_of_orders, settled
+from crankorder.identify.modal.order_search import orders_raised, poles_of_orders, settled
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
 from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit

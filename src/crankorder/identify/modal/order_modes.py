@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode, Tone
-from crankorder.identify.modal.order_search import OrderPole, Proof
+from crankorder.identify.modal.order_proof import OrderPole, Proof
 from crankorder.settings import IdentifySettings
 
 ROWS_OF_TURN = 5
@@ -41,11 +41,11 @@ def proven_by(proof: Proof) -> str:
 
 
 def is_proven(proof: Proof) -> bool:
-    """Whether two orders show the mode, at several speeds: one alone is evidence.
+    """Whether two orders show the mode, at several speeds, or each alone at one place: one order is evidence.
 
     ``proof``: the orders that show it.
     """
-    return len(proof.orders) > 1 and proof.rows >= ROWS_OF_TWO
+    return len(proof.orders) > 1 and (proof.rows >= ROWS_OF_TWO or proof.located > 1)
 
 
 def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -> Mode | None:
@@ -55,7 +55,6 @@ def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -
     """
     error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
-    low, high = proof.span_hz
     if not proof.orders or zeta > settings.max_damping_ratio:
         return None
     return Mode(
@@ -85,7 +84,7 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float) -> str:
     said = []
     if len(proof.orders) == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
         said.append(f"told by order {proof.orders[0]:g} alone at {proof.most_rows} speeds: its force may peak there")
-    elif proof.rows < ROWS_OF_TWO:
+    elif len(proof.orders) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
     if error > UNCERTAIN * f:
         said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")

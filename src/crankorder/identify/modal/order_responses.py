@@ -142,7 +142,7 @@ class Block:
         return replace(self, amplitude=square, error=beats, power=True, sign_free=False, scatter=2.0 * self.scatter)
 
     def turned_above(self, frequency_hz: float) -> Block:
-        """The block with the other sign in the rows above ``frequency_hz``: a resonance between them turns the phase."""
+        """The block with the other sign in the rows above ``frequency_hz``: a resonance there turns the phase."""
         sign = np.where(self.frequency_hz > frequency_hz, -1.0, 1.0)
         return replace(self, amplitude=self.amplitude * sign)
 
@@ -265,7 +265,7 @@ class Blocks:
         slopes = [
             jacobian(block, every, part)[:, : 2 * len(poles)] for block, part in zip(self.items, parts, strict=True)
         ]
-        left = [_as_real(part.left, block) for block, part in zip(self.items, parts, strict=True)]
+        left = [as_real(part.left, block) for block, part in zip(self.items, parts, strict=True)]
         return slopes, left, float(sum(part.chi2 for part in parts))
 
 
@@ -344,11 +344,11 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
             turned = slope[None] * linear[:, None]
             turned = turned.reshape(*turned.shape[:2], len(reached), per).sum(axis=3) * block.weight[..., None]
             made[..., 2 * reached + offset] = turned - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ turned)
-    rows = _as_real(made, block)
+    rows = as_real(made, block)
     if part.freedom < ENOUGH_FREEDOM:
         return rows
     bent = _bent(block, part, max(len(block.law), 1))
-    both = _as_real(bent if block.power else np.concatenate([bent, 1j * bent], axis=2), block)
+    both = as_real(bent if block.power else np.concatenate([bent, 1j * bent], axis=2), block)
     unit = np.linalg.qr(both / np.maximum(np.linalg.norm(both, axis=0), 1e-300))[0]
     return np.asarray(rows - unit @ (unit.T @ rows))
 
@@ -361,7 +361,7 @@ def _bent(block: Block, part: Projected, degree: int) -> Complex:
     return np.asarray(bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent))
 
 
-def _as_real(values: Complex, block: Block) -> Array:
+def as_real(values: Complex, block: Block) -> Array:
     """``values`` (C, K, …) of ``block`` as rows of real numbers, real parts first; of squares these alone."""
     rows = values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
     return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))

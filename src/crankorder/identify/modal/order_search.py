@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.identify.modal.order_proof import PROOF_CHANCE, OrderPole, Proof, named
 from crankorder.identify.modal.order_responses import (
     LEAST_SCATTER,
     MOST_DEGREE,
@@ -78,9 +79,6 @@ WELL_LAID = 0.01
 HOPELESS = 1.0
 """Relative scatter beyond which no small move of the poles helps."""
 
-WITHIN = 4.0
-"""Half-power half widths within which a row belongs to a resonance."""
-
 FEWEST_ROWS = 6
 """Rows of an order without which it is asked for nothing new."""
 
@@ -93,41 +91,11 @@ SETTLED = 0.05
 MODEL_SHARE = 0.1
 """Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
 
-ROWS_OF_SWEEP = 5
-"""Rows that a sweep through a whole resonance is worth at least: its filter smooths them into fewer."""
-
 STEPS = 12
 """Steps of a fit at most."""
 
-PROOF_CHANCE = 1e-4
-"""Chance of so large a residue of one order without the mode, below which the order proves it."""
-
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
-
-
-@dataclass(frozen=True)
-class Proof:
-    """The ``orders`` that by themselves prove a mode, by amplitude and phase.
-
-    ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
-    ``span_hz`` the lowest and highest frequency that they reached.
-    """
-
-    orders: tuple[float, ...] = ()
-    most_rows: int = 0
-    rows: int = 0
-    span_hz: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class OrderPole:
-    """A pole that orders ask for: ``frequency_hz``, ``damping``, the ``channels`` that show it and its ``proof``."""
-
-    frequency_hz: float
-    damping: float
-    channels: tuple[str, ...]
-    proof: Proof
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +156,8 @@ def poles_of_orders(
             break
         state = more
     state = _pruned(state, chance=chance)
-    return state.blocks, tuple(_named(state, number) for number in range(len(known), len(state.poles)))
+    found = range(len(known), len(state.poles))
+    return state.blocks, tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
 
 
 def settled(
@@ -205,9 +174,9 @@ def settled(
     state = Fitted.of(blocks, known.joined(free), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
-    named = [_named(state, number) for number in range(len(state.poles))]
-    proofs = tuple(item.proof for item in named[: len(known)])
-    return state.blocks, proofs, tuple(named[len(known) :]), _covariance(state, len(known))
+    every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
+    proofs = tuple(item.proof for item in every[: len(known)])
+    return state.blocks, proofs, tuple(every[len(known) :]), _covariance(state, len(known))
 
 
 def _covariance(state: Fitted, fixed: int) -> Array:
@@ -322,7 +291,7 @@ class Fitted:
 
 
 def _turned(block: Block, poles: Poles, frequency_hz: float) -> Block:
-    """``block`` with the signs of its rows as they are, or turned at ``frequency_hz``: what the ``poles`` fit better."""
+    """``block`` with its signs as they are, or turned at ``frequency_hz``: what the ``poles`` fit better."""
     inside = block.frequency_hz.min() < frequency_hz < block.frequency_hz.max()
     if not (block.sign_free and inside):
         return block
@@ -561,49 +530,3 @@ def _is_beside(poles: Poles, number: int) -> bool:
     apart = np.abs(np.log(poles.frequency_hz / poles.frequency_hz[number]))
     apart[number] = np.inf
     return bool((apart < np.minimum(poles.damping, poles.damping[number])).any())
-
-
-def _named(state: Fitted, number: int) -> OrderPole:
-    """Pole ``number`` with the orders that prove it."""
-    poles = state.poles
-    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
-    rows: dict[float, int] = {}
-    ends: list[float] = []
-    shown: list[str] = []
-    for block, part in zip(state.blocks, state.projected, strict=True):
-        chances = residue_chances(block, part, number)
-        if block.scatter > MOST_SCATTER or chances.min() > PROOF_CHANCE:
-            continue
-        shown += [name for name, chance in zip(block.channels, chances, strict=True) if chance <= PROOF_CHANCE]
-        within = _rows_within(block, f, zeta)
-        rows[block.order] = max(within, rows.get(block.order, 0))
-        ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
-    if not rows:
-        return OrderPole(f, zeta, (), Proof())
-    proof = Proof(tuple(sorted(rows)), max(rows.values()), sum(rows.values()), (min(ends), max(ends)))
-    return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
-
-
-def _rows_within(block: Block, f: float, zeta: float) -> int:
-    """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
-    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= WITHIN * zeta))
-    low, high = block.frequency_hz.min(), block.frequency_hz.max()
-    whole = block.passage is not None and low < f * (1.0 - WITHIN * zeta) and high > f * (1.0 + WITHIN * zeta)
-    return max(rows, ROWS_OF_SWEEP) if whole else rows
-
-
-def residue_chances(block: Block, part: Projected, number: int) -> Array:
-    """Chances (C,) that the residue of pole ``number`` in ``block`` is so large without the mode (F test).
-
-    ``part``: the block as projected.
-    """
-    from scipy.special import fdtrc
-
-    place = np.flatnonzero(part.reached == number)
-    if not len(place) or part.freedom < len(block.channels):
-        return np.ones(len(block.channels))
-    at = block.degree + 1 + block.columns_per_mode * int(place[0]) + np.arange(block.columns_per_mode)
-    value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
-    squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
-    scale = max(part.chi2 / part.freedom, 1.0)
-    return np.asarray(fdtrc(2.0, part.freedom / len(block.channels), squared / 2.0 / scale))
