@@ -30,8 +30,11 @@ from crankorder.settings import IdentifySettings
 BESIDE = 0.03
 """Share of a speed to avoid, on both sides of it, that is not called free."""
 
+SAME_SPEED = 0.01
+"""Share of a speed within which two maps hold the same one."""
+
 NEAR_DAMPINGS = 8.0
-"""Damping ratios on both sides of a crossing within which the order's amplification is that of the resonance."""
+"""Damping ratios on both sides of a crossing within which its amplification is looked at most closely."""
 
 Floats = NDArray[np.float64]
 
@@ -85,7 +88,7 @@ def speeds_to_avoid(
     settings : ``crossing_band_rpm`` is the least width of a free band
     """
     largest = _largest(orders)
-    met = [_cost(item, orders, modal, largest, settings) for item in found if _counts(item)]
+    met = [_cost(item, orders, modal, largest, unit, settings) for item in found if _counts(item)]
     avoid = sorted((_joined(group) for group in _overlapping(met)), key=lambda item: (-item.cost, item.rpm))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -120,6 +123,7 @@ def _cost(
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
     largest: dict[str, float],
+    unit: Mapping[str, str],
     settings: IdentifySettings,
 ) -> AvoidedSpeed:
     """Range, amplitude and cost of one excited crossing."""
@@ -127,7 +131,8 @@ def _cost(
     agreed = min(orders, key=lambda one: abs(one.order - item.order))
     peaks = _peaks(item, agreed, modal, mode, settings)
     shares = {channel: peak / largest[channel] for channel, peak in peaks.items() if largest.get(channel, 0.0) > 0.0}
-    channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
+    worst = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
+    channel = max((name for name in peaks if unit[name] == unit[worst]), key=lambda name: peaks[name], default=worst)
     half = mode.damping_ratio * item.rpm
     what = (
         f"{item.mode_hz:.4g} Hz"
@@ -210,13 +215,11 @@ def _by_modes(
             made += _by_whirl(item, modal, speed_rpm, settings)
             continue
         number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
-        mode = modal.modes[number]
         what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
         known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
-        held = [one for one in known if one.span_rpm[0] <= item.rpm <= one.span_rpm[1]]
-        if item.in_range and item.verdict not in ("not excited", "excited") and not held:
-            half = max(width_rpm(item.rpm, mode, settings), BESIDE * item.rpm, item.rpm_ci95[1] - item.rpm)
-            made.append(_Open(item.rpm - half, item.rpm + half, f"{what}: {item.verdict}"))
+        if not known and item.verdict != "not excited":
+            low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
+            made += _inside(_Open(low, high, f"{what}: {_said(item)}"), speed_rpm)
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
@@ -243,9 +246,13 @@ def _by_whirl(
     low, high = item.rpm_ci95[0] - beside, item.rpm_ci95[1] + beside
     if low >= speed_rpm[1] or high <= speed_rpm[0]:
         return []
-    said = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
-    text = f"order {item.order:.4g} with a whirl of {item.mode_hz:.4g} Hz: {said}"
+    text = f"order {item.order:.4g} with a whirl of {item.mode_hz:.4g} Hz: {_said(item)}"
     return [_Open(low, high, text)]
+
+
+def _said(item: Crossing) -> str:
+    """What is said of a crossing near speeds that it leaves open."""
+    return item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
 
 
 def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
@@ -260,22 +267,36 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / group[0].order
     beside = BESIDE + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
-    reach = max(NEAR_DAMPINGS * mode.damping_ratio, beside)
-    low, high = max(group[0].span_rpm[0], rpm * (1.0 - reach)), min(group[0].span_rpm[1], rpm * (1.0 + reach))
+    near = max(NEAR_DAMPINGS * mode.damping_ratio, beside)
+    below, above = _amplifying((rpm * (1.0 - beside + BESIDE), rpm * (1.0 + beside - BESIDE)), limits.factor)
+    low, high = max(group[0].span_rpm[0], below), min(group[0].span_rpm[1], above)
     if low >= high:
         return []
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
-    grid = np.unique(np.clip(rpm * (1.0 + reach * turn), low, high))
+    grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, 60)), low, high))
     both = together([with_and_without(one, number, grid, modal) for one in group])
     least, most = both.ends(limits.sigmas, matters=limits.matters)
     over = (most > limits.factor) | (least > limits.factor)
     if not over.any():
         return []
     said = "is amplified" if (least > limits.factor).any() else "may be amplified"
-    inside = np.flatnonzero(over)
-    begin, end = float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
-    begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-    return [_Open(begin, end, f"{what}: {said} more than {limits.factor:g} times")]
+    made = []
+    for first, last in _runs(over):
+        begin, end = float(grid[max(first - 1, 0)]), float(grid[min(last + 1, len(grid) - 1)])
+        if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
+            begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
+        made.append(_Open(begin, end, f"{what}: {said} more than {limits.factor:g} times"))
+    return made
+
+
+def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
+    """Speeds between which a resonance that is met somewhere in ``rpm`` amplifies ``factor`` times or more."""
+    return rpm[0] * np.sqrt(factor / (factor + 1.0)), rpm[1] * np.sqrt(factor / (factor - 1.0))
+
+
+def _inside(item: _Open, speed_rpm: tuple[float, float]) -> list[_Open]:
+    """``item`` where any of it lies within ``speed_rpm``."""
+    return [item] if item.low_rpm < speed_rpm[1] and item.high_rpm > speed_rpm[0] else []
 
 
 def _by_unseen(
@@ -294,7 +315,8 @@ def _by_unseen(
             continue
         first = min(float(bound.speed_rpm[0]) for bound in bounds)
         last = max(float(bound.speed_rpm[-1]) for bound in bounds)
-        made += [_Open(a, b, f"{name} was not measured there") for a, b in ((low, first), (last, high)) if b > a]
+        ends = ((low, first), (last, high))
+        made += [_Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + SAME_SPEED)]
         for bound in bounds:
             made += _between(bound, settings.free_amplification, name)
     return made

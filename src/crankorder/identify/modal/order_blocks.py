@@ -66,7 +66,7 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     known = np.isfinite(size) & (error > 0.0) & (freedom >= LEAST_FREEDOM) & (speed > 0.0)
     wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
-    phasor = size * np.exp(1j * np.radians(np.where(known, phase, 0.0)))
+    phasor = size * np.exp(1j * np.radians(np.nan_to_num(phase)))
     told = bool(np.isfinite(phase[known]).all())
     if told and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, phasor, wide)]
