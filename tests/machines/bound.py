@@ -11,7 +11,8 @@ the cross-spectral density, over the length of the whole test. Both share the po
   0.2 % or better;
 * an order is told locked or slipping where 3.92 standard errors of its number are less than its distance to the
   nearest half order (slipping) or than the smallest slip drawn, 0.3 % (locked);
-* a speed is free where it lies outside every dangerous range, widened by 1.96 standard errors of the mode's frequency.
+* a speed is free where it lies outside every dangerous range, widened by 1.96 standard errors of the mode's frequency,
+  and on no flank of a resonance that still makes an order more than three times larger.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 
 from machines.machine import ComplexArray, FloatArray, Machine, Mode, Profile
 from machines.signals import convolved
-from machines.truth import Dangerous
+from machines.truth import Dangerous, on_a_flank
 
 Z95, SMALLEST_SLIP, KNOWN_FREQUENCY = 1.96, 0.003, 0.002
 LARGEST_TURN_RAD = 3.0
@@ -94,6 +95,9 @@ def free_for_the_oracle(
     for item in dangerous:
         spread = Z95 * bound.frequency_hz[item.mode] / item.mode_hz
         free[(rpm >= item.low_rpm * (1.0 - spread)) & (rpm <= item.high_rpm * (1.0 + spread))] = 0.0
+    for number in range(len(machine.orders)):
+        for mode in range(len(machine.modes)):
+            free[on_a_flank(machine, number, mode, rpm)] = 0.0
     return free
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from machines.folder import Take
 from machines.machine import FloatArray, Machine
@@ -34,6 +35,19 @@ def amplification(machine: Machine, number: int, mode: int, rpm: FloatArray) -> 
     whole = np.abs(machine.steady_response(number, rpm)).max(axis=0)
     without = np.abs(machine.steady_response(number, rpm, without=mode)).max(axis=0)
     return np.asarray(whole / np.maximum(without, 1e-12 * whole))
+
+
+def on_a_flank(machine: Machine, number: int, mode: int, rpm: FloatArray) -> NDArray[np.bool_]:
+    """Where, of ``rpm`` (speed,), the resonance with ``mode`` makes order ``number`` more than three times larger.
+
+    Only as far as the mode itself is amplified so much: beyond, it carries the order without resonance.
+    """
+    x = machine.orders[number].order * np.maximum(rpm, 1e-9) / 60.0 / machine.modes[mode].frequency_hz
+    near = (x**2 >= DANGEROUS_FACTOR / (DANGEROUS_FACTOR + 1.0)) & (x**2 <= DANGEROUS_FACTOR / (DANGEROUS_FACTOR - 1.0))
+    over = np.zeros(rpm.size, dtype=np.bool_)
+    if near.any():
+        over[near] = amplification(machine, number, mode, rpm[near]) > DANGEROUS_FACTOR
+    return over
 
 
 def dangerous_near(machine: Machine, number: int, mode: int, low_rpm: float, high_rpm: float) -> Dangerous | None:

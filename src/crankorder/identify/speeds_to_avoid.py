@@ -22,6 +22,7 @@ from crankorder.identify.found import (
     SpeedVerdicts,
     UnseenBound,
 )
+from crankorder.identify.lone_peaks import lone_peaks
 from crankorder.identify.modal.exclusion import MATTERS
 from crankorder.identify.responses import amplitude_at, together, with_and_without
 from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, met_mode
@@ -29,6 +30,9 @@ from crankorder.settings import IdentifySettings
 
 BESIDE = 0.03
 """Share of a speed to avoid, on both sides of it, that is not called free."""
+
+VAGUE = 0.1
+"""Share of the speed of a crossing with an undecided mode over which its interval says nothing of where it is."""
 
 SAME_SPEED = 0.01
 """Share of a speed within which two maps hold the same one."""
@@ -68,7 +72,8 @@ def speeds_to_avoid(
 ) -> SpeedVerdicts:
     """Speeds to avoid, worst first, the free bands of the tested range, and those that are open.
 
-    To be avoided is an excited crossing by which the order may be twice as large. What it costs is its peak amplitude
+    To be avoided is an excited crossing by which the order may be twice as large, and a speed at which an order towers
+    over those beside it without one (:func:`lone_peaks`). What it costs is its peak amplitude
     there (by the fit of the modes where it holds the order, else the largest that was measured near), in each channel
     as a share of the largest amplitude that any order has in that channel, root mean square over the channels. It
     takes its half-power width, ± ζ of the speed, and the interval of its speed; crossings whose ranges overlap are one
@@ -89,6 +94,7 @@ def speeds_to_avoid(
     """
     largest = _largest(orders)
     met = [_cost(item, orders, modal, largest, unit, settings) for item in found if _counts(item)]
+    met += lone_peaks(orders, modal, met, largest=largest, unit=unit, factor=settings.free_amplification)
     avoid = sorted((_joined(group) for group in _overlapping(met)), key=lambda item: (-item.cost, item.rpm))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -104,6 +110,8 @@ def speeds_to_avoid(
 
 def _counts(item: Crossing) -> bool:
     if not (item.excited and item.in_range):
+        return False
+    if item.remark and item.rpm_ci95[1] - item.rpm_ci95[0] > VAGUE * item.rpm:
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
     return max(measured, item.amplification_predicted) >= CLEARLY_EXCITED
@@ -217,7 +225,7 @@ def _by_modes(
         number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
         what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
         known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
-        if not known and item.verdict != "not excited":
+        if (not known and item.verdict != "not excited") or (item.excited and not _counts(item)):
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
             made += _inside(_Open(low, high, f"{what}: {_said(item)}"), speed_rpm)
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}

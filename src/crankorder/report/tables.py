@@ -20,10 +20,14 @@ from crankorder.report.notation import (
     unit_of,
 )
 from crankorder.report.rows import Table, folded, table_of
+from crankorder.report.sentences.of_speeds import all_judged
 from crankorder.report.sentences.story import NOT_ASKED_FOR, energy_sentence
 from crankorder.report.tables_of_sources import balance_table, bearing_table, tone_table
 
 __all__ = ["Table", "table_of", "tables_of"]
+
+NOTHING_RISES = "No order was seen to rise at a natural frequency inside the tested speeds."
+NOTHING_TOLD = "None is known. That is no proof that there is none: the bands below are not free, or nobody knows."
 
 
 def tables_of(findings: dict[str, Any], *, limit: int) -> list[tuple[str, Table]]:
@@ -80,7 +84,7 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     known = findings.get("speeds_to_avoid") is not None
-    empty = "No order was seen to rise at a natural frequency inside the tested speeds." if known else ""
+    empty = (NOTHING_RISES if all_judged(findings) else NOTHING_TOLD) if known else ""
     note = "The worst first." if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
 

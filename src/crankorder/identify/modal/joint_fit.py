@@ -168,7 +168,10 @@ def _with_order_modes(
 ) -> ModalFit:
     """``fit``, whose modes are the poles ``kept``, with those that only orders show, lowest first."""
     parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(extra))]
-    said = [mode_of(pole, part, settings=settings) for pole, part in zip(extra, parts, strict=True)]
+    every = kept
+    for pole in extra:
+        every = every.joined(NO_POLES.with_pole(pole.frequency_hz, pole.damping))
+    said = [mode_of(pole, part, every, settings=settings) for pole, part in zip(extra, parts, strict=True)]
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
     for mode in more:
@@ -179,7 +182,7 @@ def _with_order_modes(
         more.append(mode)
         kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
         parts.append(part)
-    every = (*fit.modes, *more)
+    modes = (*fit.modes, *more)
     rank = np.argsort(kept.frequency_hz, kind="stable")
     at = np.stack([2 * rank, 2 * rank + 1], axis=1).ravel()
     of_own = np.array([[2 * k, 2 * k + 1] for k in own], dtype=np.int64).ravel()
@@ -187,7 +190,7 @@ def _with_order_modes(
     poles = Poles(kept.frequency_hz[rank], kept.damping[rank], kept.tone[rank])
     return replace(
         fit,
-        modes=tuple(every[k] for k in rank.tolist()),
+        modes=tuple(modes[k] for k in rank.tolist()),
         tones=tuple(tone for tone in fit.tones if not any(_is_shown(tone, mode) for mode in more)),
         covariance=_side_by_side(whole)[np.ix_(at, at)],
         responses=responses_of(blocks, poles),

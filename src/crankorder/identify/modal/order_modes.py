@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode, Tone
 from crankorder.identify.modal.order_proof import OrderPole, Proof
+from crankorder.identify.modal.surface_fit import Poles
 from crankorder.settings import IdentifySettings
 
 ROWS_OF_TURN = 5
@@ -23,6 +24,9 @@ KNOWN_ALONE = 0.1
 
 UNCERTAIN = 0.01
 """Standard error of the frequency, as a share of it, beyond which a pole is none for certain."""
+
+WIDER = 2.0
+"""Times its damping from which another mode is much wider."""
 
 Array = NDArray[np.float64]
 
@@ -41,24 +45,32 @@ def proven_by(proof: Proof) -> str:
 
 
 def is_proven(proof: Proof) -> bool:
-    """Whether two orders show the mode, at several speeds, or each alone at one place: one order is evidence.
+    """Whether two orders sweep through the mode, at several speeds, or each alone at one place: one is evidence.
 
     ``proof``: the orders that show it.
     """
-    return len(proof.orders) > 1 and (proof.rows >= ROWS_OF_TWO or proof.located > 1)
+    return proof.passed > 1 and (proof.rows >= ROWS_OF_TWO or proof.located > 1)
 
 
-def mode_of(pole: OrderPole, covariance: Array, *, settings: IdentifySettings) -> Mode | None:
+def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: IdentifySettings) -> Mode | None:
     """Mode of a ``pole`` that only orders show, with its ``covariance`` (2, 2); None where it is a part of the shape.
 
-    ``settings``: the largest damping that a mode may have.
+    ``every``: all poles of the test, this one among them; ``settings``: the largest damping that a mode may have.
     """
     error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
     if not proof.orders or zeta > settings.max_damping_ratio:
         return None
     return Mode(
-        f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, _doubt(pole, error, zeta_error)
+        f,
+        error,
+        zeta,
+        zeta_error,
+        pole.channels,
+        0.0,
+        proven_by(proof),
+        proof.orders,
+        _doubt(pole, error, zeta_error, every),
     )
 
 
@@ -77,14 +89,16 @@ def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySet
     return mode, covariance
 
 
-def _doubt(pole: OrderPole, error: float, zeta_error: float) -> str:
+def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> str:
     """Why a pole that only orders show may be none."""
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
     low, high = proof.span_hz
     said = []
-    if len(proof.orders) == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
-        said.append(f"told by order {proof.orders[0]:g} alone at {proof.most_rows} speeds: its force may peak there")
-    elif len(proof.orders) > 1 and not is_proven(proof):
+    if not proof.passed:
+        said.append("no order passes it: something else beyond what was swept may look the same")
+    elif proof.passed == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
+        said.append(f"passed by one order alone, at {proof.most_rows} speeds: its force may peak there")
+    elif proof.passed > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
     if error > UNCERTAIN * f:
         said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")
@@ -92,4 +106,9 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float) -> str:
         said.append("its damping is not determined")
     if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
         said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
+    apart = np.abs(every.frequency_hz / f - 1.0)
+    within = (apart > 0.0) & (apart < every.damping)
+    wider = every.frequency_hz[within & ((every.damping > WIDER * zeta) | (apart < every.damping / WIDER))]
+    if len(wider):
+        said.append(f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same")
     return "; ".join(said)

@@ -17,6 +17,7 @@ from crankorder.report.notation import (
     unit_of,
 )
 
+_SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
 _TOGETHER_RPM = 30.0  # crossings closer than this share one sentence
 _JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
@@ -52,7 +53,7 @@ def _excites(order: float, mode_hz: float, findings: dict[str, Any]) -> str:
         key=lambda mode: abs(float(mode["frequency_hz"]) - mode_hz),
         default={},
     )
-    if is_undecided(nearest):
+    if is_undecided(nearest) or abs(float(nearest.get("frequency_hz", 0.0)) - mode_hz) > _SAME_MODE * mode_hz:
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
     return f"order {name} excites the {hertz} Hz natural frequency"
 

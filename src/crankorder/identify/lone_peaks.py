@@ -1,0 +1,116 @@
+"""Speeds at which an order towers over the speeds beside, whether or not a natural frequency was found there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.found import AgreedOrder, AvoidedSpeed, ModalFit, OrderLine
+from crankorder.identify.intervals import Z95
+from crankorder.identify.modal.exclusion import MATTERS
+
+AROUND = 0.25
+"""Share of a speed on both sides of it whose speeds are beside it; the nearest one is, however far."""
+
+SAME_ROW = 1e-3
+"""Share of a speed within which the rows of two channels are one."""
+
+Floats = NDArray[np.float64]
+
+
+def lone_peaks(
+    orders: Sequence[AgreedOrder],
+    modal: ModalFit,
+    avoided: Sequence[AvoidedSpeed],
+    *,
+    largest: Mapping[str, float],
+    unit: Mapping[str, str],
+    factor: float,
+) -> list[AvoidedSpeed]:
+    """Speeds to avoid that no crossing accounts for: an order is there ``factor`` times what it is on both sides.
+
+    Of each order and channel the largest amplitude of its neighbourhood, by the lower end of its interval, over the
+    middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same order hold are left out,
+    and what is small beside the ``largest`` amplitude of its channel. The amplitude is the largest there of all
+    channels of the same ``unit``. The natural frequency is that of the ``modal``
+    fit between the neighbouring speeds; where there is none, that at which the order peaks.
+    """
+    made: list[AvoidedSpeed] = []
+    for agreed in orders:
+        peaks = [
+            (line, place, ratio)
+            for line in agreed.lines
+            for place, ratio in _peaks(line, factor)
+            if line.amplitude[place] >= MATTERS * largest.get(line.channel, 0.0)
+        ]
+        for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
+            worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
+            item = replace(
+                _avoided(agreed.order, line, place, ratio, modal, largest), channel=worst[0], amplitude=worst[1]
+            )
+            reach = 1.0 if line.worth is None else 1.0 + AROUND  # a sweep rings behind a resonance
+            if not any(_holds(other, item, reach) for other in (*avoided, *made)):
+                made.append(item)
+    return made
+
+
+def _peaks(line: OrderLine, factor: float) -> list[tuple[int, float]]:
+    """Places of ``line`` that tower over both sides, and how many times."""
+    rank = np.argsort(line.speed_rpm, kind="stable")
+    speed, size = line.speed_rpm[rank], line.amplitude[rank]
+    least = size - Z95 * line.amplitude_error[rank] if line.ends is None else line.ends[rank, 0]
+    found = []
+    for place in range(1, len(rank) - 1):
+        first = min(int(np.searchsorted(speed, speed[place] * (1.0 - AROUND))), place - 1)
+        last = max(int(np.searchsorted(speed, speed[place] * (1.0 + AROUND), side="right")), place + 2)
+        if size[place] < size[first:last].max():
+            continue
+        beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
+        if beside > 0.0 and least[place] >= factor * beside:
+            found.append((int(rank[place]), float(size[place]) / beside))
+    return found
+
+
+def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, float]:
+    """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
+    there = [
+        (line.channel, float(line.amplitude[np.abs(line.speed_rpm - rpm) <= SAME_ROW * rpm].max(initial=0.0)))
+        for line in agreed.lines
+        if unit[line.channel] == unit[shown.channel]
+    ]
+    return max(there, key=lambda one: one[1])
+
+
+def _avoided(
+    order: float, line: OrderLine, place: int, ratio: float, modal: ModalFit, largest: Mapping[str, float]
+) -> AvoidedSpeed:
+    """Speed to avoid around row ``place`` of ``line``, half way to the rows beside."""
+    rpm = float(line.speed_rpm[place])
+    below = float(line.speed_rpm[line.speed_rpm < rpm].max())
+    above = float(line.speed_rpm[line.speed_rpm > rpm].min())
+    hz = order * rpm / 60.0
+    near = [one.frequency_hz for one in modal.modes if below < 60.0 * one.frequency_hz / order < above]
+    mode_hz = min(near, key=lambda one: abs(one - hz), default=hz)
+    size = float(line.amplitude[place])
+    where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
+    return AvoidedSpeed(
+        rpm=rpm,
+        rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
+        orders=(order,),
+        modes_hz=(mode_hz,),
+        channel=line.channel,
+        amplitude=size,
+        amplification=ratio,
+        cost=size / max(largest.get(line.channel, size), size) / np.sqrt(max(1, len(largest))),
+        reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
+    )
+
+
+def _holds(other: AvoidedSpeed, item: AvoidedSpeed, reach: float) -> bool:
+    """Whether ``other`` speaks of the same order between the same speeds, or ``reach`` times beside."""
+    alike = any(abs(one - item.orders[0]) <= 1e-3 * item.orders[0] for one in other.orders)
+    (low, high), (least, most) = item.rpm_range, other.rpm_range
+    return alike and least <= reach * high and low <= reach * most
