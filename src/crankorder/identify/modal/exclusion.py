@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
-from crankorder.identify.modal.order_responses import Block, Projected, with_scatter
+from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, with_scatter
 from crankorder.identify.modal.surface_fit import Poles, Problem
 
 BETWEEN_ROWS = 4
@@ -49,7 +49,8 @@ def least_seen(
     """For each of ``blocks``, how much a mode beside the ``poles`` could amplify its order without being seen.
 
     At speeds between the tested ones a mode is imagined on the order, damped by ``least_damping`` or some times that;
-    its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1). What it
+    its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1); an order
+    of which the poles leave too much says nothing. What it
     adds at its peak, over what is there without it, is the amplification, in the channel that has most of each
     ``unit``. Amplitudes below the noise, or below a small share of the largest of any order, count as so large.
 
@@ -126,7 +127,7 @@ def _bound(
 ) -> UnseenBound:
     block, part = with_scatter(block, poles)
     speed = _asked(block)
-    if part.freedom < len(block.channels) * block.parts:
+    if part.freedom < len(block.channels) * block.parts or block.scatter > MOST_SCATTER:
         return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
     spread = float(np.sqrt(max(1.0, part.chi2 / part.freedom)))
     added = np.zeros((len(block.channels), len(speed)))
