@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.identify.modal.pole_errors import Cell, disagreement
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, curvature
 
 POINTS_PER_BIN = 4
@@ -111,14 +112,14 @@ def _resolved(problem: Problem, fit: SurfaceFit, nodes: Array) -> tuple[Array, A
 def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
     """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), inflated by the mean square residual ``scatter`` (M,) around each.
 
-    The sandwich of the fit's own curvature and the covariance of its score (White 1982).
+    The sandwich of the fit's own curvature and the covariance of its score (White 1982); more where channels of the
+    floor, and orders, disagree about a pole by more than their errors.
     ``problem``: the floors that were fitted.
     """
     free = free_of(fit)
     if not len(free):
         return np.zeros((0, 0))
-    hessian = curvature(fit, free)
-    inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
+    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
     inner = score_covariance(problem, fit)[np.ix_(free, free)]
     for j in fit.jacobian[len(problem.psd) :]:
         # channels may share the noise of an order's amplitude: as if all did
@@ -127,4 +128,7 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
     made[np.ix_(free, free)] = inverse @ inner @ inverse
     scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
     scale *= np.sqrt(np.repeat(scatter, 2))
+    cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
+    known = np.repeat(scatter, 2)[free] * np.maximum(np.diag(made)[free], 1e-300)
+    scale[free] *= disagreement(cells, inverse, known)
     return np.asarray(made * np.outer(scale, scale))
