@@ -174,7 +174,8 @@ class OrderResponse:
     from -1 to 1 in ln s over ``span_rpm``, and h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
     ``covariance`` (terms, terms) is that of the smooth terms and the residues of the modes ``reached``, per real part,
     with ``freedom`` degrees of freedom; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
-    ``recording`` is that of a sweep, "" of a whole test.
+    ``recording`` is that of a sweep, "" of a whole test. ``slopes`` (terms, 2 reached) are the derivatives of the terms
+    by (ln f, ln ζ) of each mode reached, as the data ask for where it moves; None: not known, as if they stayed.
     """
 
     order: float
@@ -191,6 +192,7 @@ class OrderResponse:
     error: float
     fits: bool
     recording: str = ""
+    slopes: NDArray[np.complex128] | None = None
 
 
 @dataclass(frozen=True, eq=False)

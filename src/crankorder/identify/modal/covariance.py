@@ -112,8 +112,7 @@ def _resolved(problem: Problem, fit: SurfaceFit, nodes: Array) -> tuple[Array, A
 def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
     """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), inflated by the mean square residual ``scatter`` (M,) around each.
 
-    The sandwich of the fit's own curvature and the covariance of its score (White 1982); more where channels of the
-    floor, and orders, disagree about a pole by more than their errors.
+    The sandwich of the fit's own curvature and the covariance of its score (White 1982).
     ``problem``: the floors that were fitted.
     """
     free = free_of(fit)
@@ -128,7 +127,22 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
     made[np.ix_(free, free)] = inverse @ inner @ inverse
     scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
     scale *= np.sqrt(np.repeat(scatter, 2))
-    cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
-    known = np.repeat(scatter, 2)[free] * np.maximum(np.diag(made)[free], 1e-300)
-    scale[free] *= disagreement(cells, inverse, known)
     return np.asarray(made * np.outer(scale, scale))
+
+
+def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
+    """Covariance as of :func:`pole_covariance`, more where channels and orders disagree about a pole beyond that.
+
+    ``problem``: the floors that were fitted; ``scatter`` (M,): as there.
+    """
+    made = pole_covariance(problem, fit, scatter=scatter)
+    free = free_of(fit)
+    if not len(free):
+        return made
+    scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
+    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
+    cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
+    known = np.asarray(np.maximum(np.diag(made)[free] / scale[free] ** 2, 1e-300))
+    more = np.ones(len(scale))
+    more[free] = disagreement(cells, inverse, known)
+    return np.asarray(made * np.outer(more, more))

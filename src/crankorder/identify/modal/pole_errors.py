@@ -58,7 +58,7 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         return np.zeros((size, size))
     inverse = np.linalg.pinv(_summed([cell.hessian for cell in orders]), hermitian=True)
     made = inverse @ inner @ inverse
-    known = np.maximum(np.diag(made), 1e-300)
+    known = np.asarray(np.maximum(np.diag(made), 1e-300), dtype=np.float64)
     scale = np.stack([poles.frequency_hz, poles.damping], axis=1).ravel()[own]
     more = np.sqrt(np.maximum(np.diag(inverse @ beside @ inverse) / known, 1.0))
     for cells in (orders, alone):
