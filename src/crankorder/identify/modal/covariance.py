@@ -140,7 +140,7 @@ def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> A
     if not len(free):
         return made
     scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
-    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
+    inverse = np.asarray(np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True), dtype=np.float64)
     cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
     known = np.asarray(np.maximum(np.diag(made)[free] / scale[free] ** 2, 1e-300))
     more = np.ones(len(scale))

@@ -56,7 +56,8 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         beside += spare * _scores_together(scores)
     if not orders:
         return np.zeros((size, size))
-    inverse = np.linalg.pinv(_summed([cell.hessian for cell in orders]), hermitian=True)
+    curved = _summed([cell.hessian for cell in orders])
+    inverse = np.asarray(np.linalg.pinv(curved, hermitian=True), dtype=np.float64)
     made = inverse @ inner @ inverse
     known = np.asarray(np.maximum(np.diag(made), 1e-300), dtype=np.float64)
     scale = np.stack([poles.frequency_hz, poles.damping], axis=1).ravel()[own]
