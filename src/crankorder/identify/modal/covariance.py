@@ -133,7 +133,7 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
 def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
     """Covariance as of :func:`pole_covariance`, more where channels and orders disagree about a pole beyond that.
 
-    ``problem``: the floors that were fitted; ``scatter`` (M,): as there.
+    ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
     """
     made = pole_covariance(problem, fit, scatter=scatter)
     free = free_of(fit)
