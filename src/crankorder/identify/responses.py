@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
 from crankorder.identify.modal.exclusion import NOISE_SHARE
+from crankorder.identify.modal.order_modes import KNOWN
 from crankorder.identify.modal.order_responses import force, resonance_slopes, smooth_shapes
 from crankorder.identify.resonance import resonance
 
@@ -105,6 +106,9 @@ def _error(response: OrderResponse, value: Complex, columns: Complex, by_poles: 
         return np.asarray(np.sqrt(np.maximum(linear, 0.0)))
     scale = np.array([[mode.frequency_hz, mode.damping_ratio] for mode in modes]).ravel()
     spread = modal.covariance[np.ix_(at, at)] / np.outer(scale, scale)
+    # of a pole that is not determined a derivative says nothing: that it is not decided is said elsewhere
+    told = np.repeat(np.diag(spread)[1::2] <= KNOWN**2, 2)
+    spread = np.where(told[:, None] & told, spread, 0.0)
     along = (by_poles * (value.conj() / np.maximum(np.abs(value), 1e-300))[:, None]).real
     poles = np.einsum("gi,ij,gj->g", along, spread, along)
     return np.asarray(np.sqrt(np.maximum(linear, 0.0) + np.maximum(poles, 0.0)))
