@@ -79,13 +79,14 @@ def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
     share = np.array([np.diag(inverse @ cell.hessian @ inverse) for cell in cells])
     share = np.maximum(share, 0.0) / np.maximum(share.sum(axis=0), 1e-300)
     influence -= share * influence.sum(axis=0)
-    squared = np.sum(share**2, axis=0)
+    squared = np.where(share.sum(axis=0) > 0.0, np.sum(share**2, axis=0), 1.0)
     scattered = np.sum(influence**2, axis=0) * np.minimum(1.0 / np.maximum(1.0 - squared, 1e-9), MOST_FOR_FEW)
     excess = np.maximum(scattered - known, 0.0)
     few = np.maximum(1.0 / squared - 1.0, 1.0)
-    freedom = (known + excess) ** 2 * few / np.maximum(excess**2, 1e-300)
-    wider = half_widths(freedom) / Z95
-    return np.asarray(np.where(excess > 0.0, np.sqrt((known + excess) / known) * wider, 1.0))
+    freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
+    return np.asarray(
+        np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(freedom) / Z95, 1.0), dtype=np.float64
+    )
 
 
 def _by_channel(rows: Array, left: Array) -> list[Cell]:
