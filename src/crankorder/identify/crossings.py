@@ -12,7 +12,7 @@ from scipy.special import fdtrc
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict
-from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width
+from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, unmeasured_whirl, whirl_crossing
 from crankorder.settings import IdentifySettings
@@ -90,7 +90,7 @@ def tested_speeds(orders: tuple[AgreedOrder, ...]) -> Floats:
 
 def _unmeasured(order: float, mode: Mode, speed_rpm: tuple[float, float], settings: IdentifySettings) -> Crossing:
     """Crossing of an order that was stated and not seen."""
-    rpm, half = 60.0 * mode.frequency_hz / order, Z95 * mode.frequency_error_hz
+    rpm, half = 60.0 * mode.frequency_hz / order, mode.frequency_half_hz
     inside = in_range(rpm, speed_rpm, settings)
     return Crossing(
         order=order,
@@ -146,7 +146,7 @@ def _crossing(
     freedom = ENDLESS_FREEDOM
     if relative[1] > 0.0 and agreed.degrees_of_freedom > 0.0:
         freedom = min(freedom, agreed.degrees_of_freedom * (error / relative[1]) ** 4)
-    half, mode_half = rpm * error * half_width(freedom), Z95 * mode.frequency_error_hz
+    half, mode_half = rpm * error * half_width(freedom), mode.frequency_half_hz
     inside = in_range(rpm, speed_rpm, settings)
     fitted = [item for item in responses_to(agreed.order, modal) if item.fits]
     trends = [item for item in seen if item.ratio is not None] if inside else []

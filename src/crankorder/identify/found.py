@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.identify.intervals import half_width, ratio_interval
+
 Evidence = Literal[
     "locked to the shaft",
     "steady, not locked",
@@ -94,6 +96,22 @@ class Mode:
     reached_by: tuple[float, ...] = ()
     undecided: str = ""
 
+    @property
+    def frequency_half_hz(self) -> float:
+        """Half width of the 95 % interval of the frequency, Hz.
+
+        A frequency errs by a share of the width of its mode, or of the root of it: where the damping is not known, its
+        error is not. A variance that is known to the share r has 2 / r² degrees of freedom (Satterthwaite 1946).
+        """
+        share = self.damping_error / self.damping_ratio if self.damping_ratio > 0.0 else np.inf
+        return self.frequency_error_hz * half_width(2.0 / max(share, 1e-3) ** 2)
+
+    @property
+    def damping_ends(self) -> tuple[float, float]:
+        """95 % interval of the damping ratio."""
+        low, high = ratio_interval(self.damping_ratio, self.damping_error, most=1.0)
+        return low, high
+
 
 @dataclass(frozen=True, eq=False)
 class Whirl:
@@ -156,7 +174,8 @@ class OrderResponse:
     from -1 to 1 in ln s over ``span_rpm``, and h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
     ``covariance`` (terms, terms) is that of the smooth terms and the residues of the modes ``reached``, per real part,
     with ``freedom`` degrees of freedom; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
-    ``recording`` is that of a sweep, "" of a whole test.
+    ``recording`` is that of a sweep, "" of a whole test. ``slopes`` (terms, 2 reached) are the derivatives of the terms
+    by (ln f, ln ζ) of each mode reached, as the data ask for where it moves; None: not known, as if they stayed.
     """
 
     order: float
@@ -173,6 +192,7 @@ class OrderResponse:
     error: float
     fits: bool
     recording: str = ""
+    slopes: NDArray[np.complex128] | None = None
 
 
 @dataclass(frozen=True, eq=False)

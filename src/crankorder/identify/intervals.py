@@ -15,6 +15,10 @@ ENDLESS_FREEDOM = 1e6
 """Degrees of freedom from which on Student's t is a normal distribution."""
 
 
+MOST_LOGARITHM = 50.0
+"""Logarithm of a factor beyond which nothing is known."""
+
+
 def known_freedom(freedom: float) -> float:
     """Degrees of ``freedom`` of a standard error as Student's t takes them: from 1 to ENDLESS_FREEDOM; NaN is 1."""
     return ENDLESS_FREEDOM if freedom > ENDLESS_FREEDOM else freedom if freedom > 1.0 else 1.0
@@ -46,3 +50,13 @@ def interval(value: float, error: float, *, freedom: float = np.inf) -> list[flo
     """95 % interval of ``value`` with its standard ``error`` of so many degrees of ``freedom``."""
     half = error * half_width(freedom)
     return [value - half, value + half]
+
+
+def ratio_interval(value: float, error: float, *, most: float = np.inf) -> list[float]:
+    """95 % interval of a positive ``value`` with its standard ``error``, even in the logarithm, up to ``most``.
+
+    What is told by a product, as a damping ratio, errs by a factor: its lower end is above 0.
+    """
+    half = Z95 * error / value if value > 0.0 else np.inf
+    factor = float(np.exp(min(half, MOST_LOGARITHM)))
+    return [value / factor, max(min(value * factor, most), value)]

@@ -135,12 +135,12 @@ def mode_records(modal: ModalFit, causes: Causes) -> list[dict[str, Any]]:
 
 
 def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
-    low, high = interval(mode.damping_ratio, mode.damping_error)
+    half = mode.frequency_half_hz
     return {
         "frequency_hz": mode.frequency_hz,
-        "frequency_hz_ci95": interval(mode.frequency_hz, mode.frequency_error_hz),
+        "frequency_hz_ci95": [mode.frequency_hz - half, mode.frequency_hz + half],
         "damping_ratio": mode.damping_ratio,
-        "damping_ratio_ci95": [max(0.0, low), high],
+        "damping_ratio_ci95": list(mode.damping_ends),
         "channels": list(mode.channels),
         "evidence": mode.evidence,
         "prominence_db": mode.prominence_db,
@@ -223,7 +223,10 @@ def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> lis
                 {
                     "channel": channel,
                     "frequency_hz": mode.frequency_hz,
-                    "frequency_hz_ci95": interval(mode.frequency_hz, mode.frequency_error_hz),
+                    "frequency_hz_ci95": [
+                        mode.frequency_hz - mode.frequency_half_hz,
+                        mode.frequency_hz + mode.frequency_half_hz,
+                    ],
                     "explained_by": cause.text,
                     "amplitude": None if rms is None else float(np.sqrt(2.0)) * rms,
                 }

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
 from crankorder.identify.modal.exclusion import NOISE_SHARE
-from crankorder.identify.modal.order_responses import force, smooth_shapes
+from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.modal.order_responses import force, resonance_slopes, smooth_shapes
 from crankorder.identify.resonance import resonance
 
 Floats = NDArray[np.float64]
@@ -71,34 +72,73 @@ def amplitude_at(response: OrderResponse, rpm: float, modal: ModalFit) -> float:
 def held_amplitudes(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Floats, Floats]:
     """Peak amplitude (G,) of ``response`` at ``rpm`` (G,) by the fit ``modal`` if each were held, and its error.
 
-    That is the error of the linear terms and that of the damping of the modes, which a peak goes with.
+    That is the error of the linear terms and that of the poles of the modes, with which the terms move.
     """
     smooth, parts, columns = _parts(response, rpm, modal)
-    linear = np.einsum("gi,ij,gj->g", columns, response.covariance, columns.conj()).real
-    damping = np.array([mode.damping_error / mode.damping_ratio for mode in modal.modes])
-    by_damping = np.square(np.abs(parts) * damping).sum(axis=1)
-    return np.abs(smooth + parts.sum(axis=1)), np.sqrt(np.maximum(linear, 0.0) + by_damping)
+    whole = smooth + parts.sum(axis=1)
+    return np.abs(whole), _error(response, whole, columns, _by_poles(response, rpm, modal, columns), modal)
 
 
 def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: ModalFit) -> WithAndWithout:
     """Amplitude of ``response`` at ``rpm`` (G,) with mode ``number`` of ``modal`` and without it."""
     smooth, parts, columns = _parts(response, rpm, modal)
     whole = smooth + parts.sum(axis=1)
+    without = whole - parts[:, number]
     fewer = columns.copy()
-    place = len(response.smooth) + np.flatnonzero(response.reached == number)
-    fewer[:, place] = 0.0
-    errors = [
-        np.sqrt(np.maximum(np.einsum("gi,ij,gj->g", x, response.covariance, x.conj()).real, 0.0))
-        for x in (columns, fewer)
-    ]
-    without = np.abs(whole - parts[:, number])
-    rows = (np.abs(whole)[None], without[None], errors[0][None], errors[1][None])
+    fewer[:, len(response.smooth) + np.flatnonzero(response.reached == number)] = 0.0
+    errors = (
+        _error(response, whole, columns, _by_poles(response, rpm, modal, columns), modal),
+        _error(response, without, fewer, _by_poles(response, rpm, modal, fewer, but=number), modal),
+    )
+    rows = (np.abs(whole)[None], np.abs(without)[None], errors[0][None], errors[1][None])
     return WithAndWithout(*rows, np.array([NOISE_SHARE * response.error]))
+
+
+def _error(response: OrderResponse, value: Complex, columns: Complex, by_poles: Complex, modal: ModalFit) -> Floats:
+    """Standard error (G,) of the amplitude of ``value`` (G,), which ``columns`` (G, terms) make of the linear terms.
+
+    ``by_poles`` (G, 2 reached) are its derivatives by (ln f, ln ζ) of the modes reached, the terms moving with them.
+    """
+    linear = np.einsum("gi,ij,gj->g", columns, response.covariance, columns.conj()).real
+    modes = [modal.modes[number] for number in response.reached.tolist()]
+    at = np.stack([2 * response.reached, 2 * response.reached + 1], axis=1).ravel()
+    if not len(at) or int(at.max()) >= len(modal.covariance):
+        return np.asarray(np.sqrt(np.maximum(linear, 0.0)))
+    scale = np.array([[mode.frequency_hz, mode.damping_ratio] for mode in modes]).ravel()
+    spread = modal.covariance[np.ix_(at, at)] / np.outer(scale, scale)
+    # of a pole that is not determined a derivative says nothing: that it is not decided is said elsewhere
+    told = np.repeat(np.diag(spread)[1::2] <= KNOWN**2, 2)
+    spread = np.where(told[:, None] & told, spread, 0.0)
+    along = (by_poles * (value.conj() / np.maximum(np.abs(value), 1e-300))[:, None]).real
+    poles = np.einsum("gi,ij,gj->g", along, spread, along)
+    return np.asarray(np.sqrt(np.maximum(linear, 0.0) + np.maximum(poles, 0.0)))
+
+
+def _by_poles(
+    response: OrderResponse, rpm: Floats, modal: ModalFit, columns: Complex, *, but: int | None = None
+) -> Complex:
+    """Derivatives (G, 2 reached) of ``response`` at ``rpm`` by (ln f, ln ζ) of its modes, without mode ``but``."""
+    modes = [modal.modes[number] for number in response.reached.tolist()]
+    natural, damping = (np.array([getattr(mode, name) for mode in modes]) for name in ("frequency_hz", "damping_ratio"))
+    made = np.zeros((len(rpm), 2 * len(modes)), dtype=np.complex128)
+    if not modes:
+        return made
+    grown = _force_of(response, rpm)[:, None]
+    residue = np.where(response.reached == but, 0.0, response.residue[response.reached])
+    for offset, slope in enumerate(resonance_slopes(response.order * rpm / 60.0, natural, damping)):
+        made[:, offset::2] = grown * slope * residue
+    return made if response.slopes is None else made + columns @ response.slopes
+
+
+def _force_of(response: OrderResponse, rpm: Floats) -> Complex:
+    """Force (G,) of ``response`` at ``rpm``."""
+    grown = force(rpm, response.span_rpm, response.reference_rpm, response.exponent, response.law)
+    return np.asarray(grown, dtype=np.complex128)
 
 
 def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Complex, Complex, Complex]:
     """Smooth part (G,), that of each mode (G, M), and the columns (G, terms) behind the linear terms."""
-    grown = force(rpm, response.span_rpm, response.reference_rpm, response.exponent, response.law)[:, None]
+    grown = _force_of(response, rpm)[:, None]
     smooth = grown * smooth_shapes(rpm, response.span_rpm, len(response.smooth) - 1)
     modes = grown * shapes(response.order * rpm / 60.0, modal)
     columns = np.concatenate([smooth, modes[:, response.reached]], axis=1)

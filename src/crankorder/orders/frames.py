@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
+from crankorder.orders.angle_errors import stated_errors
 from crankorder.orders.by_angle import TimeSamples, is_by_angle, time_samples
 from crankorder.orders.method import METHOD_SHARE, FrameLayout, OrderMethod, frame_layout, swept_revs
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
@@ -68,6 +69,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         "tolerance": settings.tolerance,
         "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
+        **stated_errors(shaft, revs_per_frame=float(layout.revs)),
     }
     return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings, course)])
 

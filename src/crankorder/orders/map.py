@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.orders.agreement import Bins, rows
+from crankorder.orders.angle_errors import AngleErrors, errors_of_rows
 from crankorder.orders.between_recordings import BetweenRecordings, between_recordings, ends_between, wider_of
 from crankorder.orders.common_frames import common_frames
 from crankorder.orders.grouped_frames import Frames, all_frames
@@ -107,7 +108,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
     made: Variables = {}
     _put_averages(made, whole, unit)
-    _put_intervals(made, whole, unit, bins, worth)
+    _put_intervals(made, whole, unit, (bins, worth), errors_of_rows(used, every.owner, groups).by_order, order)
     if not one_mark(used):
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = result.assign(made)
@@ -134,12 +135,19 @@ def _put_averages(result: Variables, whole: Average, unit: NDArray[np.float64]) 
 
 
 def _put_intervals(
-    result: Variables, whole: Average, unit: NDArray[np.float64], bins: NDArray[np.int64], worth: NDArray[np.float64]
+    result: Variables,
+    whole: Average,
+    unit: NDArray[np.float64],
+    beside: tuple[NDArray[np.int64], NDArray[np.float64]],
+    angle: AngleErrors,
+    order: NDArray[np.float64],
 ) -> None:
     """Standard error, degrees of freedom and 95 % intervals of ``whole`` (channel, speed, order) into ``result``.
 
-    Where the frames' own scatter says too little the ``bins`` beside are asked too, ``worth`` so many independent ones.
+    Where the frames' own scatter says too little the bins ``beside`` are asked too, worth so many independent ones.
+    ``angle`` (speed, 1) are the errors of the crank angle, which turn and lessen a line at each ``order``.
     """
+    bins, worth = beside
     dims = ("channel", "speed", "order")
     noise, own = np.nan_to_num(whole.noise), whole.own
     few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
@@ -159,11 +167,12 @@ def _put_intervals(
     apart = BetweenRecordings(whole.along, whole.across, whole.recordings, whole.between)
     across, across_dof = wider_of(power, dof, apart.across, apart)
     half = np.fmax(phase_interval_deg(coherent, across, across_dof), np.degrees(whole.turned))
+    half = angle.phase_half_deg(half, order)
     noise_only = noise * whole.bias * power
     low, high = amplitude_interval(coherent, power, dof)
     within, (power, dof) = (power, dof), wider_of(power, dof, apart.along, apart)
     low, high = ends_between((low, high), coherent, within=within, wider=(power, dof))
-    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most)
+    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most) / angle.kept(order)
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
+from crankorder.orders.angle_errors import AngleErrors, errors_along
 from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.track_means import POLES
 from crankorder.orders.vold_kalman.bandwidth import impulse_response
@@ -280,6 +281,14 @@ def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Array, width_hz: A
         ("crank_angle", angle, "rev", "crank angle of the row"),
     ):
         found.coords[name] = ("frame", given, {"units": units, "long_name": said})
+    errors = (
+        errors_along(shaft, time_s, speed / 60.0 / width_hz.max(axis=0)) if not empty else AngleErrors(time_s, time_s)
+    )
+    for name, given, said in (
+        ("angle_scatter", errors.random, "standard error of the crank angle, beside that of its mean"),
+        ("angle_error", errors.mean, "standard error of the crank angle's mean over a reciprocal bandwidth"),
+    ):
+        found.coords[name] = ("frame", given, {"units": "rev", "long_name": said})
     words = {"units": "Hz", "long_name": "bandwidth of the filter, between its half-power points"}
     found.coords["bandwidth_hz"] = (("order", "frame"), width_hz, words)
 

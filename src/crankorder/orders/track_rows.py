@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.scaling import power_of_two
+from crankorder.orders.angle_errors import AngleErrors
 from crankorder.orders.common_frames import common_frames
 from crankorder.orders.intervals import (
     amplitude_interval,
@@ -284,7 +285,7 @@ def _place_in(item: xr.Dataset, order: float) -> int:
 def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     """Rows of the order number ``place`` of ``item`` (-1: nothing is known), its phase as that of ``order``.
 
-    What the filter took of a narrow peak (``smoothing``) is put back, and is part of the error.
+    What the filter took of a narrow peak (``smoothing``) is put back and part of the error, as is the angle's.
     """
     if place < 0:
         return OrderRows.nothing(item.sizes["channel"], item.sizes["frame"])
@@ -294,10 +295,12 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     dof = item["degrees_of_freedom"].values[:, place]
     magnitude, power = np.abs(value), 2.0 * error**2
     low, high = amplitude_interval(magnitude, power, dof)
+    angle = AngleErrors(item["angle_scatter"].values, item["angle_error"].values)
     turned = value * np.exp(
         2j * np.pi * ((float(item["order"].values[place]) - order) * item["crank_angle"].values % 1.0)
     )
     phase, half = np.degrees(np.angle(turned)), phase_interval_deg(magnitude, power, dof)
+    high, half = high / angle.kept(np.asarray(order)), angle.phase_half_deg(half, np.asarray(order))
     if item.attrs["phase_reference"] not in LOCATED:
         phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
     return OrderRows(magnitude, phase, error, dof, low, high, half)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.identify.modal.pole_errors import Cell, disagreement
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, curvature
 
 POINTS_PER_BIN = 4
@@ -117,8 +118,7 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
     free = free_of(fit)
     if not len(free):
         return np.zeros((0, 0))
-    hessian = curvature(fit, free)
-    inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
+    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
     inner = score_covariance(problem, fit)[np.ix_(free, free)]
     for j in fit.jacobian[len(problem.psd) :]:
         # channels may share the noise of an order's amplitude: as if all did
@@ -128,3 +128,21 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
     scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
     scale *= np.sqrt(np.repeat(scatter, 2))
     return np.asarray(made * np.outer(scale, scale))
+
+
+def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
+    """Covariance as of :func:`pole_covariance`, more where channels and orders disagree about a pole beyond that.
+
+    ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
+    """
+    made = pole_covariance(problem, fit, scatter=scatter)
+    free = free_of(fit)
+    if not len(free):
+        return made
+    scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
+    inverse = np.asarray(np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True), dtype=np.float64)
+    cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
+    known = np.asarray(np.maximum(np.diag(made)[free] / scale[free] ** 2, 1e-300))
+    more = np.ones(len(scale))
+    more[free] = disagreement(cells, inverse, known)
+    return np.asarray(made * np.outer(more, more))

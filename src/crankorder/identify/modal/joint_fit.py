@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
 from crankorder.identify.modal.bands import Band, bands_of
-from crankorder.identify.modal.covariance import pole_covariance
+from crankorder.identify.modal.covariance import covariance_of_all, pole_covariance
 from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air, said_wide
 from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
@@ -276,7 +276,7 @@ def _of_band(
     """Modes of a band, its tones, the covariance of the modes and their poles."""
     problem, fit = item.problem, item.fit
     scatter = np.array([dispersion(problem, fit, float(f)) for f in fit.poles.frequency_hz])
-    covariance = pole_covariance(problem, fit, scatter=scatter)
+    covariance = covariance_of_all(problem, fit, scatter=scatter)
     strength = (
         evidence_of(fit) / np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])[:, None]
     )

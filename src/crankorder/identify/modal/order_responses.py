@@ -290,17 +290,18 @@ class Projected:
     @property
     def linear(self) -> Complex:
         """Linear terms (C, terms)."""
-        return np.asarray((self._inverse @ self.along[..., None])[..., 0] / self.scale)
+        return np.asarray((self.solve @ self.along[..., None])[..., 0] / self.scale)
 
     @property
     def covariance(self) -> Complex:
         """Covariance (C, terms, terms) of the linear terms per real part, at the block's scatter."""
-        inverse = self._inverse
+        inverse = self.solve
         outer = self.scale[:, :, None] * self.scale[:, None, :]
         return np.asarray(inverse @ np.swapaxes(inverse, 1, 2).conj() / outer)
 
     @property
-    def _inverse(self) -> Complex:
+    def solve(self) -> Complex:
+        """Inverse (C, terms, terms) of the triangle: it takes what lies along the basis to the scaled linear terms."""
         return np.asarray(np.linalg.pinv(self.triangle, rcond=1e-10))
 
 
@@ -516,6 +517,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
         item, part = with_scatter(block, modes)
         first = item.degree + 1
         linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.freedom, 1))
+        slopes = _terms_by_poles(item, modes, part)
         for number, channel in enumerate(item.channels):
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = linear[number, first:]
@@ -535,6 +537,24 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     item.noise * float(np.median(item.error[number][np.isfinite(item.error[number])])),
                     part.freedom > 0 and item.scatter <= MOST_SCATTER,
                     item.recording,
+                    slopes[number],
                 )
             )
     return tuple(made)
+
+
+def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complex:
+    """Derivatives (C, terms, 2 reached) of the linear terms by (ln f, ln ζ) of each of the ``poles`` reached.
+
+    The terms are those that explain best what was measured, wherever the poles are. ``part``: the block as projected.
+    """
+    reached = part.reached
+    made = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
+    if not len(reached):
+        return made
+    residue = part.linear[:, None, block.degree + 1 :]
+    adjoint = np.swapaxes(part.basis, 1, 2).conj()
+    for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
+        turned = slope[None] * residue * block.weight[..., None]
+        made[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
+    return made

@@ -12,17 +12,16 @@ from crankorder.identify.modal.order_proof import PROOF_CHANCE, OrderPole, Proof
 from crankorder.identify.modal.order_responses import (
     LEAST_SCATTER,
     MOST_DEGREE,
-    MOST_SCATTER,
     Block,
     Blocks,
     Projected,
-    jacobian,
     missed,
     project,
     with_bent_law,
     with_best_law,
     with_scatter,
 )
+from crankorder.identify.modal.pole_errors import order_pole_covariance
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
 MOST_POLES = 12
@@ -176,35 +175,8 @@ def settled(
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
     proofs = tuple(item.proof for item in every[: len(known)])
-    return state.blocks, proofs, tuple(every[len(known) :]), _covariance(state, len(known))
-
-
-def _covariance(state: Fitted, fixed: int) -> Array:
-    """Covariance of the poles after the ``fixed`` ones: curvature, and scores as they are seen to scatter (White 1982).
-
-    Channels are correlated, and so are speeds side by side where the law of a force is not quite that of the fit: the
-    scores of neighbours count together (Newey and West 1987), where that makes more of them.
-    """
-    own = slice(2 * fixed, 2 * len(state.poles))
-    size = own.stop - own.start
-    hessian, inner, beside = (np.zeros((size, size)) for _ in range(3))
-    for block, part in zip(state.blocks, state.projected, strict=True):
-        if block.scatter > MOST_SCATTER or part.freedom < 1:
-            continue
-        rows = jacobian(block, state.poles, part)[:, own]
-        rows = rows.reshape(block.parts, *block.amplitude.shape, size)
-        left = np.stack([part.left.real] if block.power else [part.left.real, part.left.imag])
-        hessian += np.einsum("pcki,pckj->ij", rows, rows)
-        norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
-        alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
-        inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
-        spare = block.parts * int(block.rows.sum()) / part.freedom
-        beside += spare * _scores_together(np.einsum("pcki,pck->ki", rows, left)[np.argsort(block.speed_rpm)])
-    inverse = np.linalg.pinv(hessian, hermitian=True)
-    scale = np.stack([state.poles.frequency_hz, state.poles.damping], axis=1).ravel()[own]
-    by_channels, by_neighbours = (inverse @ middle @ inverse for middle in (inner, beside))
-    more = np.sqrt(np.maximum(np.diag(by_neighbours) / np.maximum(np.diag(by_channels), 1e-300), 1.0))
-    return np.asarray(by_channels * np.outer(scale * more, scale * more))
+    covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
+    return state.blocks, proofs, tuple(every[len(known) :]), covariance
 
 
 def _independent_share(part: Projected) -> float:
@@ -213,16 +185,6 @@ def _independent_share(part: Projected) -> float:
     total = float(np.sum(np.abs(left) ** 2))
     memory = abs(complex(np.sum(left[:, 1:] * left[:, :-1].conj()))) / max(total, 1e-300)
     return float(max((1.0 - memory) / (1.0 + memory), 1.0 / left.shape[1]))
-
-
-def _scores_together(scores: Array) -> Array:
-    """Sum of the products of ``scores`` (K, parameters) with themselves and their neighbours by speed."""
-    reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
-    total = scores.T @ scores
-    for lag in range(1, reach + 1):
-        product = scores[lag:].T @ scores[:-lag]
-        total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
-    return np.asarray(total)
 
 
 @dataclass(frozen=True, eq=False)
