@@ -9,7 +9,6 @@ from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots
 from crankorder.shaft.pulses import FloatArray, Remark
 
-
 NOISE_SIGMAS = 6.0
 """A sample so many standard deviations of the noise below 0 is no standing shaft."""
 
