@@ -274,7 +274,7 @@ def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, record
 
 
 def _from_rest(rpm_per_s: float, rev: float, teeth: int, rate_hz: float) -> np.ndarray:
-    """Times at which ``teeth`` per revolution pass over ``rev`` revolutions of even acceleration, as samples see them."""
+    """Times at which ``teeth`` per revolution pass over ``rev`` revolutions of even acceleration, as sampled."""
     angle = np.arange(0.3 / teeth, rev, 1.0 / teeth)
     return np.ceil(np.sqrt(2.0 * angle * 60.0 / rpm_per_s) * rate_hz) / rate_hz
 
