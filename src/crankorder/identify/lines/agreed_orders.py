@@ -29,6 +29,9 @@ WANDER_RATIO = 10.0
 UNPARTED_CYCLES = 0.75
 """Two lines that a recording does not part beat less than so often on each side of what they seem to be."""
 
+MOST_MODE_TURNS = 4.0
+"""Turns of the phase that modes make over a whole run-up: eight of them, crossed one way."""
+
 MODES_MAY_TURN = "the modes that it crosses may turn its phase as much as a slip would"
 
 Floats = NDArray[np.float64]
@@ -57,7 +60,8 @@ class _Test:
 class _Number:
     """An order with its standard error, degrees of freedom, and by what it was told.
 
-    ``swept`` are the courses of its phase, each with its bin, where nothing but run-ups tells it.
+    ``swept`` are the courses of its phase, each with its bin, where nothing but run-ups tells it; ``parted_rev`` are
+    the revolutions over which it was told from a second line beside it, 0 where there is none.
     """
 
     order: float
@@ -65,10 +69,13 @@ class _Number:
     freedom: float
     by_phase: bool
     swept: tuple[tuple[float, Course | None], ...] = ()
+    parted_rev: float = 0.0
 
     def slips_from(self, multiple: float) -> bool:
         """Whether nothing but a slip makes the phase run away from that of ``multiple``."""
         if not self.swept:
+            return True
+        if abs(self.order - multiple) * self.parted_rev > MOST_MODE_TURNS:
             return True
         return any(course is not None and course.slips_from(multiple - at) for at, course in self.swept)
 
@@ -156,6 +163,9 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     pairs = {k: z.second for k, z in seen.items() if z.second is not None}
     if pairs and 2 * len(pairs) >= len(seen):
         second = _joined([(bin_order + z.offset, z.variance, z.dof) for z in pairs.values()])
+        parted = min(z.span_rev for z in pairs.values())
+        first = replace(first, parted_rev=parted)
+        second = replace(second, swept=first.swept, parted_rev=parted)
         steps = len(test.recordings) > 1 or test.order_map.sizes["speed"] == 1
         wide = _all_channels(group, test) if steps else group
         in_all = _zooms(wide, test, bin_order, mean)

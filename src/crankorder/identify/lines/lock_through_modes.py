@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
-from crankorder.identify.lines.agreed_orders import MODES_MAY_TURN
-from crankorder.identify.lines.order_lock import LEAST_SLIP, lock_of, nearest_multiple, sure_half_width
+from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.speed_proof import proves_speed, speed_source
-from crankorder.identify.lines.swept_phase import LEAST_TURNS
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_responses import Block, smooth_shapes
 
@@ -45,13 +43,11 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class _Left:
-    """Turn per revolution that is left beside that of the modes, its standard error and degrees of freedom, and over
-    how many revolutions it is told."""
+    """Turn per revolution that is left beside that of the modes, its standard error and degrees of freedom."""
 
     turn: float
     error: float
     freedom: float
-    span_rev: float = 0.0
 
 
 def with_locks_through_modes(
@@ -60,14 +56,13 @@ def with_locks_through_modes(
     followed: Sequence[xr.Dataset],
     order_map: xr.Dataset,
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
-    """``orders`` of which some that were undecided are proven locked, or slipping, by the fit ``modal`` of their
-    sweeps, and the fit by their numbers.
+    """``orders`` of which some that were undecided are proven locked by the fit ``modal`` of their sweeps, and the fit
+    by their numbers.
 
     ``followed`` (RecordingTracks) hold them along their sweeps, ``order_map`` says what they may be locked to. The
     slope of the phase over the crank angle is fitted beside all that modes and forces may turn; where the 99.9 %
-    interval of it leaves out a slip of 0.1 % of the order, it is locked; where it leaves out anything less, and the
-    phase runs away by more turns than modes make, it slips. Without pulses the orders must prove the speed first
-    (:func:`proves_speed`).
+    interval of it leaves out a slip of 0.1 % of the order, it is locked. Nothing is called slipping by this. Without
+    pulses the orders must prove the speed first (:func:`proves_speed`).
     """
     sweeps = [item for item in followed if item.attrs.get("swept", 0)]
     source = speed_source([*sweeps, order_map])
@@ -115,23 +110,10 @@ def _measured(
 
 
 def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
-    """``agreed``, which is locked, or slips, where what is ``left`` proves it."""
+    """``agreed``, which is locked where what is ``left`` proves it."""
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
     error, freedom = left.error, left.freedom
     lock = lock_of(multiple + left.turn, error, freedom, revs_per_cycle=cycle, by_phase=True)
-    if lock == "slips":
-        sure = abs(left.turn) - sure_half_width(error, freedom) > LEAST_SLIP * multiple
-        if not sure or abs(left.turn) * left.span_rev < LEAST_TURNS:
-            return agreed
-        return replace(
-            agreed,
-            order=multiple + left.turn,
-            order_error=error,
-            degrees_of_freedom=freedom,
-            lock=lock,
-            needed_revs=None,
-            reservation="; ".join(text for text in agreed.reservation.split("; ") if text != MODES_MAY_TURN),
-        )
     if lock != "locked":
         return agreed
     return replace(
@@ -146,7 +128,7 @@ def _joined(found: Sequence[_Left]) -> _Left:
     mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
     scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
     error, freedom = float(np.sqrt(scatter / information)), min(one.freedom for one in found)
-    return _Left(mean, error, freedom, min(one.span_rev for one in found))
+    return _Left(mean, error, freedom)
 
 
 def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
@@ -168,9 +150,8 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
     left = _solved(_together([_channel_part(block, fits[name], modal, angle) for name in channels]))
     if left is None:
         return None
-    span = float(np.ptp(angle))
-    by_angle = block.order * float(item.attrs.get("crank_angle_error_rev", 0.0)) / span
-    return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)), span_rev=span)
+    by_angle = block.order * float(item.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
+    return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
 
 
 def _angles(block: Block, item: xr.Dataset) -> Array | None:
