@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.agreed_orders import _Number, orders_agreed
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -152,3 +152,9 @@ def test_lines_without_noise_and_recordings_of_unknown_speed_are_told_too() -> N
     lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
     found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
     assert 2.5 in [item.order for item in found]
+
+
+@pytest.mark.parametrize(("turns", "lock"), [(2.5, "undecided"), (12.0, "slips")])
+def test_a_second_line_in_a_sweep_slips_only_by_more_turns_than_modes_make(turns: float, lock: str) -> None:
+    number = _Number(9.5 - turns / 600.0, 1e-5, 1e6, True, swept=((9.5, None),), parted_rev=600.0)
+    assert number.slips_from(9.5) == (lock == "slips")

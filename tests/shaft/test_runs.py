@@ -36,3 +36,12 @@ def test_the_angle_goes_on_rightly_after_a_standstill(teeth, still_s):
     found = angle_at(time_s, both.time_s, both.angle_rev, both.speed_rpm)
     fast = np.abs(angle - turned) > 1.0
     assert np.abs(found - tooth / teeth)[fast].max() < 0.3 / teeth
+
+
+def test_a_stop_after_a_few_pulses_of_one_per_revolution_is_one() -> None:
+    # four pulses slow down into the stop, thirteen speed up out of it, no interval as long as a standing shaft's
+    step = [0.139, 0.181, 0.375, 0.903, 0.184, 0.141, 0.118, 0.104, 0.094, 0.087, 0.081, 0.076, 0.072, 0.068, 0.065]
+    time_s = np.cumsum([0.05, *step, 0.062])
+    parts, flags = running_parts(time_s, pulses_per_rev=1, joined=True)
+    assert [(part.start, part.stop) for part in parts] == [(4, 17)]
+    assert {name for name, _, _ in flags} == {"standstill", "encoder_part_unused"}

@@ -271,3 +271,24 @@ def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, record
     assert "no reference" in detail_of(angle, "no_index")
     reached = angle_of(angle, pulse_s[[0, -1]])
     assert np.diff(reached) == pytest.approx(np.diff(shaft.angle_rev(pulse_s[[0, -1]])), abs=1e-4)
+
+
+def _from_rest(rpm_per_s: float, rev: float, teeth: int, rate_hz: float) -> np.ndarray:
+    """Times at which ``teeth`` per revolution pass over ``rev`` revolutions of even acceleration, as sampled."""
+    angle = np.arange(0.3 / teeth, rev, 1.0 / teeth)
+    return np.ceil(np.sqrt(2.0 * angle * 60.0 / rpm_per_s) * rate_hz) / rate_hz
+
+
+@pytest.mark.parametrize("rpm_per_s", [150.0, 440.0, 900.0])
+def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth(rpm_per_s: float) -> None:
+    time_s = _from_rest(rpm_per_s, 20.0, 60, 8192.0)
+    found = number_teeth(time_s, pulses_per_rev=60, settings=SETTINGS)
+    assert found.n_repaired == 0 and (np.diff(found.tooth) == 1).all()
+
+
+def test_a_wheel_with_a_gap_that_starts_from_rest_finds_its_gap() -> None:
+    time_s = _from_rest(800.0, 12.0, 60, 5000.0)
+    kept = np.arange(len(time_s)) % 60 < 58
+    found = number_teeth(time_s[kept], pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
+    true = np.searchsorted(time_s, found.time_s - 1e-9)
+    assert len(np.unique((true - found.tooth)[10:])) == 1  # of the first few one may be taken for another

@@ -262,7 +262,15 @@ def _dataset(
     found.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
     found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}
+    found.attrs["crank_angle_error_rev"] = _angle_error(shaft)
     return with_flags(found, [*flags_of(shaft), *_flags(found, notes)])
+
+
+def _angle_error(shaft: xr.Dataset) -> float:
+    """Median standard error [rev] of the crank angle of ``shaft``; 0 where it is not known."""
+    error = shaft["standard_error"].values
+    known = error[np.isfinite(error)]
+    return float(np.median(known)) if len(known) else 0.0
 
 
 def _usual_rate(course: SpeedCourse) -> float:

@@ -315,7 +315,7 @@ def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngl
         expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
         order_weights=FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None,
     )
-    return _dataset(recording, trusted_angle(found), "none", 0, [*found.remarks, _NO_PHASE])
+    return _dataset(recording, trusted_angle(found), "none", 0, [*found.remarks, _BY_VIBRATION])
 
 
 def _from_constant(recording: xr.Dataset) -> ShaftAngle:
@@ -340,6 +340,7 @@ def _without_shaft(recording: xr.Dataset) -> AngleKnots:
 
 
 _NO_PHASE: Remark = ("no_index", "suspect", "no encoder pulses: orders yes, but their phase has no reference")
+_BY_VIBRATION: Remark = ("no_index", "suspect", f"{_NO_PHASE[2]}, and the speed is taken from the vibration")
 
 
 def _sampled_by_angle(recording: xr.Dataset) -> AngleKnots:

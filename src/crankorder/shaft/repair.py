@@ -28,8 +28,9 @@ BESIDE = 4
 FEWEST_PULSES, FEWEST_REVS = 6, 2.0
 # Of so few pulses per revolution one interval may hide a standstill: it is longer than both beside it by this factor.
 FEW_PULSES, TURNING_RATIO = 8, 1.5
-# By this factor these intervals grow into a stop and shrink out of it.
+# By this factor these intervals grow into a stop and shrink out of it, over so many at least.
 SLOWED = 1.2
+LEAST_BESIDE = 2
 
 # A repair costs as much as a change of the logarithm of the speed by this; each further tooth lost in a row the second.
 REPAIR_COST, NEXT_LOST_COST = 0.9, 0.15
@@ -124,10 +125,10 @@ def _turning_points(step: FloatArray) -> list[int]:
     """Intervals of a few pulses per revolution that are far longer than those beside, into which the shaft slows."""
     longer = [
         at
-        for at in range(BESIDE, step.size - BESIDE)
+        for at in range(LEAST_BESIDE, step.size - LEAST_BESIDE)
         if step[at] > TURNING_RATIO * max(step[at - 1], step[at + 1]) and _stops_and_starts(step, at)
     ]
-    return [at for at in longer if np.all(np.diff(step[at - BESIDE : at]) > 0.0)]
+    return [at for at in longer if np.all(np.diff(step[max(0, at - BESIDE) : at]) > 0.0)]
 
 
 def _beside(step: FloatArray, at: int) -> tuple[float, float]:
@@ -146,7 +147,7 @@ def _same_count(step: FloatArray, at: int, limit: float) -> bool:
 def _stops_and_starts(step: FloatArray, at: int) -> bool:
     """Whether the shaft slows down into the hole ``at`` and speeds up out of it: symmetric, but no steady running."""
     before, after = step[max(0, at - BESIDE) : at], step[at + 1 : at + 1 + BESIDE]
-    if min(before.size, after.size) < 2:
+    if min(before.size, after.size) < LEAST_BESIDE:
         return False
     return bool(before[-1] > SLOWED * before[0] and after[0] > SLOWED * after[-1])
 

@@ -9,6 +9,9 @@ from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots
 from crankorder.shaft.pulses import FloatArray, Remark
 
+NOISE_SIGMAS = 6.0
+"""A sample so many standard deviations of the noise below 0 is no standing shaft."""
+
 
 def integrated_speed(
     speed_rpm: FloatArray, *, rate_hz: float, settings: ShaftSettings, start_s: float = 0.0
@@ -41,17 +44,21 @@ def integrated_speed(
         flags.append(("speed_gap", "suspect", f"{n_bad} of {speed.size} speed samples are not finite and were bridged"))
         at = np.arange(speed.size)
         speed = np.interp(at, at[finite], speed[finite])
-    n_backward = int(np.sum(speed < 0.0))
+    noise_rpm = _noise(speed)
+    backward = speed < -NOISE_SIGMAS * noise_rpm
+    n_backward = int(backward.sum())
     if n_backward:
         flags.append(
             ("speed_negative", "suspect", f"{n_backward} of {speed.size} speed samples are below 0, taken as 0")
         )
-        speed = np.maximum(speed, 0.0)
+        speed = np.where(backward, 0.0, speed)
     revs_per_s = speed / 60.0
+    # of a shaft that stands, noise adds up to nothing only as long as neither side of it is cut off
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (revs_per_s[1:] + revs_per_s[:-1])) / rate_hz))
     step = 0.5 * settings.speed_lowpass_rev
-    at = np.unique(np.append(np.searchsorted(angle, np.arange(0.0, angle[-1], step)), speed.size - 1))
-    at = at[np.append(True, np.diff(angle[at]) > 0.0)]
+    rising = np.maximum.accumulate(angle)
+    at = np.unique(np.append(np.searchsorted(rising, np.arange(0.0, rising[-1], step)), speed.size - 1))
+    at = at[np.append(True, np.diff(rising[at]) > 0.0)]
     if at.size < 5:
         raise InputError(
             "the shaft does not turn far enough to follow its speed",
@@ -60,9 +67,13 @@ def integrated_speed(
             remedy="Check the unit and source of the speed signal in run.toml",
         )
     time_s = at / rate_hz
-    rate = np.gradient(angle[at], time_s)
-    bend = np.diff(revs_per_s, n=2)
-    noise = float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0
-    error = noise * np.sqrt(np.maximum(at, 1)) / rate_hz
-    knots = AngleKnots(time_s + start_s, angle[at], rate * 60.0, error, 0.5 / settings.speed_lowpass_rev, np.nan)
+    rate = np.gradient(rising[at], time_s)
+    error = noise_rpm / 60.0 * np.sqrt(np.maximum(at, 1)) / rate_hz
+    knots = AngleKnots(time_s + start_s, rising[at], rate * 60.0, error, 0.5 / settings.speed_lowpass_rev, np.nan)
     return knots, flags
+
+
+def _noise(speed_rpm: FloatArray) -> float:
+    """Standard deviation [rpm] of white noise in ``speed_rpm`` (samples,), by how it bends from sample to sample."""
+    bend = np.diff(speed_rpm, n=2)
+    return float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0

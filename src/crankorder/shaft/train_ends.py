@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.shaft.pulses import FloatArray
-from crankorder.shaft.repair import REPAIR_COST, FollowedWheel, IntArray, followed_wheel
+from crankorder.shaft.repair import CLEAN_CHANGE, REPAIR_COST, FollowedWheel, IntArray, followed_wheel
 from crankorder.shaft.uneven import Wheel
 
 # An interval is compared with the median of so many on each side.
@@ -32,11 +32,12 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
     """The uneven ``wheel`` laid on the train of pulses, the pulses that were kept, and their numbers on its grid.
 
     The first interval sets the speed by which all others are judged. Where it hides a lost pulse, it is a bad start:
-    then the train is followed from the first steady pulse too, and the pulses before are counted back from there. The
-    way that costs less is taken. ``time_s``: (pulses,), s.
+    then the train is followed from the first steady pulse too, and the pulses before are counted back from there. So is
+    one that starts from rest, whose first intervals shrink too fast to follow, from where they shrink gently. The way
+    that costs less is taken. ``time_s``: (pulses,), s.
     """
     ways = []
-    for first in {0, _first_steady(time_s) if wheel.mostly_even else 0}:
+    for first in {0, *((_first_steady(time_s), _first_gentle(time_s)) if wheel.mostly_even else ())}:
         followed = followed_wheel(time_s[first:], (wheel.places + wheel.offsets) / wheel.grid, repeats=wheel.repeats)
         turn, place = np.divmod(followed.count, wheel.places.size)
         kept, tooth = followed.kept + first, turn * wheel.grid + wheel.places[place]
@@ -57,6 +58,16 @@ def _first_steady(time_s: FloatArray) -> int:
         near = step[start : start + 1 + LIKE_NEXT]
         like = np.abs(near - np.median(near)) < LIKE_CHANGE * np.median(near)
         if like[0] and like.sum() >= LIKE_NEXT:
+            return start
+    return 0
+
+
+def _first_gentle(time_s: FloatArray) -> int:
+    """Number of the first pulse from which a few intervals change gently from one to the next; 0 where none is near."""
+    step = np.maximum(np.diff(time_s[: LATEST_START + LIKE_NEXT + 2]), 1e-12)
+    gentle = np.abs(np.diff(np.log(step))) < CLEAN_CHANGE
+    for start in range(min(LATEST_START + 1, gentle.size - BESIDE + 1)):
+        if gentle[start : start + BESIDE].all():
             return start
     return 0
 

@@ -150,11 +150,17 @@ def _followed_even(
 
 
 def _steady_start(step: FloatArray, window: int) -> int:
-    """First pulse from which a few neighbouring intervals are alike; -1 where there is none."""
-    alike = np.abs(np.diff(np.log(np.maximum(step, 1e-12)))) < math.log(STEADY_RATIO)
-    length = window + 1
-    runs = np.convolve(alike, np.ones(length), mode="valid") > length - 0.5 if alike.size >= length else np.zeros(0)
-    found = np.flatnonzero(runs)
+    """First pulse from which a few neighbouring intervals are alike, best the first and the last of them too; else -1.
+
+    Of a start from rest the neighbours are alike early, but their mean is not yet the time of the next tooth.
+    """
+    log_step, length = np.log(np.maximum(step, 1e-12)), window + 1
+    alike = np.abs(np.diff(log_step)) < math.log(STEADY_RATIO)
+    if alike.size < length:
+        return -1
+    runs = np.convolve(alike, np.ones(length), mode="valid") > length - 0.5
+    even = runs & (np.abs(log_step[length:] - log_step[:-length]) < math.log(STEADY_RATIO))
+    found = np.flatnonzero(even if even.any() else runs)
     return int(found[0]) if found.size else -1
 
 

@@ -15,22 +15,24 @@ from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
+from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, proves_speed, speed_source
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
-from crankorder.quantities import flags_of
 from crankorder.settings import IdentifySettings
 
 SAME_ORDER = 0.125
 """Lines of different channels that are closer than this are one order of the shaft."""
-
-STATED_SPEED_ERROR = 0.002
-"""Standard error, as a share, of a speed that no pulses tell: a plate's or a motor's whose load is not known."""
 
 WANDER_RATIO = 10.0
 """A line that changes slowly by so many times its fast noise swells and fades: noise does by chance once in 1e6."""
 
 UNPARTED_CYCLES = 0.75
 """Two lines that a recording does not part beat less than so often on each side of what they seem to be."""
+
+MOST_MODE_TURNS = 4.0
+"""Turns of the phase that modes make over a whole run-up: eight of them, crossed one way."""
+
+MODES_MAY_TURN = "the modes that it crosses may turn its phase as much as a slip would"
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +43,8 @@ class _Test:
 
     recordings: list[Recording]
     order_map: xr.Dataset
-    by_pulses: bool
+    speed_is_sure: bool
+    """Whether pulses tell the speed, or the orders themselves prove the one that was stated."""
 
     @property
     def resolution(self) -> float:
@@ -57,7 +60,8 @@ class _Test:
 class _Number:
     """An order with its standard error, degrees of freedom, and by what it was told.
 
-    ``swept`` are the courses of its phase, each with its bin, where nothing but run-ups tells it.
+    ``swept`` are the courses of its phase, each with its bin, where nothing but run-ups tells it; ``parted_rev`` are
+    the revolutions over which it was told from a second line beside it, 0 where there is none.
     """
 
     order: float
@@ -65,12 +69,24 @@ class _Number:
     freedom: float
     by_phase: bool
     swept: tuple[tuple[float, Course | None], ...] = ()
+    parted_rev: float = 0.0
 
     def slips_from(self, multiple: float) -> bool:
         """Whether nothing but a slip makes the phase run away from that of ``multiple``."""
         if not self.swept:
             return True
+        if abs(self.order - multiple) * self.parted_rev > MOST_MODE_TURNS:
+            return True
         return any(course is not None and course.slips_from(multiple - at) for at, course in self.swept)
+
+
+@dataclass(frozen=True)
+class _Unnamed:
+    """An order before it is said whether it is locked: its number, its lines, and what speaks against it."""
+
+    number: _Number
+    lines: list[OrderLine]
+    reservation: str
 
 
 def orders_agreed(
@@ -87,19 +103,19 @@ def orders_agreed(
     reservation says that two may stand there.
 
     Without pulses the crank angle itself comes from a stated speed, a speed signal or the vibration: an order is only
-    as good as that, 0.2 % is added to its standard error, and nothing is called locked.
+    as good as that, 0.2 % is added to its standard error, and nothing is called locked; but where the orders prove a
+    speed that was stated or recorded (:func:`proves_speed`) they are as good as with pulses.
     ``settings``: ``order_match``, the distance below which two found orders may be one.
     """
-    by_pulses = not any(_without_pulses(item) for item in (*frames, order_map))
-    test = _Test(recordings_of(frames), order_map, by_pulses)
-    agreed = [order for group in _groups(lines) for order in _agreed(group, test)]
+    source = speed_source([*frames, order_map])
+    test = _Test(recordings_of(frames), order_map, source == "pulses")
+    found = [one for group in _groups(lines) for one in _agreed(group, test)]
+    if source == "stated":
+        told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
+        test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
+    agreed = [_named(one, test) for one in found]
     agreed.sort(key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
-
-
-def _without_pulses(item: xr.Dataset) -> bool:
-    """Whether the crank angle of ``item`` comes from anything but pulses; a map without a word on it counts as good."""
-    return any(flag["flag"] == "no_index" and "no encoder pulses" in flag["detail"] for flag in flags_of(item))
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
@@ -127,7 +143,7 @@ def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list
     return kept
 
 
-def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
+def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     """The order of ``group``, and the second one beside it where there is one."""
     weights = np.array([1.0 / line.order_error**2 for line in group])
     mean = float(np.average([line.order for line in group], weights=weights))
@@ -140,13 +156,16 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
         by_lobe = replace(by_lobe, swept=((bin_order, None),))
     if not seen:
         two = _may_be_two(group)
-        return [_named(_unparted(by_lobe, test) if two else by_lobe, group, test, SWELLS if two else "")]
+        return [_Unnamed(_unparted(by_lobe, test) if two else by_lobe, group, SWELLS if two else "")]
     first = _joined([(bin_order + z.offset, z.variance, z.dof) for z in seen.values()])
     if all(z.swept for z in seen.values()):
         first = replace(first, swept=tuple((bin_order, z.course) for z in seen.values()))
     pairs = {k: z.second for k, z in seen.items() if z.second is not None}
     if pairs and 2 * len(pairs) >= len(seen):
         second = _joined([(bin_order + z.offset, z.variance, z.dof) for z in pairs.values()])
+        parted = min(z.span_rev for z in pairs.values())
+        first = replace(first, parted_rev=parted)
+        second = replace(second, swept=first.swept, parted_rev=parted)
         steps = len(test.recordings) > 1 or test.order_map.sizes["speed"] == 1
         wide = _all_channels(group, test) if steps else group
         in_all = _zooms(wide, test, bin_order, mean)
@@ -158,13 +177,13 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[AgreedOrder]:
         firsts = _rebuilt(wide, test, seen, first) if steps else group
         seconds = _rebuilt(wide, test, pairs, second)
         text = "two lines within a quarter order, told apart by their beat"
-        return [_named(first, firsts, test, text), _named(second, seconds, test, text)]
+        return [_Unnamed(first, firsts, text), _Unnamed(second, seconds, text)]
     known = [z.wander for z in seen.values() if np.isfinite(z.wander)]
     swells = bool(known) and float(np.median(known)) > WANDER_RATIO
     if not known and _may_be_two(group):
         first, swells = _unparted(first, test), True
     text = SWELLS if swells else ""
-    return [_named(first, group, test, text)]
+    return [_Unnamed(first, group, text)]
 
 
 def _may_be_two(group: list[OrderLine]) -> bool:
@@ -238,20 +257,21 @@ def _between(order: Floats, variance: Floats) -> float:
     return float(brentq(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, xtol=1e-24, rtol=1e-9))
 
 
-def _named(number: _Number, lines: list[OrderLine], test: _Test, reservation: str) -> AgreedOrder:
+def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
+    number, lines = found.number, found.lines
     order, error = number.order, number.error
-    reasons = [reservation] if reservation else []
-    if not test.by_pulses:
+    reasons = [found.reservation] if found.reservation else []
+    if not test.speed_is_sure:
         error = float(np.hypot(error, STATED_SPEED_ERROR * order))
         reasons.append("no encoder pulses: the number is as good as the speed from which the crank angle comes")
-    by_phase = number.by_phase and test.by_pulses
+    by_phase = number.by_phase and test.speed_is_sure
     lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
     needed = None
     multiple = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
     if lock == "slips" and not number.slips_from(multiple):
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.freedom))
-        reasons.append("the modes that it crosses may turn its phase as much as a slip would")
+        reasons.append(MODES_MAY_TURN)
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
@@ -265,7 +285,7 @@ def _named(number: _Number, lines: list[OrderLine], test: _Test, reservation: st
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:
     """Revolutions of one recording after which it is told, from the clearest line at its clearest speed."""
-    if not test.by_pulses:
+    if not test.speed_is_sure:
         return None  # no length of a recording mends a speed that is not known
     frames = test.order_map["n_frames"].values
     revs = float(test.order_map.attrs["revs_per_frame"])

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
+from crankorder.identify.lines.speed_proof import proves_speed, speed_source
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_responses import Block, smooth_shapes
-from crankorder.quantities import flags_of
 
 FORCE_TURN = 0.2
 """Standard deviation [rad] of the first smooth term by which forces and what is far from modes turn the phase …"""
@@ -60,15 +61,24 @@ def with_locks_through_modes(
 
     ``followed`` (RecordingTracks) hold them along their sweeps, ``order_map`` says what they may be locked to. The
     slope of the phase over the crank angle is fitted beside all that modes and forces may turn; where the 99.9 %
-    interval of it leaves out a slip of 0.1 % of the order, it is locked. Nothing is called slipping by this.
+    interval of it leaves out a slip of 0.1 % of the order, it is locked. Nothing is called slipping by this. Without
+    pulses the orders must prove the speed first (:func:`proves_speed`).
     """
-    sweeps = [
-        item
-        for item in followed
-        if item.attrs.get("swept", 0) and not any("no encoder pulses" in flag["detail"] for flag in flags_of(item))
-    ]
+    sweeps = [item for item in followed if item.attrs.get("swept", 0)]
+    source = speed_source([*sweeps, order_map])
+    if not sweeps or source == "vibration":
+        return tuple(orders), modal
     cycle = int(order_map.attrs["revs_per_cycle"])
-    told = tuple(_told(one, modal, sweeps, order_map, cycle) if one.lock == "undecided" else one for one in orders)
+    measured = [_measured(one, modal, sweeps, order_map, cycle) if one.lock == "undecided" else None for one in orders]
+    if source == "stated" and not any(one.lock == "locked" for one in orders):
+        numbers = [
+            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.freedom)
+            for one, left in zip(orders, measured, strict=True)
+            if left is not None
+        ]
+        if not proves_speed(numbers, revs_per_cycle=cycle):
+            return tuple(orders), modal
+    told = tuple(one if left is None else _told(one, left, cycle) for one, left in zip(orders, measured, strict=True))
     moved = {old.order: new.order for old, new in zip(orders, told, strict=True) if old.order != new.order}
     return told, _renumbered(modal, moved) if moved else modal
 
@@ -85,9 +95,10 @@ def _renumbered(modal: ModalFit, moved: Mapping[float, float]) -> ModalFit:
     )
 
 
-def _told(
+def _measured(
     agreed: AgreedOrder, modal: ModalFit, sweeps: Sequence[xr.Dataset], order_map: xr.Dataset, cycle: int
-) -> AgreedOrder:
+) -> _Left | None:
+    """What all ``sweeps`` tell of how ``agreed`` turns from the nearest multiple; None where none tells anything."""
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
     found = [
         left
@@ -95,28 +106,29 @@ def _told(
         for block in blocks_of(order_map, (agreed,), [item])
         if block.recording and (left := _left_of(block, modal, item, multiple)) is not None
     ]
-    if not found:
-        return agreed
-    joined = _joined(found)
-    error, freedom = joined.error, joined.freedom
-    if lock_of(multiple + joined.turn, error, freedom, revs_per_cycle=cycle, by_phase=True) != "locked":
+    return _joined(found) if found else None
+
+
+def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
+    """``agreed``, which is locked where what is ``left`` proves it."""
+    multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
+    error, freedom = left.error, left.freedom
+    lock = lock_of(multiple + left.turn, error, freedom, revs_per_cycle=cycle, by_phase=True)
+    if lock != "locked":
         return agreed
     return replace(
         agreed, order=multiple, order_error=error, degrees_of_freedom=freedom, lock="locked", needed_revs=None
     )
 
 
-def _joined(found: Sequence[_Left], *, shared: float = 1.0) -> _Left:
-    """Mean of what was ``found`` by its errors, widened where they scatter more.
-
-    ``shared``: variance of the mean over that of independent ones.
-    """
+def _joined(found: Sequence[_Left]) -> _Left:
+    """Mean of what was ``found`` in several recordings by its errors, widened where they scatter more."""
     turns: Array = np.array([one.turn for one in found])
     weight: Array = np.array([1.0 / one.error**2 for one in found])
     mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
     scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
-    error = float(np.sqrt(shared * scatter / information))
-    return _Left(mean, error, min(one.freedom for one in found))
+    error, freedom = float(np.sqrt(scatter / information)), min(one.freedom for one in found)
+    return _Left(mean, error, freedom)
 
 
 def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
@@ -127,20 +139,19 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
         if one.fits and one.recording == block.recording and abs(one.order - block.order) <= SAME_ORDER * block.order
     }
     channels = [name for name in block.channels if name in fits]
-    if not channels or not modal.modes:
+    if not channels:
         return None
     angle = _angles(block, item)
     if angle is None:
         return None
     followed = item["order"].values
     off = float(followed[np.abs(followed - block.order).argmin()]) - multiple
-    solved = [_solved(_channel_part(block, fits[name], modal, angle)) for name in channels]
-    told = [one for one in solved if one is not None]
-    if not told:
+    # the channels see one force and the same modes: what turns one turns them all
+    left = _solved(_together([_channel_part(block, fits[name], modal, angle) for name in channels]))
+    if left is None:
         return None
-    # the channels see one force: what turns it turns them all
-    joined = _joined(told, shared=float(len(told)))
-    return replace(joined, turn=joined.turn + off)
+    by_angle = block.order * float(item.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
+    return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
 
 
 def _angles(block: Block, item: xr.Dataset) -> Array | None:
@@ -155,8 +166,8 @@ def _angles(block: Block, item: xr.Dataset) -> Array | None:
 
 @dataclass(frozen=True)
 class _Part:
-    """One channel in standard errors: what is left of what was seen (R,), columns of slip (R,), of turns and poles
-    (R, T), of its own linear terms (R, P), and the rows that say how large these may be."""
+    """One channel, or all, in standard errors: what is left of what was seen (R,), columns of slip (R,), of turns and
+    poles (R, T), of each channel's own linear terms (R, P), and the rows that say how large these may be."""
 
     left: Array
     seen: Array
@@ -237,6 +248,20 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
     )
 
 
+def _together(parts: Sequence[_Part]) -> _Part:
+    """Channels of one block, which share the slip, the turns of the force and the poles."""
+    return replace(
+        parts[0],
+        left=np.concatenate([one.left for one in parts]),
+        seen=np.concatenate([one.seen for one in parts]),
+        slip=np.concatenate([one.slip for one in parts]),
+        shared=np.concatenate([one.shared for one in parts]),
+        own=np.asarray(block_diag(*(one.own for one in parts))),
+        own_prior=np.asarray(block_diag(*(one.own_prior for one in parts))),
+        own_prior_left=np.concatenate([one.own_prior_left for one in parts]),
+    )
+
+
 def _parts(values: Complex) -> Array:
     """Real parts of the rows of ``values``, then the imaginary ones."""
     return np.concatenate([values.real, values.imag])
@@ -259,7 +284,9 @@ def _solved(part: _Part) -> _Left | None:
     bent = np.abs(found[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
     if free < FEWEST_FREE or bent > FAR_TURN or not scale[0] > 0.0:
         return None
-    if float(np.square(left[: len(part.left)]).sum()) > free + MOST_LEFT * float(np.square(part.seen).sum()):
+    beyond = max(0.0, float(np.square(left[: len(part.left)]).sum()) - free) / float(np.square(part.seen).sum())
+    if beyond > MOST_LEFT:
         return None
     worse = max(1.0, float(left @ left) / free)
-    return _Left(float(found[0]), float(np.sqrt(inverse[0, 0] * worse) / scale[0]), float(free))
+    error = np.hypot(np.sqrt(inverse[0, 0] * worse), np.sqrt(beyond) * np.linalg.norm(part.seen) / scale[0])
+    return _Left(float(found[0]), float(error / scale[0]), float(free))
