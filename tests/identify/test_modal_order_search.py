@@ -37,7 +37,10 @@ def _modes(blocks: list[Block]) -> list[Mode]:
     laid, poles = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), chance=chance, most_damping=most)
     _, _, poles, covariance = settled(laid, NO_POLES, poles)
     parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(poles))]
-    found = [mode_of(pole, part, settings=SETTINGS) for pole, part in zip(poles, parts, strict=True)]
+    every = NO_POLES
+    for pole in poles:
+        every = every.with_pole(pole.frequency_hz, pole.damping)
+    found = [mode_of(pole, part, every, settings=SETTINGS) for pole, part in zip(poles, parts, strict=True)]
     return [item for item in found if item is not None]
 
 

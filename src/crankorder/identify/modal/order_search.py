@@ -215,15 +215,8 @@ class Fitted:
     def with_pole(self, start: tuple[float, float]) -> Fitted:
         """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
         more = self.poles.joined(NO_POLES.with_pole(*start))
-        turned = [_turned(block, more, start[0]) for block in self.blocks]
-        return Fitted.of([self._told(block, more) for block in turned], more, self.prior).moved(fixed=len(self.poles))
-
-    @staticmethod
-    def _told(block: Block, poles: Poles) -> Block:
-        """``block`` with its law told anew where the ``poles`` may have hidden it."""
-        if block.scatter <= WELL_LAID or block.passage is not None:
-            return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
-        return with_best_law(block, poles)
+        told = [_told_with(block, more, start[0]) for block in self.blocks]
+        return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
 
     @property
     def misses(self) -> float:
@@ -252,13 +245,18 @@ class Fitted:
         return saved
 
 
-def _turned(block: Block, poles: Poles, frequency_hz: float) -> Block:
-    """``block`` with its signs as they are, or turned at ``frequency_hz``: what the ``poles`` fit better."""
-    inside = block.frequency_hz.min() < frequency_hz < block.frequency_hz.max()
-    if not (block.sign_free and inside):
-        return block
-    both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
-    return min(both, key=lambda pair: missed(*pair))[0]
+def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
+    """``block`` with law and signs told anew where a pole that is new among ``poles``, at ``frequency_hz``, hid them.
+
+    Signs stay as they are, or turn at that frequency: what the poles fit better.
+    """
+    passed = float(block.frequency_hz.min()) < frequency_hz < float(block.frequency_hz.max())
+    if passed and block.sign_free:
+        both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
+        block = min(both, key=lambda pair: missed(*pair))[0]
+    if block.scatter <= WELL_LAID or block.passage is not None or not passed:
+        return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
+    return with_best_law(block, poles)
 
 
 @dataclass(frozen=True, eq=False)
