@@ -61,6 +61,7 @@ from crankorder.shaft.audit import reference_audit
 from crankorder.shaft.decode import encoder_pattern, flags_named, shaft_angle
 from crankorder.shaft.knowledge import ShaftKnowledge
 from crankorder.shaft.line_pattern import LinePattern
+from crankorder.shaft.silent_ends import silent_ends
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
@@ -133,7 +134,8 @@ def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -
         # how well a model fills in what the pulses do not show is told by the angle's own error
         irregularity={} if angle.attrs.get("in_cycle_filled") else None,
     )
-    return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), audit.remarks)))
+    remarks = [*audit.remarks, *silent_ends(recording, angle)]
+    return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
 
 
 @stage

@@ -158,3 +158,22 @@ def test_lines_without_noise_and_recordings_of_unknown_speed_are_told_too() -> N
 def test_a_second_line_in_a_sweep_slips_only_by_more_turns_than_modes_make(turns: float, lock: str) -> None:
     number = _Number(9.5 - turns / 600.0, 1e-5, 1e6, True, swept=((9.5, None),), parted_rev=600.0)
     assert number.slips_from(9.5) == (lock == "slips")
+
+
+@pytest.mark.parametrize(("revs", "noise"), [(18, 0.1), (40, 3.0), (150, 20.0)])
+def test_no_fewer_revolutions_are_asked_for_than_were_recorded(revs: int, noise: float) -> None:
+    for item in agreed(lambda angle, _: wave(angle, 4.0, 3.0), revs=revs, noise=noise):
+        assert item.needed_revs is None or item.needed_revs > revs
+
+
+def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
+    """A run-up of 120 revolutions of which each speed group has few frames."""
+    angle, rng = angle_of(120), np.random.default_rng(2)
+    signal = wave(angle, 4.0, 1.0) + 0.5 * rng.standard_normal(len(angle))
+    count = frames_of([signal]).sizes["frame"]
+    frames = [frames_of([signal], speed_rpm=np.linspace(900.0, 2400.0, count))]
+    made = order_map(frames, settings=SETTINGS.orders)
+    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
+    found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
+    assert found and all(item.needed_revs is None for item in found)
+    assert all(item.lock != "undecided" or "a recording at one speed would tell" in item.reservation for item in found)

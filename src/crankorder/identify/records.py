@@ -11,6 +11,7 @@ from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
+from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
 
@@ -49,7 +50,7 @@ def _order_record(
     said = (
         line.evidence,
         f"{line.level_over_floor_db:.1f} dB over the local floor",
-        agreed.reservation,
+        "; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP or agreed.lock == "undecided"),
         line.reservation,
         line.remark,
     )

@@ -172,10 +172,10 @@ def _put_intervals(
     low, high = amplitude_interval(coherent, power, dof)
     within, (power, dof) = (power, dof), wider_of(power, dof, apart.along, apart)
     low, high = ends_between((low, high), coherent, within=within, wider=(power, dof))
-    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most) / angle.kept(order)
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
+    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most) / angle.kept(order)
     missing = np.isnan(coherent)
     error = np.where(missing, np.nan, np.sqrt(power / 2.0))
     _put(result, "standard_error", dims, unit * error, "standard error of coherent_amplitude")

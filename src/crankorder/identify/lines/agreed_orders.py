@@ -32,7 +32,8 @@ UNPARTED_CYCLES = 0.75
 MOST_MODE_TURNS = 4.0
 """Turns of the phase that modes make over a whole run-up: eight of them, crossed one way."""
 
-MODES_MAY_TURN = "the modes that it crosses may turn its phase as much as a slip would"
+IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
+"""What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
 
 Floats = NDArray[np.float64]
 
@@ -271,7 +272,7 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     if lock == "slips" and not number.slips_from(multiple):
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.freedom))
-        reasons.append(MODES_MAY_TURN)
+        reasons.append(IN_SWEEP)
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
@@ -279,14 +280,21 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         error = max(error, abs(number.order - order) / within)
     elif lock == "undecided":
         needed = _needed_revs(order, lines, test)
+        if needed is None and any(is_swept(item.speed_rpm) for item in test.recordings) and IN_SWEEP not in reasons:
+            reasons.append(IN_SWEEP)
     reasons += sorted({line.reservation for line in lines if line.reservation})
     return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons))
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:
-    """Revolutions of one recording after which it is told, from the clearest line at its clearest speed."""
+    """Revolutions of one recording after which it is told, from the clearest line at its clearest speed.
+
+    None where more of them would not tell: without pulses, in a sweep, and where so many were recorded already.
+    """
     if not test.speed_is_sure:
         return None  # no length of a recording mends a speed that is not known
+    if any(is_swept(item.speed_rpm) for item in test.recordings):
+        return None  # what turns the phase is the modes that are crossed, not the shortness
     frames = test.order_map["n_frames"].values
     revs = float(test.order_map.attrs["revs_per_frame"])
     hop = revs * (1.0 - float(test.order_map.attrs["overlap"]))
@@ -302,7 +310,9 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
     if best is None:
         return None
     span = revs + (float(frames[best[1]]) - 1.0) * hop
-    return revs_to_decide(order, relative_error=best[0], span_rev=span, revs_per_frame=revs)
+    needed = revs_to_decide(order, relative_error=best[0], span_rev=span, revs_per_frame=revs)
+    recorded = max((float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings), default=0.0)
+    return needed if needed > recorded else None
 
 
 def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], number: _Number) -> list[OrderLine]:

@@ -237,8 +237,12 @@ def largest(line: OrderLine) -> Largest:
     usual = half_width(freedom)
     if 0.0 < alone[0] < seen and seen < alone[1] < np.inf:
         # the choice stretches the interval of that speed alone; a factor, so that what is seen stays above 0
-        low = seen * float((alone[0] / seen) ** (-below / usual)) if below < 0.0 else seen
-        high = max(high, alone[1]) if len(others) == 0 or _is_stretched(alone, seen, one * usual) else high
+        held = _is_stretched(alone, seen, one * usual)
+        # what was held within the recordings is no error: the choice stretches only that of the noise
+        by_noise = max(alone[0], seen / (1.0 + usual * one / seen)) if held else alone[0]
+        low = seen * float((by_noise / seen) ** (-below / usual)) if below < 0.0 else seen
+        low = min(low, alone[0]) if held else low
+        high = max(high, alone[1]) if len(others) == 0 or held else high
     return Largest(at, speed, seen, low, high)
 
 

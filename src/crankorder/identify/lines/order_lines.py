@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
 from crankorder.identify.lines.changing import HeldSizes, between_of, ends_of, held_sizes, remark_on
+from crankorder.identify.lines.kept_phase import keeps_its_phase
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
@@ -108,6 +109,8 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
         steady: Evidence = "follows the speed" if _is_swept(search) else "steady, not locked"
         evidence = UNPROVEN if is_unprovable(search.order_map, peak) else steady
+    if evidence is None:
+        evidence = _by_its_phase(search, channel, peak, seen, chance)
     if evidence is None and _swells_slowly(search, channel, peak, seen):
         evidence, reservation = (
             UNPROVEN,
@@ -139,6 +142,31 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.
         if keeps_one_order(lines, false_alarm_probability=chance):
             return True
     return False
+
+
+def _by_its_phase(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> Evidence | None:
+    """What the phase tells of a line whose amplitude changes: whether it keeps that of its bin, or turns evenly."""
+    if not search.recordings or _is_swept(search):
+        return None
+    order_map = search.order_map
+    found = phasors_at(
+        search.recordings,
+        channels=[channel],
+        at=peak,
+        speeds_rpm=search.speed[seen],
+        speed_bin_rpm=0.5 * float(order_map.attrs.get("speed_bin_rpm", 25.0)),
+    )
+    lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found.values()]
+    worth = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
+    for slips in (False, True):
+        if slips and not has_moved(order_map, peak, seen):
+            continue
+        kept = keeps_its_phase(
+            lines, order=float(search.axis[peak]), worth=min(1.0, worth), slips=slips, false_alarm_probability=chance
+        )
+        if kept:
+            return "steady, not locked" if slips else "locked to the shaft"
+    return None
 
 
 def _leaves_noise(line: Zoomed, floor: float) -> bool:

@@ -45,6 +45,9 @@ BY_CHANCE = 0.005
 STEADY_CHANCE = 1e-3
 """Chance that noise of the speeds' averages scatters as little as a line does that is called steady."""
 
+SAME_SIGMAS = 4.0
+"""Standard errors within which two lines on one multiple of the mains are one."""
+
 NEAR_BINS = 2
 """Bins on each side that hold a tone's power in a spectrum seen through a Hann window."""
 
@@ -230,8 +233,10 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
 def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[Tone, ...]:
     """``tones`` with "mains" taken back where lines of two mains frequencies stand side by side: no place has both.
 
+    And with each multiple once: a second line on it is the first one's skirt within both errors, and a tone otherwise.
     ``settings`` name the mains frequencies.
     """
+    tones = _each_multiple_once(tones, settings=settings)
     seen: set[float] = set()
     for tone in tones:
         on = [m for m in settings.mains_hz if _is_multiple(tone.frequency_hz, m, settings)]
@@ -241,6 +246,31 @@ def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[To
         return tuple(tones)
     words = "no damping; a multiple of a mains frequency, but so are others of another one"
     return tuple(replace(tone, kind="tone", evidence=words) if tone.kind == "mains" else tone for tone in tones)
+
+
+def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> list[Tone]:
+    kept: list[Tone] = []
+    first: dict[tuple[float, float], Tone] = {}
+    for tone in sorted(tones, key=lambda one: one.frequency_error_hz):
+        on = [m for m in settings.mains_hz if tone.kind == "mains" and _may_be_multiple(tone, m, settings)]
+        name = (on[0], round(tone.frequency_hz / on[0])) if on else None
+        better = None if name is None else first.get(name)
+        if name is None or better is None:
+            if name is not None:
+                first[name] = tone
+            kept.append(tone)
+            continue
+        error = float(np.hypot(tone.frequency_error_hz, better.frequency_error_hz))
+        if abs(tone.frequency_hz - better.frequency_hz) > SAME_SIGMAS * error:
+            words = f"no damping; beside the mains line of {better.frequency_hz:.6g} Hz, which has one frequency"
+            kept.append(replace(tone, kind="tone", evidence=words))
+    return sorted(kept, key=lambda one: one.frequency_hz)
+
+
+def _may_be_multiple(tone: Tone, mains_hz: float, settings: IdentifySettings) -> bool:
+    """As :func:`_is_multiple`, within the error of the frequency too, as :func:`kind_of` has it."""
+    multiple, reach = nearest_multiple(tone.frequency_hz, mains_hz, settings=settings)
+    return bool(abs(tone.frequency_hz - multiple * mains_hz) <= reach + 2.0 * tone.frequency_error_hz)
 
 
 def _is_multiple(frequency_hz: float, mains_hz: float, settings: IdentifySettings) -> bool:

@@ -91,7 +91,7 @@ def _orders(names: list[str]) -> str:
 
 def lock_sentences(findings: dict[str, Any]) -> list[str]:
     """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
-    slips, open_, longest = [], [], 0.0
+    slips, open_, longest, swept = [], [], 0.0, False
     for _, record in sorted(_strongest(findings).items()):
         name = order_name(record, findings)
         if record.get("lock") == "slips":
@@ -100,6 +100,7 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
             open_.append(name)
             needed = record.get("revs_to_decide")
             longest = max(longest, float(needed)) if is_number(needed) else longest
+            swept = swept or "a recording at one speed would tell" in str(record.get("evidence") or "")
     sentences = []
     if slips:
         verb = "slip" if len(slips) > 1 else "slips"
@@ -108,5 +109,6 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
         which = "they are" if len(open_) > 1 else "it is"
         more = " and more" if len(open_) > _SHOWN else ""
         text = f"{_orders(open_[:_SHOWN])}{more}: whether {which} locked to the shaft cannot be told yet"
-        sentences.append(f"{text}; recordings of {longest:.0f} revolutions would tell." if longest else f"{text}.")
+        would = f"; recordings of {longest:.0f} revolutions would tell" if longest else ""
+        sentences.append(f"{text}; a recording at one held speed would tell." if swept else f"{text}{would}.")
     return sentences
