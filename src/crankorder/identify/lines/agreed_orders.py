@@ -15,7 +15,7 @@ from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, proves_speed, speed_source
+from crankorder.identify.lines.speed_proof import PROVEN_SPEED_ERROR, STATED_SPEED_ERROR, proves_speed, speed_source
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
 from crankorder.settings import IdentifySettings
@@ -46,6 +46,7 @@ class _Test:
     order_map: xr.Dataset
     speed_is_sure: bool
     """Whether pulses tell the speed, or the orders themselves prove the one that was stated."""
+    by_pulses: bool
 
     @property
     def resolution(self) -> float:
@@ -109,7 +110,7 @@ def orders_agreed(
     ``settings``: ``order_match``, the distance below which two found orders may be one.
     """
     source = speed_source([*frames, order_map])
-    test = _Test(recordings_of(frames), order_map, source == "pulses")
+    test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses")
     found = [one for group in _groups(lines) for one in _agreed(group, test)]
     if source == "stated":
         told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
@@ -265,6 +266,8 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     if not test.speed_is_sure:
         error = float(np.hypot(error, STATED_SPEED_ERROR * order))
         reasons.append("no encoder pulses: the number is as good as the speed from which the crank angle comes")
+    elif not test.by_pulses:
+        error = float(np.hypot(error, PROVEN_SPEED_ERROR * order))
     by_phase = number.by_phase and test.speed_is_sure
     lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
     needed = None

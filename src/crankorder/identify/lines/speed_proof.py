@@ -16,6 +16,9 @@ STATED_SPEED_ERROR = 0.002
 """Standard error, as a share, of a speed that no pulses tell: a plate's or a motor's whose load is not known, or that
 of a tachometer's output."""
 
+PROVEN_SPEED_ERROR = 0.05 * LEAST_SLIP
+"""Standard error, as a share, of such a speed that orders have proved: it is read, not counted."""
+
 RIGHT_SPEED = 0.5
 """Share of such speeds, at least, that are right all the same."""
 
