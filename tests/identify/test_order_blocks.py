@@ -26,12 +26,17 @@ def test_orders_with_phases_of_one_mark_are_complex_amplitudes_with_their_errors
 
 
 @pytest.mark.parametrize("attrs", [{"phase_reference": "none"}, {"cycle_known": 0}])
-def test_where_phases_do_not_compare_the_squares_stand_for_them_without_the_power_of_noise(attrs: dict) -> None:
+def test_where_phases_do_not_compare_signs_are_free_or_squares_stand_for_them(attrs: dict) -> None:
     agreed, order_map = orders_and_map(MACHINE, 1)
     blocks = blocks_of(order_map.assign_attrs(order_map.attrs | attrs), agreed)
     for number, block in enumerate(blocks):
         half = block.order % 1.0 != 0.0  # whole orders are told by a mark in whichever turn of the cycle
-        assert block.power == (half or "phase_reference" in attrs)
+        assert block.power == ("phase_reference" in attrs)
+        assert block.sign_free == (half and not block.power)
+        if block.sign_free:
+            turned = block.amplitude / MACHINE.measured(1)[number]
+            assert np.abs(np.abs(turned) - 1.0).max() < 1e-9 and np.abs(turned - turned[:1]).max() < 1e-9
+            assert np.abs(turned.imag).max() < 1e-9
         if block.power:
             truth = np.abs(MACHINE.amplitude(number, MACHINE.speed_rpm)) ** 2
             off = (block.amplitude.real - truth) / np.hypot(block.error, 2.0 * MACHINE.scatter * truth)

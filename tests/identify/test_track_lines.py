@@ -68,7 +68,7 @@ def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) 
 
 def _fit(damping_error: float, *responses: OrderResponse) -> ModalFit:
     mode = Mode(60.0, 0.1, 0.01, damping_error, ("X",), 20.0, "")
-    return ModalFit((mode,), (), np.zeros((2, 2)), responses)
+    return ModalFit((mode,), (), np.diag([0.0, damping_error**2]), responses)
 
 
 def test_a_held_order_reaches_what_its_mode_amplifies() -> None:

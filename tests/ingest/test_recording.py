@@ -254,20 +254,6 @@ def test_a_constant_signal_is_flagged(write, read):
     assert flagged(read(write(acc=np.full(100, 2.5)))) == [("constant_signal", "bad")]
 
 
-TWO_CHANNELS = CHANNEL + CHANNEL.replace("acc", "good").replace('"Z"', '"Y"')
-
-
-@pytest.mark.parametrize("dead", ["constant", "clipped", "missing"])
-def test_a_useless_channel_is_left_out_alone(dead, write, read):
-    tone = np.sin(2 * np.pi * 50 * TIME)
-    spoilt = {"constant": 0.0 * tone, "clipped": np.clip(tone, -0.3, 0.3), "missing": np.nan * tone}[dead]
-    recording = read(write(acc=spoilt, good=tone), TWO_CHANNELS)
-    (found,) = flags_of(recording)
-    assert found["severity"] == "suspect" and "channel Z" in found["detail"] and "are kept" in found["detail"]
-    assert np.isnan(recording["signal"].values[0]).all()
-    np.testing.assert_array_equal(recording["signal"].values[1], tone)
-
-
 def test_a_channel_that_is_also_the_encoder_is_not_spoilt_by_its_unit(write, read):
     trace = turned(1000, 36)
     tables = '[[channels]]\nname = "Z"\nsource = "enc"\nunit = "mV"\n' + ENCODER.replace('index = "idx"\n', "")

@@ -168,7 +168,7 @@ def test_silence_is_no_fault_but_decides_nothing(scene: Scene) -> None:
     for record in silent["orders"]:
         record["lock"] = "undecided"
     seen = wrong(scene, silent)
-    assert {"decided: free", "decided: lock", "decided: mode"} <= seen
+    assert {"decided: lock", "decided: mode"} <= seen
     assert not seen & {"dangerous not free", "lock", "mode found", "mode real"}
 
 

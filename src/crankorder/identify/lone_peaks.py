@@ -32,11 +32,11 @@ def lone_peaks(
 ) -> list[AvoidedSpeed]:
     """Speeds to avoid that no crossing accounts for: an order is there ``factor`` times what it is on both sides.
 
-    Of each order and channel the largest amplitude of its neighbourhood, by the lower end of its interval, over the
-    middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same order hold are left out,
-    and what is small beside the ``largest`` amplitude of its channel. The amplitude is the largest there of all
-    channels of the same ``unit``. The natural frequency is that of the ``modal``
-    fit between the neighbouring speeds; where there is none, that at which the order peaks.
+    Of each channel of each of the ``orders`` the largest amplitude of its neighbourhood, by the lower end of its
+    interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same order
+    hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the largest
+    there of all channels of the same ``unit``. The natural frequency is that of the ``modal`` fit between the
+    neighbouring speeds; where there is none, that at which the order peaks.
     """
     made: list[AvoidedSpeed] = []
     for agreed in orders:

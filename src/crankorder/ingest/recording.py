@@ -44,48 +44,11 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     _check_lengths(raw, manifest, path)
     _add_encoder(recording, raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
-    flags += _mended(signals, raw, manifest, path, settings)
+    for channel, row in zip(manifest.channels, signals, strict=True):
+        flags += mend_signal(row, channel.name, path, settings=settings)  # sentinels are those of the file's own unit
+        _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
     _add_signals(recording, signals, manifest)
     return Recording(with_flags(recording, flags))
-
-
-def _mended(
-    signals: FloatArray, raw: RawFile, manifest: Manifest, path: Path, settings: IngestSettings
-) -> list[QualityFlag]:
-    """Flags of ``signals`` (channel, sample), mended in place and in the channels' units.
-
-    A channel that cannot be used becomes NaN, "suspect", as long as another one can: what is good stays. Where none
-    can, all is "bad", or raised as it was found.
-    """
-    found: list[list[QualityFlag]] = []
-    refused: list[InputError] = []
-    useless: list[int] = []
-    for number, (channel, row) in enumerate(zip(manifest.channels, signals, strict=True)):
-        flags: list[QualityFlag] = []
-        try:
-            # sentinels are those of the file's own unit
-            flags += mend_signal(row, channel.name, path, settings=settings)
-        except InputError as error:
-            refused.append(error)
-            flags.append(flag(path, "missing_samples", "bad", f"{error.problem}: {error.found}"))
-        if any(item["severity"] == "bad" for item in flags):
-            useless.append(number)
-        _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
-        found.append(flags)
-    if len(useless) == len(found):
-        if refused:
-            raise refused[0]
-        return [item for flags in found for item in flags]
-    for number in useless:
-        signals[number] = np.nan
-        found[number] = [_left_out(item) if item["severity"] == "bad" else item for item in found[number]]
-    return [item for flags in found for item in flags]
-
-
-def _left_out(item: QualityFlag) -> QualityFlag:
-    """``item`` of a channel that is left out alone, with the other channels kept."""
-    detail = f"{item['detail']}; this channel of this recording is left out, its others are kept"
-    return QualityFlag(recording=item["recording"], flag=item["flag"], severity="suspect", detail=detail)
 
 
 def _wanted(manifest: Manifest) -> list[Source]:
