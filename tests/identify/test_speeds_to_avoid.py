@@ -58,6 +58,15 @@ def test_the_range_is_the_half_power_width_and_the_interval_and_no_flank_is_free
     assert after[0] == pytest.approx(1500.0 * np.sqrt(3.0 / 2.0), rel=0.01)
 
 
+def test_the_flank_of_a_crossing_outside_the_tested_range_is_not_free():
+    """Order 4 meets 138 Hz at 2070 rpm, beyond 2000: amplified three times from 1793 on."""
+    modes = [mode(138.0, 0.01)]
+    orders = [agreed(4.0, line(4.0, resonant(4.0, SPEEDS_RPM, modes)))]
+    verdicts = judge(orders, fit(*modes, unseen=seen_everything(4.0)))
+    (band,) = ends(verdicts.free)
+    assert band[0] == RANGE[0] and band[1] == pytest.approx(2070.0 * np.sqrt(3.0 / 4.0), rel=0.01)
+
+
 def test_what_costs_most_against_the_loudest_of_its_channel_ranks_first():
     modes = [mode(60.0), mode(100.0)]
     shape = {k: resonant(k, SPEEDS_RPM, modes) for k in (3.0, 4.0)}

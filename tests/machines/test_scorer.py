@@ -169,6 +169,8 @@ def test_silence_is_no_fault_but_decides_nothing(scene: Scene) -> None:
         record["lock"] = "undecided"
     seen = wrong(scene, silent)
     assert {"decided: lock", "decided: mode"} <= seen
+    (free,) = [one for one in judged(*scene, Said(silent, None)) if one.kind == "decided: free"]
+    assert free.good == 0.0 and free.of == pytest.approx(0.098, abs=0.01)  # 1500 to 1559 rpm: the rest is flank
     assert not seen & {"dangerous not free", "lock", "mode found", "mode real"}
 
 

@@ -107,6 +107,11 @@ class Mode:
         return self.frequency_error_hz * half_width(2.0 / max(share, 1e-3) ** 2)
 
     @property
+    def frequency_ends(self) -> tuple[float, float]:
+        """95 % interval of the frequency, Hz."""
+        return self.frequency_hz - self.frequency_half_hz, self.frequency_hz + self.frequency_half_hz
+
+    @property
     def damping_ends(self) -> tuple[float, float]:
         """95 % interval of the damping ratio."""
         low, high = ratio_interval(self.damping_ratio, self.damping_error, most=1.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +47,7 @@ def lone_peaks(
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
-            item = replace(
-                _avoided(agreed.order, line, place, ratio, modal, largest), channel=worst[0], amplitude=worst[1]
-            )
+            item = _avoided(agreed.order, line, place, ratio, modal, worst, largest)
             reach = 1.0 if line.worth is None else 1.0 + AROUND  # a sweep rings behind a resonance
             if not any(_holds(other, item, reach) for other in (*avoided, *made)):
                 made.append(item)
@@ -85,26 +82,32 @@ def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapp
 
 
 def _avoided(
-    order: float, line: OrderLine, place: int, ratio: float, modal: ModalFit, largest: Mapping[str, float]
+    order: float,
+    line: OrderLine,
+    place: int,
+    ratio: float,
+    modal: ModalFit,
+    worst: tuple[str, float],
+    largest: Mapping[str, float],
 ) -> AvoidedSpeed:
-    """Speed to avoid around row ``place`` of ``line``, half way to the rows beside."""
+    """Speed to avoid around row ``place`` of ``line``, half way to the rows beside, ``worst`` in a channel there."""
     rpm = float(line.speed_rpm[place])
     below = float(line.speed_rpm[line.speed_rpm < rpm].max())
     above = float(line.speed_rpm[line.speed_rpm > rpm].min())
     hz = order * rpm / 60.0
     near = [one.frequency_hz for one in modal.modes if below < 60.0 * one.frequency_hz / order < above]
     mode_hz = min(near, key=lambda one: abs(one - hz), default=hz)
-    size = float(line.amplitude[place])
+    channel, size = worst
     where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
     return AvoidedSpeed(
         rpm=rpm,
         rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
         orders=(order,),
         modes_hz=(mode_hz,),
-        channel=line.channel,
+        channel=channel,
         amplitude=size,
         amplification=ratio,
-        cost=size / max(largest.get(line.channel, size), size) / np.sqrt(max(1, len(largest))),
+        cost=size / max(largest.get(channel, size), size) / np.sqrt(max(1, len(largest))),
         reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
     )
 

@@ -11,7 +11,6 @@ from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
-from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
 
@@ -50,7 +49,7 @@ def _order_record(
     said = (
         line.evidence,
         f"{line.level_over_floor_db:.1f} dB over the local floor",
-        "; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP or agreed.lock == "undecided"),
+        agreed.reservation,
         line.reservation,
         line.remark,
     )
@@ -136,10 +135,9 @@ def mode_records(modal: ModalFit, causes: Causes) -> list[dict[str, Any]]:
 
 
 def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
-    half = mode.frequency_half_hz
     return {
         "frequency_hz": mode.frequency_hz,
-        "frequency_hz_ci95": [mode.frequency_hz - half, mode.frequency_hz + half],
+        "frequency_hz_ci95": list(mode.frequency_ends),
         "damping_ratio": mode.damping_ratio,
         "damping_ratio_ci95": list(mode.damping_ends),
         "channels": list(mode.channels),
@@ -224,10 +222,7 @@ def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> lis
                 {
                     "channel": channel,
                     "frequency_hz": mode.frequency_hz,
-                    "frequency_hz_ci95": [
-                        mode.frequency_hz - mode.frequency_half_hz,
-                        mode.frequency_hz + mode.frequency_half_hz,
-                    ],
+                    "frequency_hz_ci95": list(mode.frequency_ends),
                     "explained_by": cause.text,
                     "amplitude": None if rms is None else float(np.sqrt(2.0)) * rms,
                 }

@@ -108,10 +108,15 @@ def speeds_to_avoid(
     return SpeedVerdicts(tuple(avoid), free, rest)
 
 
+def _is_vague(item: Crossing) -> bool:
+    """Whether the natural frequency of ``item`` is undecided, and nobody knows where to stay away."""
+    return bool(item.remark) and item.rpm_ci95[1] - item.rpm_ci95[0] > VAGUE * item.rpm
+
+
 def _counts(item: Crossing) -> bool:
     if not (item.excited and item.in_range):
         return False
-    if item.remark and item.rpm_ci95[1] - item.rpm_ci95[0] > VAGUE * item.rpm:
+    if _is_vague(item):
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
     return max(measured, item.amplification_predicted) >= CLEARLY_EXCITED
@@ -225,7 +230,7 @@ def _by_modes(
         number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
         what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
         known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
-        if (not known and item.verdict != "not excited") or (item.excited and not _counts(item)):
+        if (not known and item.verdict != "not excited") or (item.excited and _is_vague(item)):
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
             made += _inside(_Open(low, high, f"{what}: {_said(item)}"), speed_rpm)
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}

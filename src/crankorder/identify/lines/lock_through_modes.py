@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
+from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.speed_proof import proves_speed, speed_source
 from crankorder.identify.modal.order_blocks import blocks_of
@@ -117,7 +118,13 @@ def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     if lock != "locked":
         return agreed
     return replace(
-        agreed, order=multiple, order_error=error, degrees_of_freedom=freedom, lock="locked", needed_revs=None
+        agreed,
+        order=multiple,
+        order_error=error,
+        degrees_of_freedom=freedom,
+        lock="locked",
+        needed_revs=None,
+        reservation="; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP),
     )
 
 

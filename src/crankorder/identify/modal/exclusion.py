@@ -49,10 +49,10 @@ def least_seen(
     """For each of ``blocks``, how much a mode beside the ``poles`` could amplify its order without being seen.
 
     At speeds between the tested ones a mode is imagined on the order, damped by ``least_damping`` or some times that;
-    its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1); an order
-    of which the poles leave too much says nothing. What it
+    its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1). What it
     adds at its peak, over what is there without it, is the amplification, in the channel that has most of each
-    ``unit``. Amplitudes below the noise, or below a small share of the largest of any order, count as so large.
+    ``unit``. Amplitudes below the noise, or below a small share of the largest of any order, count as so large. An
+    order of which the poles leave too much excludes nothing.
 
     A mode is the structure's: other orders pass it at their own speeds, and what excites the floor does too. It is
     reckoned with that it amplifies one order SELECTIVE times as much as another, or as the floor (``floors``), but no

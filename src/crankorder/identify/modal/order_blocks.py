@@ -78,7 +78,7 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
 
 
 def _is_half(order: float) -> bool:
-    """Whether ``order`` comes back after a cycle of two turns, with the other sign after one of them."""
+    """Whether ``order`` is a multiple of one half: after one turn it is as it was, or has the other sign."""
     return abs(2.0 * order - round(2.0 * order)) < 2.0 * WHOLE
 
 

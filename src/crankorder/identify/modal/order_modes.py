@@ -38,10 +38,13 @@ def proven_by(proof: Proof) -> str:
     """
     if not proof.orders:
         return ""
-    names = ", ".join(f"{order:g}" for order in proof.orders)
-    if len(proof.orders) > 1:
+    names = ", ".join(f"{order:g}" for order in proof.passed)
+    if not names:
+        return f"no order passes it; it shapes orders {', '.join(f'{order:g}' for order in proof.orders)} from afar"
+    if len(proof.passed) > 1:
         return f"orders {names} peak there, each at its own speed, with the phase of a resonance"
-    return f"order {names} has amplitude and phase of a resonance there, at {proof.most_rows} speeds around it"
+    near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
+    return f"order {names} has amplitude and phase of a resonance there, {near}"
 
 
 def is_proven(proof: Proof) -> bool:
@@ -49,7 +52,7 @@ def is_proven(proof: Proof) -> bool:
 
     ``proof``: the orders that show it.
     """
-    return proof.passed > 1 and (proof.rows >= ROWS_OF_TWO or proof.located > 1)
+    return len(proof.passed) > 1 and (proof.rows >= ROWS_OF_TWO or proof.located > 1)
 
 
 def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: IdentifySettings) -> Mode | None:
@@ -96,9 +99,10 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
     said = []
     if not proof.passed:
         said.append("no order passes it: something else beyond what was swept may look the same")
-    elif proof.passed == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
-        said.append(f"passed by one order alone, at {proof.most_rows} speeds: its force may peak there")
-    elif proof.passed > 1 and not is_proven(proof):
+    elif len(proof.passed) == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
+        name = f"{proof.passed[0]:g}"
+        said.append(f"passed by order {name} alone, at {proof.most_rows} speeds: its force may peak there")
+    elif len(proof.passed) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
     if error > UNCERTAIN * f:
         said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")

@@ -35,8 +35,8 @@ class Proof:
 
     ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
     ``span_hz`` the lowest and highest frequency that they reached; ``located`` is how many of them find it at the same
-    place, each alone, within a part of its width, and ``passed`` how many sweep through it: what is told from afar may
-    be another mode.
+    place, each alone, within a part of its width; ``passed`` are those that sweep through it: what is told from afar
+    may be another mode.
     """
 
     orders: tuple[float, ...] = ()
@@ -44,7 +44,7 @@ class Proof:
     rows: int = 0
     span_hz: tuple[float, float] = (0.0, 0.0)
     located: int = 0
-    passed: int = 0
+    passed: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         sum(rows.values()),
         (min(ends), max(ends)),
         located=len(located),
-        passed=len(passed),
+        passed=tuple(sorted(passed)),
     )
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
 

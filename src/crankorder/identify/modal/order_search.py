@@ -282,7 +282,7 @@ class Tried:
 
 
 def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
-    """``state`` with one or two poles more, or None where none is asked for.
+    """``state`` with one or a few poles more, or None where none is asked for.
 
     Where one does not save enough others are tried with it: each may hide in what they leave.
     """
