@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 
 from crankorder.identify.modal.passage import Passage, passage_of
+from crankorder.orders.vold_kalman.filter import vold_kalman
 
 WIDE_HZ = 400.0
 """Bandwidth of a filter that lets through all that a passage changes."""
@@ -22,6 +23,11 @@ def _ramp(
     time = np.linspace(0.0, (high - low) / abs(rate_rpm_s), rows)
     speed = low + abs(rate_rpm_s) * time
     return time, speed if rate_rpm_s > 0.0 else speed[::-1]
+
+
+def _angle(time: NDArray, speed: NDArray) -> NDArray:
+    """Crank angle [rev] of a ramp."""
+    return np.asarray(cumulative_simpson(speed / 60.0, x=time, initial=0.0))
 
 
 def _integrated(
@@ -70,7 +76,8 @@ def test_a_passage_is_what_integration_of_the_equation_gives(rate_rpm_s: float, 
     beside = float(np.clip(3.0 * damping + 4.0 * sweep_hz / natural, 0.05, 0.6))
     time, speed = _ramp(rate, natural, order, beside=beside)
     truth = _integrated(order, time, speed, natural, damping, (speed / speed.max()) ** 2)
-    seen = _seen(passage_of(order, time, speed, np.full(len(time), WIDE_HZ), poles=2), natural, damping)
+    passage = passage_of(order, time, speed, _angle(time, speed), np.full(len(time), WIDE_HZ), poles=2)
+    seen = _seen(passage, natural, damping)
     inside = slice(8, -8)  # the filter's own ends
     case = (rate, order, natural, damping)
     assert np.abs(seen - truth)[inside].max() < 0.02 * np.abs(truth).max(), case
@@ -84,7 +91,7 @@ def test_at_a_vanishing_rate_a_passage_is_the_steady_response(damping: float, di
     # a sweep lags by its rate over the square of the decay rate: a thousandth
     rate = 1e-3 * (damping * 2.0 * np.pi * natural) ** 2 / (2.0 * np.pi) * 60.0 / order
     time, speed = _ramp(direction * rate, natural, order, beside=min(0.3, 15.0 * damping), rows=4000)
-    passage = passage_of(order, time, speed, np.full(len(time), 10.0 * damping * natural), poles=2)
+    passage = passage_of(order, time, speed, _angle(time, speed), np.full(len(time), 10.0 * damping * natural), poles=2)
     x = order * speed / 60.0 / natural
     steady = (speed / speed.max()) ** 2 * -(x**2) / (1.0 - x**2 + 2j * damping * x)
     seen = _seen(passage, natural, damping)
@@ -96,7 +103,9 @@ def test_the_slopes_are_those_of_differences(seed: int) -> None:
     random = np.random.default_rng(seed)
     natural, damping = float(random.uniform(20.0, 80.0)), float(random.uniform(0.003, 0.1))
     time, speed = _ramp(float(random.uniform(50.0, 600.0)), natural, 1.0, rows=200)
-    passage = passage_of(1.0, time, speed, np.full(len(time), float(random.uniform(3.0, 40.0))), poles=2)
+    passage = passage_of(
+        1.0, time, speed, _angle(time, speed), np.full(len(time), float(random.uniform(3.0, 40.0))), poles=2
+    )
     growth = (passage.speed_rpm / 1000.0).astype(complex) ** 2
     _, by_f, by_zeta = passage.response(growth, natural, damping)
     step = 1e-5
@@ -110,7 +119,7 @@ def test_the_slopes_are_those_of_differences(seed: int) -> None:
 
 def test_a_passage_is_linear_in_the_force() -> None:
     time, speed = _ramp(200.0, 40.0, 1.0)
-    passage = passage_of(1.0, time, speed, np.full(len(time), 10.0), poles=2)
+    passage = passage_of(1.0, time, speed, _angle(time, speed), np.full(len(time), 10.0), poles=2)
     random = np.random.default_rng(1)
     one, other = random.standard_normal((2, len(passage.speed_rpm))) * (1.0 + 0.5j)
     both = passage.response(2.0 * one + 3j * other, 40.0, 0.02)[0]
@@ -122,9 +131,42 @@ def test_a_passage_is_linear_in_the_force() -> None:
 def test_the_filter_lets_a_steady_envelope_through_and_halves_the_power_at_its_bandwidth(poles: int) -> None:
     time, speed = np.linspace(0.0, 40.0, 2001), np.linspace(600.0, 1200.0, 2001)
     bandwidth = 2.0
-    passage = passage_of(1.0, time, speed, np.full(len(time), bandwidth), poles=poles)
+    passage = passage_of(1.0, time, speed, _angle(time, speed), np.full(len(time), bandwidth), poles=poles)
     grid = np.arange(len(passage.speed_rpm)) * passage.step_s
     for offset_hz, gain in ((0.0, 1.0), (0.5 * bandwidth, np.sqrt(0.5))):
         through = passage.smoothed(np.exp(2j * np.pi * offset_hz * grid)[:, None])[:, 0]
         expected = gain * np.exp(2j * np.pi * offset_hz * time)
         assert np.abs(through - expected)[500:-500].max() < 0.003
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_a_lower_order_takes_of_a_mode_that_rings_is_what_the_filter_takes(seed: int) -> None:
+    """A real signal of one order alone, integrated, is followed jointly with a lower order that is not there."""
+    random = np.random.default_rng(seed)
+    far = seed >= 4
+    natural = float(random.uniform(60.0, 200.0))
+    damping = float(np.exp(random.uniform(np.log(0.002), np.log(0.006)))) * (0.2 if far else 1.0)
+    upper, apart = float(random.choice([6.0, 8.5])), float(random.choice([1.5, 2.0] if far else [0.5, 1.0]))
+    rate = float(random.uniform(400.0, 900.0))
+    time, speed = _ramp(rate, natural, upper - 0.5 * apart, beside=0.5, rows=int(12.0 * natural))
+    bandwidth_hz = float(0.5 * min(apart, 0.8) * speed[0] / 60.0)
+    force = (speed / speed.max()) ** 2
+    envelope = _integrated(upper, time, speed, natural, damping, force)
+    angle = _angle(time, speed)
+    sampled = 2000.0
+    at = np.arange(0.0, time[-1], 1.0 / sampled)
+    turned = np.interp(at, time, angle)
+    whole = np.interp(at, time, envelope.real) + 1j * np.interp(at, time, envelope.imag)
+    signal = (whole * np.exp(2j * np.pi * upper * turned)).real[None]
+    lower = upper - apart
+    tracks = vold_kalman(
+        signal, np.outer([lower, upper], turned), rate_hz=sampled, bandwidth_hz=np.full((2, 2), bandwidth_hz),
+        poles=2, knots_per_bandwidth=8,    )  # fmt: skip
+    taken = np.interp(time, at, tracks.amplitude[0, 0].real) + 1j * np.interp(time, at, tracks.amplitude[0, 0].imag)
+    width = np.full(len(time), bandwidth_hz)
+    of_lower, of_upper = (passage_of(one, time, speed, angle, width, poles=2) for one in (lower, upper))
+    growth = ((of_upper.speed_rpm / speed.max()) ** 2).astype(complex)
+    foretold = of_lower.taken_from(of_upper, of_upper.left_over(growth, natural, damping), natural)
+    inside = slice(len(time) // 10, -len(time) // 10)
+    assert np.abs(taken[inside]).max() > 0.02 * np.abs(envelope).max()  # there is something to foretell
+    assert np.abs(foretold - taken)[inside].max() < 0.1 * np.abs(taken[inside]).max()

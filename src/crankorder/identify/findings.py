@@ -16,7 +16,7 @@ from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.followed_numbers import numbered_as_followed
+from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
@@ -53,6 +53,7 @@ def find(
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     in_map = numbered_as_followed(_orders_in_map(order_map, frames, settings), followed)
+    in_map = with_followed(in_map, followed, order_map)
     fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
     orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)

@@ -209,11 +209,23 @@ class UnseenBound:
     amplification: NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class HiddenSpeeds:
+    """Speeds ``low_rpm`` to ``high_rpm`` at which the mode ``mode_hz`` rings on from order ``rung_by`` where another
+    order, of which nobody knows, could meet it and would be hidden."""
+
+    low_rpm: float
+    high_rpm: float
+    mode_hz: float
+    rung_by: float
+
+
 @dataclass(frozen=True, eq=False)
 class ModalFit:
     """Modes, lowest first, with the ``covariance`` of (f_1, ζ_1, f_2, ζ_2, …); tones; responses; the floor.
 
-    ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen.
+    ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen, and
+    ``hidden`` at which speeds an order that was not found could meet a mode.
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
@@ -225,6 +237,7 @@ class ModalFit:
     covariance: NDArray[np.float64]
     responses: tuple[OrderResponse, ...] = ()
     unseen: tuple[UnseenBound, ...] = ()
+    hidden: tuple[HiddenSpeeds, ...] = ()
     frequency_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))

@@ -81,7 +81,8 @@ def speeds_to_avoid(
 
     A speed is free only where the data exclude, with ``settings.free_confidence``, that any order that was found is
     amplified by more than ``settings.free_amplification`` times: by a mode that was found, or by one that stands
-    between the tested speeds and was not seen. What is neither free nor to be avoided is open, with the reason.
+    between the tested speeds and was not seen; and where no mode rings on that could hide an order. What is neither
+    free nor to be avoided is open, with the reason.
 
     Parameters
     ----------
@@ -103,6 +104,7 @@ def speeds_to_avoid(
         *_by_avoided(avoid),
         *_by_modes(found, modal, unit, largest, speed_rpm, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
+        *_by_ringing(modal, speed_rpm),
     ]
     free, rest = _split(opened, speed_rpm, settings)
     return SpeedVerdicts(tuple(avoid), free, rest)
@@ -332,6 +334,16 @@ def _by_unseen(
         made += [_Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + SAME_SPEED)]
         for bound in bounds:
             made += _between(bound, settings.free_amplification, name)
+    return made
+
+
+def _by_ringing(modal: ModalFit, speed_rpm: tuple[float, float]) -> list[_Open]:
+    """Speeds at which an order that nobody found would be hidden by a mode that rings on."""
+    made: list[_Open] = []
+    for item in modal.hidden:
+        rings = f"{item.mode_hz:.4g} Hz rings on there from order {item.rung_by:.4g}"
+        why = f"{rings}: another order that met it would be hidden"
+        made += _inside(_Open(item.low_rpm, item.high_rpm, why), speed_rpm)
     return made
 
 

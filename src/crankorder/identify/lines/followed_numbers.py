@@ -1,4 +1,4 @@
-"""Orders of a sweep that its frames know roughly, by the numbers under which they were followed."""
+"""Orders of a sweep that its frames know roughly or not at all, by the numbers under which they were followed."""
 
 from __future__ import annotations
 
@@ -9,12 +9,22 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.order_lock import sure_half_width
+from crankorder.identify.lines.agreed_orders import IN_SWEEP, MOST_MODE_TURNS
+from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 
 SAME_ORDER = 1e-3
 """Share of an order within which a followed one is taken for it anyway."""
+
+CLEAR = 5.0
+"""Standard errors by which a row of a track stands out …"""
+
+CLEAR_ROWS = 6
+"""… and how many rows of a track, each beside two that share its noise, show that there is an order."""
+
+ONLY_FOLLOWED = "seen along the sweep only, where it was followed: no frame of the map holds it for long"
+"""What is said of an order that the map does not show."""
 
 
 def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset]) -> tuple[AgreedOrder, ...]:
@@ -40,3 +50,81 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
             one = replace(one, order=number, order_error=error)
         made.append(one)
     return tuple(sorted(made, key=lambda item: item.order))
+
+
+def with_followed(
+    orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset], order_map: xr.Dataset
+) -> tuple[AgreedOrder, ...]:
+    """``orders`` and, undecided, those multiples of the cycle's that tracks of ``followed`` (RecordingTracks) show.
+
+    A fast sweep lets an order stand out for a moment only, as where it meets a mode: too few speeds of the OrderMap
+    ``order_map`` hold it, but the frames of its recording told that it is worth following.
+    """
+    cycle = int(order_map.attrs["revs_per_cycle"])
+    found = list(orders)
+    axis = order_map["order"].values
+    if len(axis) < 2:
+        return tuple(orders)
+    apart = 0.5 * float(axis[1] - axis[0])
+    for item in followed:
+        if not item.attrs.get("swept", 0) or not item.sizes["frame"]:
+            continue
+        for place, number in enumerate(item["order"].values.tolist()):
+            known = any(abs(one.order - number) <= max(SAME_ORDER * number, apart) for one in found)
+            if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > SAME_ORDER * number:
+                continue
+            clear = _clear_rows(item, place)
+            lines = _lines_along(item, place, clear, order_map)
+            if lines:
+                span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
+                error = min(apart, MOST_MODE_TURNS / span) / half_width(np.inf)
+                found.append(
+                    AgreedOrder(number, error, np.inf, "undecided", None, lines, f"{ONLY_FOLLOWED}; {IN_SWEEP}")
+                )
+    return tuple(sorted(found, key=lambda one: one.order))
+
+
+def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
+    """Rows (channel, frame) in which the order at ``place`` of the tracks ``item`` stands out, of channels that do."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
+    clear = np.nan_to_num(level) > CLEAR
+    return np.asarray(clear & (np.count_nonzero(clear, axis=1) >= CLEAR_ROWS)[:, None])
+
+
+def _lines_along(
+    item: xr.Dataset, place: int, clear: NDArray[np.bool_], order_map: xr.Dataset
+) -> tuple[OrderLine, ...]:
+    """Lines of the order at ``place`` of the tracks ``item``, in rows of the map, of channels where it is ``clear``."""
+    number, axis = float(item["order"].values[place]), order_map["order"].values
+    column = int(np.argmin(np.abs(axis - number)))
+    speeds, names = order_map["speed"].values, order_map["channel"].values.tolist()
+    made = []
+    for name, rows in zip(item["channel"].values.tolist(), clear, strict=True):
+        if not rows.any() or name not in names:
+            continue
+        seen = np.unique(np.abs(speeds[:, None] - item["speed"].values[rows]).argmin(axis=0))
+        amplitude, error, freedom, phase = (
+            order_map[variable].values[names.index(name), seen, column].astype(np.float64)
+            for variable in ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
+        )
+        known = np.isfinite(amplitude) & (error > 0.0)
+        if not known.any():
+            continue
+        level = 20.0 * np.log10(float((amplitude[known] / error[known]).max()))
+        made.append(
+            OrderLine(
+                name,
+                number,
+                0.5 * float(axis[1] - axis[0]),
+                seen[known],
+                speeds[seen[known]],
+                amplitude[known],
+                error[known],
+                freedom[known],
+                phase[known],
+                "follows the speed",
+                level,
+            )
+        )
+    return tuple(made)

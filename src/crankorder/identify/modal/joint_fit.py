@@ -20,6 +20,7 @@ from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, m
 from crankorder.identify.modal.order_proof import OrderPole, Proof
 from crankorder.identify.modal.order_responses import Block, fitting, responses_of
 from crankorder.identify.modal.order_search import orders_raised, poles_of_orders, settled
+from crankorder.identify.modal.ringing import hidden_speeds
 from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
 from crankorder.identify.modal.strong_tones import with_strong_tones
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
@@ -82,6 +83,9 @@ def modal_fit(
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
+    made = replace(
+        made, hidden=hidden_speeds(blocks, made.modes, revs_per_cycle=int(order_map.attrs["revs_per_cycle"]))
+    )
     return with_whirls(made, whirls, campbell["speed"].values)
 
 

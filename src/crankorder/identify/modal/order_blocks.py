@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import SPARE, Block
-from crankorder.identify.modal.passage import passage_of
+from crankorder.identify.modal.passage import Passage, passage_of
 from crankorder.orders.phase_marks import WHOLE, one_mark, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 
@@ -104,9 +104,13 @@ def _block(
     error: Array,
     *,
     power: bool = False,
+    followed: float | None = None,
     **along: Any,
 ) -> Block | None:
-    """Block of the channels that stand out at enough speeds; None where none does."""
+    """Block of the channels that stand out at enough speeds; None where none does.
+
+    ``followed`` is the number under which the order was followed, if not ``order``: it says the frequency.
+    """
     known = np.isfinite(error)
     held = np.where(known, amplitude, 0.0)
     clear = (np.abs(held) > CLEAR * np.where(known, error, np.inf)).any(axis=1)
@@ -118,7 +122,7 @@ def _block(
     return Block(
         order,
         tuple(name for name, is_clear in zip(names, clear.tolist(), strict=True) if is_clear),
-        order * speed[rows] / 60.0,
+        (followed or order) * speed[rows] / 60.0,
         speed[rows],
         np.asarray(held[kept], dtype=np.complex128),
         error[kept],
@@ -137,7 +141,7 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     if not len(found):
         return None
     row = int(found[np.argmin(np.abs(names[found] - agreed.order))])
-    time, speed = (item[name].values.astype(np.float64) for name in ("time", "speed"))
+    time, speed, angle = (item[name].values.astype(np.float64) for name in ("time", "speed", "crank_angle"))
     bandwidth = item["bandwidth_hz"].values[row].astype(np.float64)
     inside = (time - time[0] >= FROM_ENDS / bandwidth[0]) & (time[-1] - time >= FROM_ENDS / bandwidth[-1])
     amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
@@ -146,16 +150,37 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     rows = known.any(axis=0) & _independent(time, bandwidth, poles)
     if np.count_nonzero(rows) < 2 * SPARE:
         return None
-    time, speed, bandwidth = time[rows], speed[rows], bandwidth[rows]
+    number = float(names[row])
+    first = 0.5 / float(item["bandwidth_hz"].values[:, 0].max())
+    passage = _passage(number, np.stack([time, speed, angle, bandwidth]), rows, poles=poles, first_s=first)
     return _block(
         agreed.order,
         [str(name) for name in item["channel"].values],
-        speed,
+        speed[rows],
         np.nan_to_num(amplitude[:, rows]),
         np.where(known, error, np.inf)[:, rows],
-        passage=passage_of(agreed.order, time, speed, bandwidth, poles=poles),
+        followed=number,
+        passage=passage,
         recording=str(item.attrs["recording"]),
     )
+
+
+def _passage(number: float, along: Array, rows: NDArray[np.bool_], *, poles: int, first_s: float) -> Passage:
+    """Passage of order ``number`` with time, speed, angle and bandwidth ``along`` (4, N), of which ``rows`` are read.
+
+    It begins ``first_s`` before the first row, with the recording, as the speed runs there: what the order passed then
+    may ring on.
+    """
+    moving = along[1] > 0.0
+    along, rows = along[:, moving], rows[moving]
+    time, speed, _, _ = along
+    rate = (speed[1] - speed[0]) / (time[1] - time[0])
+    before = along[:, 0].copy()
+    before[0] -= first_s
+    before[1] = max(speed[0] - rate * first_s, 0.5 * speed[0])
+    before[2] -= 0.5 * (before[1] + speed[0]) / 60.0 * first_s
+    whole = np.concatenate([before[:, None], along], axis=1)
+    return passage_of(number, *whole, poles=poles, rows=np.append(False, rows))
 
 
 def _independent(time: Array, bandwidth: Array, poles: int) -> NDArray[np.bool_]:

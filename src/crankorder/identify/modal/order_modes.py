@@ -102,6 +102,9 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
     elif len(proof.passed) == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
         name = f"{proof.passed[0]:g}"
         said.append(f"passed by order {name} alone, at {proof.most_rows} speeds: its force may peak there")
+    elif len(proof.passed) == 1 and proof.rung_by:
+        before = ", ".join(f"{order:g}" for order in proof.rung_by)
+        said.append(f"passed by order {proof.passed[0]:g} alone, while it would still ring from order {before}")
     elif len(proof.passed) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
     if error > UNCERTAIN * f:

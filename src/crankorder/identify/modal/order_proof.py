@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, as_real, jacobian
+from crankorder.identify.modal.ringing import rings_into
 from crankorder.identify.modal.surface_fit import Poles
 
 WITHIN = 4.0
@@ -36,7 +37,7 @@ class Proof:
     ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
     ``span_hz`` the lowest and highest frequency that they reached; ``located`` is how many of them find it at the same
     place, each alone, within a part of its width; ``passed`` are those that sweep through it: what is told from afar
-    may be another mode.
+    may be another mode. ``rung_by`` are other orders that passed it so shortly before one of these that it still rang.
     """
 
     orders: tuple[float, ...] = ()
@@ -45,6 +46,7 @@ class Proof:
     span_hz: tuple[float, float] = (0.0, 0.0)
     located: int = 0
     passed: tuple[float, ...] = ()
+    rung_by: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,11 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     shown: list[str] = []
     located: set[float] = set()
     passed: set[float] = set()
+    rung_by: set[float] = set()
+    beside: dict[str, list[Block]] = {}
+    for block in blocks:
+        if block.passage is not None:
+            beside.setdefault(block.recording, []).append(block)
     for block, part in zip(blocks, projected, strict=True):
         chances = residue_chances(block, part, number)
         if block.scatter > MOST_SCATTER or chances.min() > PROOF_CHANCE:
@@ -74,6 +81,11 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
         if (1.0 - WITHIN * zeta) * block.frequency_hz.min() <= f <= (1.0 + WITHIN * zeta) * block.frequency_hz.max():
             passed.add(block.order)
+            rung_by |= {
+                other.order
+                for other in beside.get(block.recording, ())
+                if other is not block and rings_into(block, other, f, zeta)
+            }
             if _locates(block, part, poles, number):
                 located.add(block.order)
     if not rows:
@@ -85,6 +97,7 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         (min(ends), max(ends)),
         located=len(located),
         passed=tuple(sorted(passed)),
+        rung_by=tuple(sorted(rung_by)),
     )
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
 

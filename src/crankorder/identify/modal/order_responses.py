@@ -71,7 +71,8 @@ class Block:
     swept (None: every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares.
     ``sign_free``: whether a row may as well have the other sign, for nothing says which turn of a cycle comes first.
     ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials
-    run, where they are not those of the rows. ``made`` keeps the columns along a sweep that were made last.
+    run, where they are not those of the rows. ``measured`` are amplitude and error before what other orders leave was
+    taken from them. ``made`` keeps the columns along a sweep that were made last, ``rung`` what they leave in others.
     """
 
     order: float
@@ -91,7 +92,9 @@ class Block:
     sign_free: bool = False
     recording: str = ""
     law_span_rpm: tuple[float, float] | None = None
+    measured: tuple[Complex, Array] | None = None
     made: dict[tuple[object, ...], tuple[Complex, Complex, Complex]] = field(default_factory=dict, repr=False)
+    rung: dict[tuple[object, ...], Complex] = field(default_factory=dict, repr=False)
 
     @cached_property
     def span_rpm(self) -> tuple[float, float]:
@@ -149,7 +152,8 @@ class Block:
     def of(self, channels: NDArray[np.int64]) -> Block:
         """The block of some ``channels`` (numbers) alone."""
         names = tuple(self.channels[number] for number in channels.tolist())
-        return replace(self, channels=names, amplitude=self.amplitude[channels], error=self.error[channels])
+        amplitude, error = self.amplitude[channels], self.error[channels]
+        return replace(self, channels=names, amplitude=amplitude, error=error, measured=None)
 
     def reached(self, poles: Poles) -> NDArray[np.int64]:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""

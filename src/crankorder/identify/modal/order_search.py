@@ -22,6 +22,7 @@ from crankorder.identify.modal.order_responses import (
     with_scatter,
 )
 from crankorder.identify.modal.pole_errors import order_pole_covariance
+from crankorder.identify.modal.ringing import without_ringing
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
 MOST_POLES = 12
@@ -89,6 +90,9 @@ SETTLED = 0.05
 
 MODEL_SHARE = 0.1
 """Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
+
+SIDE_BY_SIDE = 0.03
+"""Share of a frequency within which the next pole is a neighbour."""
 
 STEPS = 12
 """Steps of a fit at most."""
@@ -200,6 +204,8 @@ class Fitted:
     def of(cls, blocks: Sequence[Block], poles: Poles, prior: Prior) -> Fitted:
         """State of ``blocks`` behind ``poles`` with their ``prior``."""
         pairs = [with_scatter(block, poles) for block in blocks]
+        left = without_ringing([block for block, _ in pairs], [part for _, part in pairs], poles)
+        pairs = [pair if one is pair[0] else with_scatter(one, poles) for one, pair in zip(left, pairs, strict=True)]
         return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), poles, prior)
 
     def moved(self, *, fixed: int = 0) -> Fitted:
@@ -221,14 +227,28 @@ class Fitted:
     @property
     def misses(self) -> float:
         """Largest share of an order's amplitude that the poles leave of any row, far over its noise."""
-        worst = 0.0
+        return max((float(share.max()) for share in self._left_shares()), default=0.0)
+
+    def accounts_for(self, less: Fitted) -> float:
+        """Largest share of an order's amplitude, at any row, that the poles account for beyond those of ``less``."""
+        pairs = zip(less._left_shares(), self._left_shares(clear=False), strict=True)
+        return max((float((before - after).max()) for before, after in pairs), default=0.0)
+
+    def _left_shares(self, *, clear: bool = True) -> list[Array]:
+        """What is left of each row (C, K) of each block as a share of the amplitude; 0 where that is small.
+
+        And, of what must be ``clear``, where noise may have made it.
+        """
+        made = []
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             size = np.sqrt(block.size) if block.power else block.size
-            share = np.where(left > CLEARLY * block.noise * block.error, left / np.maximum(block.size, 1e-300), 0.0)
-            share *= 0.5 if block.power else 1.0
-            worst = max(worst, float(np.max(np.where(size > MATTERS * size.max(), share, 0.0))))
-        return worst
+            share = left / np.maximum(block.size, 1e-300) * (0.5 if block.power else 1.0)
+            counts = size > MATTERS * size.max()
+            if clear:
+                counts &= left > CLEARLY * block.noise * block.error
+            made.append(np.where(counts, share, 0.0))
+        return made
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -294,7 +314,7 @@ def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) ->
         if trial is None:
             return None
         more = trial
-        if more.saves(state) > _limit(more.blocks, chance, number):
+        if more.saves(state) > _limit(more.blocks, chance, number) and more.accounts_for(state) > FELT:
             return more
     return None
 
@@ -468,21 +488,34 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
 def _pruned(state: Fitted, *, chance: float) -> Fitted:
     """Without the poles that the others have made idle; those with a prior stay.
 
-    One within the width of another is idle too if that one and the laws of the forces can make up for it.
+    One within the width of another is idle too if that one and the laws of the forces can make up for it, and so are
+    neighbours that account for little together: each may be large and make up for the others.
     """
-    number = len(state.prior.place)
+    first = number = len(state.prior.place)
+    for group in _neighbours(state.poles, first):
+        poles = state.poles.chosen(~np.isin(np.arange(len(state.poles)), group))
+        rest = Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
+        if state.accounts_for(rest) <= FELT:
+            return _pruned(rest, chance=chance)
     while number < len(state.poles):
         rest = state.poles.without(number)
         fewer = Fitted.of(state.blocks, rest, state.prior)
-        needed = state.saves(fewer) > _limit(state.blocks, chance) and fewer.misses > FELT
+        needed = state.saves(fewer) > _limit(state.blocks, chance) and state.accounts_for(fewer) > FELT
         if needed and _is_beside(state.poles, number):
             fewer = Fitted.of([with_best_law(block, rest) for block in state.blocks], rest, state.prior).moved()
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
         else:
-            state, number = fewer, len(state.prior.place)
+            state, number = fewer, first
     return state
+
+
+def _neighbours(poles: Poles, first: int) -> list[NDArray[np.int64]]:
+    """Numbers of the ``poles`` from ``first`` on that lie side by side, two or more."""
+    rank = first + np.argsort(poles.frequency_hz[first:], kind="stable")
+    gaps = np.flatnonzero(np.diff(np.log(poles.frequency_hz[rank])) > SIDE_BY_SIDE) + 1
+    return [group for group in np.split(rank, gaps) if len(group) > 1]
 
 
 def _is_beside(poles: Poles, number: int) -> bool:

@@ -22,6 +22,9 @@ STEPS_PER_BANDWIDTH = 6.0
 MOST_STEPS = 200_000
 """Steps of the grid at most."""
 
+NEAR_ENOUGH, FARTHEST = 0.25, 0.45
+"""Cycles in a step of the grid up to which an envelope is told by it, and beyond which it is another one's alias."""
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
@@ -30,14 +33,16 @@ Complex = NDArray[np.complexfloating]
 class Passage:
     """How one order passed through the frequencies of one recording, and by what filter it was followed.
 
-    ``step_s`` is that of an even grid of times, on which ``frequency_hz`` and ``speed_rpm`` (T,) are those of the order
-    and of the shaft; ``place`` (K,) says at which step of it each row stands; ``bandwidth_hz`` (T,) is that of the
-    Vold–Kalman filter of ``poles``.
+    ``step_s`` is that of an even grid of times from ``start_s``, on which ``frequency_hz`` and ``speed_rpm`` (T,) are
+    those of the order and of the shaft, whose angle is ``angle_rev`` (T,); ``place`` (K,) says at which step of it each
+    row stands; ``bandwidth_hz`` (T,) is that of the Vold–Kalman filter of ``poles``.
     """
 
+    start_s: float
     step_s: float
     frequency_hz: Array
     speed_rpm: Array
+    angle_rev: Array
     place: Array
     bandwidth_hz: Array
     poles: int
@@ -67,23 +72,48 @@ class Passage:
         through = self.smoothed(np.stack(parts, axis=1))
         return through[:, 0], through[:, 1], through[:, 2]
 
+    def left_over(self, growth: Complex, natural_hz: float, damping: float) -> Complex:
+        """What the filter does not take (T,) of the :meth:`response` of a mode, on the grid: it rings on beside it.
+
+        ``growth`` (T,), ``natural_hz`` and ``damping`` are those of the response.
+        """
+        natural = 2.0 * np.pi * natural_hz
+        pole = natural * complex(-damping, np.sqrt(max(1.0 - damping**2, 1e-12)))
+        made = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole)[0]
+        return np.asarray(made - self._through(made))
+
+    def taken_from(self, other: Passage, left: Complex, natural_hz: float) -> Complex:
+        """What this order's filter takes (K,) for its own of ``left`` (T',) over the passage of an ``other`` order.
+
+        Both are of one recording; ``left`` is the envelope of what the other order's filter leaves of the mode
+        ``natural_hz``, which rings at that frequency: only where this order is near it does the grid tell it.
+        """
+        time = other.start_s + other.step_s * np.arange(len(left))
+        ratio = self.frequency_hz[0] / self.speed_rpm[0] - other.frequency_hz[0] / other.speed_rpm[0]
+        turned = left * np.exp(-2j * np.pi * 60.0 * ratio * other.angle_rev)
+        grid = self.start_s + self.step_s * np.arange(len(self.frequency_hz))
+        width = np.interp(time, grid, self.bandwidth_hz)
+        off = np.abs(np.interp(time, grid, self.frequency_hz) - natural_hz) * other.step_s
+        turned *= np.clip((FARTHEST - off) / (FARTHEST - NEAR_ENOUGH), 0.0, 1.0)
+        through = _filtered(turned, width, other.step_s, self.poles)
+        rows = self.start_s + self.step_s * self.place
+        return np.asarray(np.interp(rows, time, through, left=0.0, right=0.0))
+
     def smoothed(self, envelope: Complex) -> Complex:
         """``envelope`` (T, M) of the grid as the filter lets it through, at the rows (K, M)."""
-        from scipy.linalg import cho_solve_banded
-
-        through = cho_solve_banded((self._filter, True), envelope, check_finite=False)
+        through = self._through(envelope)
         low = np.clip(np.floor(self.place).astype(np.int64), 0, len(through) - 2)
         share = (self.place - low)[:, None]
         return np.asarray((1.0 - share) * through[low] + share * through[low + 1])
 
+    def _through(self, envelope: Complex) -> Complex:
+        from scipy.linalg import cho_solve_banded
+
+        return np.asarray(cho_solve_banded((self._filter, True), envelope, check_finite=False))
+
     @cached_property
     def _filter(self) -> Array:
-        """Cholesky factor of the filter's normal equations on the grid."""
-        from scipy.linalg import cholesky_banded
-
-        rate = 1.0 / self.step_s
-        weight = 2.0 * structural_weight(np.minimum(self.bandwidth_hz, 0.9 * rate), rate_hz=rate, poles=self.poles)
-        return np.asarray(cholesky_banded(_normal_band(weight, self.poles), lower=True, check_finite=False))
+        return _factor(self.bandwidth_hz, self.step_s, self.poles)
 
     @cached_property
     def _turn(self) -> tuple[Array, Complex]:
@@ -116,13 +146,22 @@ class Passage:
         return np.asarray(own), np.asarray(bent)
 
 
-def passage_of(order: float, time_s: Array, speed_rpm: Array, bandwidth_hz: Array, *, poles: int) -> Passage:
-    """Passage of ``order`` through a recording whose rows stand at ``time_s`` (K,), rising.
+def passage_of(
+    order: float,
+    time_s: Array,
+    speed_rpm: Array,
+    angle_rev: Array,
+    bandwidth_hz: Array,
+    *,
+    poles: int,
+    rows: NDArray[np.bool_] | None = None,
+) -> Passage:
+    """Passage of ``order`` through a recording at the times ``time_s`` (N,), rising, of which ``rows`` (N,) are read.
 
-    ``speed_rpm`` and ``bandwidth_hz`` (K,): of the shaft and of the filter there; ``poles``: of the filter. The grid
-    between is so fine that the response of any mode follows.
+    ``speed_rpm`` and ``angle_rev`` (N,) are the shaft's there and ``bandwidth_hz`` (N,) that of the filter of
+    ``poles``. The grid between is so fine that the response of any mode follows.
     """
-    from scipy.interpolate import PchipInterpolator
+    from scipy.interpolate import CubicSpline, PchipInterpolator
 
     rate = float(np.abs(np.gradient(speed_rpm, time_s)).max()) * order / 60.0 * 2.0 * np.pi
     spacing = float(np.median(np.diff(time_s)))
@@ -133,8 +172,25 @@ def passage_of(order: float, time_s: Array, speed_rpm: Array, bandwidth_hz: Arra
     at = np.linspace(time_s[0], time_s[-1], count + 1)
     speed = np.asarray(PchipInterpolator(time_s, speed_rpm)(at))
     step = span / count
-    place = (time_s - time_s[0]) / step
-    return Passage(step, order * speed / 60.0, speed, place, np.interp(at, time_s, bandwidth_hz), poles)
+    angle = np.asarray(CubicSpline(time_s, angle_rev)(at))
+    place = ((time_s if rows is None else time_s[rows]) - time_s[0]) / step
+    width = np.interp(at, time_s, bandwidth_hz)
+    return Passage(float(time_s[0]), step, order * speed / 60.0, speed, angle, place, width, poles)
+
+
+def _factor(bandwidth_hz: Array, step_s: float, poles: int) -> Array:
+    """Cholesky factor of a filter's normal equations on a grid of ``step_s``, its ``bandwidth_hz`` (T,) there."""
+    from scipy.linalg import cholesky_banded
+
+    rate = 1.0 / step_s
+    weight = 2.0 * structural_weight(np.minimum(bandwidth_hz, 0.9 * rate), rate_hz=rate, poles=poles)
+    return np.asarray(cholesky_banded(_normal_band(weight, poles), lower=True, check_finite=False))
+
+
+def _filtered(envelope: Complex, bandwidth_hz: Array, step_s: float, poles: int) -> Complex:
+    from scipy.linalg import cho_solve_banded
+
+    return np.asarray(cho_solve_banded((_factor(bandwidth_hz, step_s, poles), True), envelope, check_finite=False))
 
 
 def _normal_band(weight: Array, poles: int) -> Array:

@@ -1,0 +1,139 @@
+"""What rings on of one order in the filter of the next: in a fast sweep a mode still swings when that one passes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.found import HiddenSpeeds, Mode
+from crankorder.identify.modal.order_responses import Block, Projected, force
+from crankorder.identify.modal.passage import Passage
+from crankorder.identify.modal.surface_fit import Poles
+
+MOST_KEPT = 256
+"""Passages that are kept."""
+
+RINGS = 1e-3
+"""Share of its size after which what rings on counts no more."""
+
+HIDES = 0.03
+"""Share of what one order left of a mode that hides another order which meets it."""
+
+NEAR = 0.03
+"""Share of a speed, beside that at which an order meets a mode, at which it may be large."""
+
+LEAST_DAMPING = 1e-3
+"""Smallest damping ratio that a mode is taken to have."""
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
+
+
+def without_ringing(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Block, ...]:
+    """``blocks`` less what the other orders of the same recording leave in their filters behind ``poles``.
+
+    ``parts`` are the blocks as projected with them. A mode that one order has passed rings on at its own frequency,
+    where a lower order finds it later (a higher one where the speed falls). What is taken away is known as well as the
+    residue of the other order, and by as much as that one scatters: the errors of the rows grow by it.
+    """
+    made = list(blocks)
+    swept = [number for number, block in enumerate(blocks) if block.passage is not None]
+    swept.sort(key=lambda number: blocks[number].recording)
+    for _, group in groupby(swept, key=lambda number: blocks[number].recording):
+        together = list(group)
+        for number in together:
+            others = [(blocks[other], parts[other]) for other in together if other != number]
+            made[number] = _without(blocks[number], others, poles)
+    return tuple(made)
+
+
+def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> Block:
+    """``block`` as it was measured, less what the ``others`` leave of ``poles``."""
+    total, variance = np.zeros_like(block.amplitude), np.zeros(block.amplitude.shape)
+    for other, part in others:
+        rows = [block.channels.index(name) for name in other.channels if name in block.channels]
+        from_rows = [other.channels.index(block.channels[row]) for row in rows]
+        for place, pole in enumerate(part.reached.tolist()):
+            f, zeta = float(poles.frequency_hz[pole]), float(poles.damping[pole])
+            if not rows or not rings_into(block, other, f, zeta):
+                continue
+            took = _taken(block, other, f, zeta)
+            column = other.degree + 1 + place
+            residue = part.linear[from_rows, column]
+            spread = part.covariance[from_rows, column, column].real * max(1.0, part.chi2 / max(part.freedom, 1))
+            total[rows] += residue[:, None] * took
+            variance[rows] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
+    amplitude, error = block.measured or (block.amplitude, block.error)
+    if not total.any():
+        return block if block.measured is None else replace(block, amplitude=amplitude, error=error, measured=None)
+    return replace(
+        block, amplitude=amplitude - total, error=np.hypot(error, np.sqrt(variance)), measured=(amplitude, error)
+    )
+
+
+def rings_into(block: Block, other: Block, natural_hz: float, damping: float) -> bool:
+    """Whether a mode that the ``other`` order has passed still rings when ``block`` passes it.
+
+    ``natural_hz`` and ``damping``: of the mode.
+    """
+    if not block.frequency_hz.min() < natural_hz < block.frequency_hz.max():
+        return False
+    return _rings(other, block.order, natural_hz, damping, RINGS)
+
+
+def _rings(block: Block, later: float, natural_hz: float, damping: float, share: float) -> bool:
+    """Whether more than a ``share`` of what ``block`` left of a mode still rings when the order ``later`` passes it."""
+    passage = block.passage
+    assert passage is not None
+    if not passage.frequency_hz.min() < natural_hz < passage.frequency_hz.max():
+        return False
+    steps = np.diff(passage.speed_rpm)
+    rises, falls = bool((steps > 0.0).all()), bool((steps < 0.0).all())
+    if (rises and block.order < later) or (falls and block.order > later):
+        return False
+    rate = float(np.abs(steps).max()) / passage.step_s / 60.0
+    delay = natural_hz * abs(1.0 / later - 1.0 / block.order) / max(rate, 1e-12)
+    return 2.0 * np.pi * damping * natural_hz * delay < -np.log(share)
+
+
+def hidden_speeds(blocks: Sequence[Block], modes: Sequence[Mode], *, revs_per_cycle: int) -> tuple[HiddenSpeeds, ...]:
+    """Speeds at which orders that nobody found could meet ``modes`` that still ring from the orders of ``blocks``.
+
+    Every multiple of the cycle's frequency (``revs_per_cycle`` 1 or 2) may be such an order, if it is none of
+    ``blocks``.
+    """
+    swept = [block for block in blocks if block.passage is not None]
+    if not swept:
+        return ()
+    have = np.array(sorted({block.order for block in swept}))
+    multiples = np.arange(1, int(revs_per_cycle * (have.max() + 1.0)) + 1) / revs_per_cycle
+    unknown = multiples[np.abs(multiples[:, None] - have).min(axis=1) > 0.25 / revs_per_cycle]
+    found: list[HiddenSpeeds] = []
+    for mode in modes:
+        f, zeta = mode.frequency_hz, max(mode.damping_ratio, LEAST_DAMPING)
+        reach = mode.frequency_half_hz + NEAR * f
+        for number in unknown.tolist():
+            rung = [block for block in swept if _rings(block, number, f, zeta, HIDES)]
+            if rung:
+                loudest = max(rung, key=lambda block: float(block.size.max()))
+                ends = 60.0 * (f - reach) / number, 60.0 * (f + reach) / number
+                found.append(HiddenSpeeds(ends[0], ends[1], f, loudest.order))
+    return tuple(found)
+
+
+def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complex:
+    """What the filter of ``block`` takes (K,) of a mode behind the force of the ``other``, of unit residue."""
+    key = (block.order, natural_hz, damping, other.exponent, other.law)
+    if key not in other.rung:
+        passage: Passage | None = other.passage
+        assert passage is not None and block.passage is not None
+        grown = force(passage.speed_rpm, other.span_rpm, other.reference_rpm, other.exponent, other.law)
+        if len(other.rung) >= MOST_KEPT:
+            other.rung.pop(next(iter(other.rung)))
+        left = passage.left_over(grown, natural_hz, damping)
+        other.rung[key] = block.passage.taken_from(passage, left, natural_hz)
+    return other.rung[key]
