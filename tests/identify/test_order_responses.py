@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,14 +11,19 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
 from crankorder.identify.modal import order_responses
+from crankorder.identify.modal.bases import orthonormal
 from crankorder.identify.modal.order_responses import (
     Block,
     Blocks,
+    Projected,
+    as_real,
+    jacobian,
     project,
     responses_of,
     with_best_law,
     with_scatter,
 )
+from crankorder.identify.modal.scatter import ENOUGH_FREEDOM, LEAST_NOISE, LEAST_SCATTER, scatter_of
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 from crankorder.identify.responses import amplitude_at, with_and_without
 from made.found_lines import mode, poles_of
@@ -185,3 +191,99 @@ def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_with
             without = (at / 1800.0) ** 2 * np.abs(_response(at, others, rigid[row]))
             assert np.abs(two.with_mode[0] - truth).max() < 2e-3 * truth.max()
             assert np.abs(two.without[0] - without).max() < 2e-3 * truth.max()
+
+
+@pytest.mark.parametrize(("rows", "terms"), [(40, 1), (40, 6), (6, 6), (4, 6)])
+def test_orthonormal_bases_are_those_of_numpy(rows: int, terms: int) -> None:
+    random = np.random.default_rng(rows + terms)
+    columns = random.normal(size=(3, rows, terms)) + 1j * random.normal(size=(3, rows, terms))
+    basis, triangle = orthonormal(columns)
+    expected = np.linalg.qr(columns)
+    np.testing.assert_allclose(basis, expected[0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(np.triu(triangle), expected[1], rtol=0.0, atol=1e-12)
+
+
+def _halved_plainly(squared: NDArray, error: NDArray, size: NDArray, freedom: int) -> tuple[float, float]:
+    """Scatter and noise by twenty halvings one after the other."""
+
+    def too_little(scatter: float, noise: float) -> bool:
+        return bool(np.sum(squared / (noise**2 * error + scatter**2 * size)) > freedom)
+
+    by_scatter = too_little(LEAST_SCATTER, 1.0)
+    if not by_scatter and freedom < ENOUGH_FREEDOM:
+        return LEAST_SCATTER, 1.0
+    first, last = (np.log(LEAST_SCATTER), np.log(1e3)) if by_scatter else (np.log(LEAST_NOISE), 0.0)
+    for _ in range(20):
+        middle = 0.5 * (first + last)
+        at = float(np.exp(middle))
+        below = too_little(at, 1.0) if by_scatter else too_little(LEAST_SCATTER, at)
+        first, last = (middle, last) if below else (first, middle)
+    told = float(np.exp(0.5 * (first + last)))
+    return (told, 1.0) if by_scatter else (LEAST_SCATTER, told)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_scatter_is_that_of_plain_halving(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    error, size = random.uniform(0.5, 2.0, 120) ** 2, random.uniform(1.0, 50.0, 120) ** 2
+    scatter, noise = ((0.2, 1.0), (1e-4, 0.3), (30.0, 1.0), (0.0, 1e-3))[seed % 4]
+    squared = (noise**2 * error + scatter**2 * size) * random.chisquare(2, 120)
+    for freedom in (20, 120, 200):
+        assert scatter_of(squared, error, size, freedom) == pytest.approx(
+            _halved_plainly(squared, error, size, freedom), rel=1e-12
+        )
+
+
+def _plain_jacobian(block: Block, poles: Poles, part: Projected) -> NDArray:
+    """Derivatives as real rows, the law taken out as real columns, nothing kept from before."""
+    degree = max(len(block.law), 1)
+    linear = part.linear[:, block.degree + 1 :]
+    made = np.zeros((*block.amplitude.shape, 2 * len(poles)), dtype=complex)
+    for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[part.reached], poles.damping[part.reached])):
+        turned = (slope[None] * linear[:, None]).reshape(*block.amplitude.shape, len(part.reached), -1).sum(axis=3)
+        made[..., 2 * part.reached + offset] = turned * block.weight[..., None]
+    shapes = order_responses.smooth_shapes(block.speed_rpm, block.span_rpm, degree)[:, 1:]
+    fitted = block.amplitude * block.weight - part.left
+    bent = fitted[..., None] * shapes
+    made, bent = (x - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ x) for x in (made, bent))
+    columns = as_real(bent if block.power else np.concatenate([bent, 1j * bent], axis=2), block)
+    rows = as_real(made, block)
+    return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=None)[0])
+
+
+@pytest.mark.parametrize("power", [False, True])
+@pytest.mark.parametrize("law", [(), (0.2 + 0.1j, -0.1j)])
+def test_the_slopes_are_those_of_the_plain_formula(power: bool, law: tuple[complex, ...]) -> None:
+    law = tuple(item.real for item in law) if power else law
+    block = replace(_block(5, bend=0.1, power=power)[0], law=law, degree=1)
+    poles = Poles(np.array([59.0, 76.0, 500.0]), np.array([0.03, 0.02, 0.01]), np.zeros(3, dtype=bool))
+    part = project(block, poles)
+    expected = _plain_jacobian(block, poles, part)
+    np.testing.assert_allclose(jacobian(block, poles, part), expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def _fresh(block: Block) -> Block:
+    """``block`` with nothing kept from before."""
+    return Block(**{item.name: getattr(block, item.name) for item in fields(Block)})
+
+
+@pytest.mark.parametrize("power", [False, True])
+def test_what_a_block_keeps_is_what_it_would_work_out_anew(power: bool) -> None:
+    block = _block(6, scatter=0.02, power=power)[0]
+    changes: list[Callable[[Block], Block]] = [
+        lambda now: now.varied(scatter=0.05),
+        lambda now: now.varied(noise=0.5),
+        lambda now: now.varied(exponent=1.0),
+        lambda now: now.varied(degree=2),
+        lambda now: now.varied(law=(0.1, -0.05)),
+        lambda now: now.varied(degree=0),
+    ]
+    for number, change in enumerate(changes * 2):
+        block = change(block)
+        for hz in (58.0, 59.0, 900.0 + number):
+            poles = Poles(np.array([hz, 75.0, 800.0 + number]), np.array([0.02, 0.01, 0.01]), np.zeros(3, dtype=bool))
+            kept, anew = project(block, poles), project(_fresh(block), poles)
+            assert kept.reached.tolist() == anew.reached.tolist()
+            assert kept.chi2 == pytest.approx(anew.chi2, rel=1e-12)
+            np.testing.assert_allclose(kept.linear, anew.linear, rtol=1e-9)
+            np.testing.assert_array_equal(block.weight, _fresh(block).weight)

@@ -18,7 +18,12 @@ from machines.judge import Said
 from machines.score import run_program
 
 FLOAT32 = 2e-7
-DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one speed", 14)]
+DRAWN = [
+    ("run-up", 11),
+    pytest.param("repeated sweep", 12, marks=pytest.mark.slow),
+    ("stepped few", 13),
+    pytest.param("one speed", 14, marks=pytest.mark.slow),
+]
 
 
 @pytest.mark.parametrize(("class_name", "seed"), DRAWN)

@@ -114,7 +114,9 @@ def without_mark(recordings):
     return recordings
 
 
-@pytest.mark.parametrize("amplitude", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize(
+    "amplitude", [pytest.param(0.0, marks=pytest.mark.accuracy), 0.02, pytest.param(0.1, marks=pytest.mark.accuracy)]
+)
 def test_intervals_of_an_average_without_common_phase_hold_a_small_amplitude(amplitude):
     generator = np.random.default_rng(5)
     inside, squares = [], []

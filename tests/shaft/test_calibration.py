@@ -159,9 +159,15 @@ def test_a_perfect_encoder_is_left_as_it_is(speeds_rpm):
 @pytest.mark.parametrize(
     ("encoder", "wobbles"),
     [
-        ({"pulses_per_rev": 60, "delivered_as": "pulse_times", "jitter_s": 2e-6}, ()),
+        pytest.param(
+            {"pulses_per_rev": 60, "delivered_as": "pulse_times", "jitter_s": 2e-6}, (), marks=pytest.mark.accuracy
+        ),
         ({"pulses_per_rev": 60, "delivered_as": "pulse_times", "jitter_s": 2e-6}, ((0.7, 4.0, 30.0), (1.9, 3.0, 0.0))),
-        ({"pulses_per_rev": 60, "delivered_as": "pulse_times", "jitter_s": 2e-6, "ratio": 0.5}, ()),
+        pytest.param(
+            {"pulses_per_rev": 60, "delivered_as": "pulse_times", "jitter_s": 2e-6, "ratio": 0.5},
+            (),
+            marks=pytest.mark.accuracy,
+        ),
         ({"pulses_per_rev": 120, "delivered_as": "pulse_times", "counter_hz": 1e6}, ()),
     ],
     ids=["jitter", "wobbling speed", "camshaft", "counter"],

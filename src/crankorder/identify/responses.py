@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
 from crankorder.identify.modal.exclusion import NOISE_SHARE
+from crankorder.identify.modal.order_force import force, resonance_slopes, smooth_shapes
 from crankorder.identify.modal.order_modes import KNOWN
-from crankorder.identify.modal.order_responses import force, resonance_slopes, smooth_shapes
 from crankorder.identify.resonance import resonance
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,8 @@ from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.speed_proof import proves_speed, speed_source
 from crankorder.identify.modal.order_blocks import blocks_of
-from crankorder.identify.modal.order_responses import Block, smooth_shapes
+from crankorder.identify.modal.order_force import smooth_shapes
+from crankorder.identify.modal.order_responses import Block
 
 FORCE_TURN = 0.2
 """Standard deviation [rad] of the first smooth term by which forces and what is far from modes turn the phase …"""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderResponse
+from crankorder.identify.modal.bases import beyond, beyond_law, orthonormal
+from crankorder.identify.modal.order_force import force, grown_by, of_squares, resonance_slopes, smooth_shapes
 from crankorder.identify.modal.passage import Passage
+from crankorder.identify.modal.scatter import ENOUGH_FREEDOM, LEAST_SCATTER, scatter_of
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
 from crankorder.identify.resonance import resonance
-
-LEAST_SCATTER = 1e-3
-"""Relative scatter of an order's amplitude that force and tracking are granted at least."""
 
 MOST_SCATTER = 0.2
 """Relative scatter beyond which an order says nothing of natural frequencies."""
@@ -38,12 +38,6 @@ LAW_STEPS = 2
 MOST_BEND = 0.5
 """Largest step of a law, as a logarithm."""
 
-ENOUGH_FREEDOM = 40
-"""Real numbers beyond the unknowns from which residuals tell that the stated errors are too large."""
-
-LEAST_NOISE = 0.02
-"""Share of the stated errors that is believed at least."""
-
 MOST_ROUNDS = 3
 """Times that scatter and linear terms are told from one another."""
 
@@ -55,6 +49,12 @@ MOST_KEPT = 64
 
 SPARE = 3
 """Complex amplitudes that an order must have over its unknowns."""
+
+OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
+"""What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
+
+OF_LAW = ("growth", "_designs")
+"""What it works out of its rows and its law, whatever its scatter."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -71,7 +71,7 @@ class Block:
     swept (None: every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares.
     ``sign_free``: whether a row may as well have the other sign, for nothing says which turn of a cycle comes first.
     ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials
-    run, where they are not those of the rows. ``measured`` are amplitude and error before what other orders leave was
+    run, where they are not those of the rows. ``as_read`` are amplitude and error before what other orders leave was
     taken from them. ``made`` keeps the columns along a sweep that were made last, ``rung`` what they leave in others.
     """
 
@@ -92,9 +92,35 @@ class Block:
     sign_free: bool = False
     recording: str = ""
     law_span_rpm: tuple[float, float] | None = None
-    measured: tuple[Complex, Array] | None = None
+    as_read: tuple[Complex, Array] | None = None
     made: dict[tuple[object, ...], tuple[Complex, Complex, Complex]] = field(default_factory=dict, repr=False)
     rung: dict[tuple[object, ...], Complex] = field(default_factory=dict, repr=False)
+
+    def varied(
+        self,
+        *,
+        exponent: float | None = None,
+        law: tuple[complex, ...] | None = None,
+        degree: int | None = None,
+        scatter: float | None = None,
+        noise: float | None = None,
+    ) -> Block:
+        """The block with another ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
+
+        What is worked out of the rest is kept.
+        """
+        made = replace(
+            self,
+            exponent=self.exponent if exponent is None else exponent,
+            law=self.law if law is None else law,
+            degree=self.degree if degree is None else degree,
+            scatter=self.scatter if scatter is None else scatter,
+            noise=self.noise if noise is None else noise,
+        )
+        same_law = exponent is None and law is None and degree is None
+        kept = OF_ROWS + OF_LAW if same_law else OF_ROWS
+        made.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return made
 
     @cached_property
     def span_rpm(self) -> tuple[float, float]:
@@ -104,8 +130,24 @@ class Block:
     @cached_property
     def growth(self) -> Complex:
         """What the force's law makes of the speeds (K,); of squares its square."""
-        grown = force(self.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
+        grown = grown_by(self.speed_rpm / self.reference_rpm, self.shapes_to(len(self.law)), self.exponent, self.law)
         return np.asarray(np.abs(grown) ** 2 if self.power else grown)
+
+    @cached_property
+    def shapes(self) -> Array:
+        """Polynomials (K, degree + 1) of the speeds up to the highest degree that is tried."""
+        return smooth_shapes(self.speed_rpm, self.span_rpm, MOST_DEGREE)
+
+    def shapes_to(self, degree: int) -> Array:
+        """Polynomials (K, ``degree`` + 1) of the speeds."""
+        if degree > MOST_DEGREE:
+            return smooth_shapes(self.speed_rpm, self.span_rpm, degree)
+        return self.shapes[:, : degree + 1]
+
+    @cached_property
+    def ends_hz(self) -> tuple[float, float]:
+        """Lowest and highest frequency of the rows."""
+        return float(self.frequency_hz.min()), float(self.frequency_hz.max())
 
     @cached_property
     def size(self) -> Array:
@@ -115,7 +157,7 @@ class Block:
         around = np.sort(np.lib.stride_tricks.sliding_window_view(beside, 5, axis=1), axis=2)[..., 2]
         return np.asarray(np.maximum(known, 0.5 * around))
 
-    @property
+    @cached_property
     def weight(self) -> Array:
         """Reciprocal standard error (C, K) of each part, the scatter of the force included; 0 where unknown."""
         return np.asarray(1.0 / np.hypot(self.noise * self.error, self.scatter * self.size))
@@ -124,6 +166,16 @@ class Block:
     def rows(self) -> NDArray[np.int64]:
         """How many amplitudes each channel (C,) has."""
         return np.asarray(np.count_nonzero(np.isfinite(self.error), axis=1))
+
+    @cached_property
+    def fewest_rows(self) -> int:
+        """How many amplitudes the channel with the fewest has."""
+        return int(self.rows.min())
+
+    @cached_property
+    def measured(self) -> Complex:
+        """The amplitudes (C, K), 0 where unknown."""
+        return np.asarray(np.where(np.isfinite(self.error), self.amplitude, 0.0))
 
     @property
     def parts(self) -> int:
@@ -153,13 +205,13 @@ class Block:
         """The block of some ``channels`` (numbers) alone."""
         names = tuple(self.channels[number] for number in channels.tolist())
         amplitude, error = self.amplitude[channels], self.error[channels]
-        return replace(self, channels=names, amplitude=amplitude, error=error, measured=None)
+        return replace(self, channels=names, amplitude=amplitude, error=error, as_read=None)
 
     def reached(self, poles: Poles) -> NDArray[np.int64]:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
-        low, high = REACH[0] * self.frequency_hz.min(), REACH[1] * self.frequency_hz.max()
+        low, high = REACH[0] * self.ends_hz[0], REACH[1] * self.ends_hz[1]
         found = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
-        room = max(0, (int(self.rows.min()) - 1 - self.degree - SPARE) // self.columns_per_mode)
+        room = max(0, (self.fewest_rows - 1 - self.degree - SPARE) // self.columns_per_mode)
         if len(found) > room:
             away = np.abs(np.log(poles.frequency_hz[found, None] / self.frequency_hz)).min(axis=1)
             found = np.sort(found[np.argsort(away, kind="stable")[:room]])
@@ -167,14 +219,50 @@ class Block:
 
     def smooth(self) -> Complex:
         """Columns (K, degree + 1) of what is smooth."""
-        return self.growth[:, None] * smooth_shapes(self.speed_rpm, self.span_rpm, self.degree)
+        return self.growth[:, None] * self.shapes_to(self.degree)
+
+    def design(self, natural_hz: Array, damping: Array) -> Complex:
+        """All columns (K, terms): those that are smooth, then those of :meth:`modal`; those made last are kept.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes.
+        """
+        key = natural_hz.tobytes() + damping.tobytes()
+        made = self._designs.get(key)
+        if made is None:
+            made = np.concatenate([self.smooth(), self.modal(natural_hz, damping)], axis=1)
+            self._designs.clear()
+            self._designs[key] = made
+        return made
+
+    @cached_property
+    def _designs(self) -> dict[bytes, Complex]:
+        return {}
+
+    @cached_property
+    def projections(self) -> dict[bytes, Projected]:
+        """The block as projected with the poles that were asked for last."""
+        return {}
 
     def modal(self, natural_hz: Array, damping: Array) -> Complex:
         """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
         if self.passage is not None:
             return self._along(natural_hz, damping, 0)
-        h: Complex = resonance(self.frequency_hz, natural_hz, damping)
-        return np.asarray(self.growth[:, None] * (_of_squares(h, self._ratio(natural_hz)) if self.power else h))
+        return np.asarray(self.growth[:, None] * self._held(natural_hz, damping))
+
+    @cached_property
+    def _steady(self) -> dict[bytes, Complex]:
+        return {}
+
+    def _held(self, natural_hz: Array, damping: Array) -> Complex:
+        """Columns of :meth:`modal` at speeds that are held, behind a steady force; those made last are kept."""
+        key = natural_hz.tobytes() + damping.tobytes()
+        made = self._steady.get(key)
+        if made is None:
+            h: Complex = resonance(self.frequency_hz, natural_hz, damping)
+            made = of_squares(h, self._ratio(natural_hz)) if self.power else h
+            self._steady.clear()
+            self._steady[key] = made
+        return made
 
     def modal_slopes(self, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
@@ -188,7 +276,7 @@ class Block:
             x = self._ratio(natural_hz)
             h: Complex = resonance(self.frequency_hz, natural_hz, damping)
             by_f = by_f + 1j * h.imag  # the imaginary part is over x, which moves with f
-            return self.growth[:, None] * _of_squares(by_f, x), self.growth[:, None] * _of_squares(by_zeta, x)
+            return self.growth[:, None] * of_squares(by_f, x), self.growth[:, None] * of_squares(by_zeta, x)
         return self.growth[:, None] * by_f, self.growth[:, None] * by_zeta
 
     def _ratio(self, natural_hz: Array) -> Array:
@@ -209,39 +297,6 @@ class Block:
                 self.made[key] = self.passage.response(grown, *pole)
             made[:, number] = self.made[key][which]
         return made
-
-
-def _of_squares(columns: Complex, ratio: Array) -> Complex:
-    """Real part and imaginary part over ``ratio`` (K, 2 M) of ``columns`` (K, M), in turn.
-
-    They span the square of any response with real residues, beside a constant.
-    """
-    made = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
-    made[:, ::2], made[:, 1::2] = columns.real, columns.imag / ratio
-    return made
-
-
-def smooth_shapes(speed_rpm: Array, span_rpm: tuple[float, float], degree: int) -> Array:
-    """Legendre polynomials (K, degree + 1) of ln ``speed_rpm`` (K,), which runs from -1 to 1 over ``span_rpm``.
-
-    ``degree``: the highest, 0 or more.
-    """
-    low, high = np.log(span_rpm[0]), np.log(span_rpm[1])
-    x = 2.0 * (np.log(speed_rpm) - low) / max(float(high - low), 1e-12) - 1.0
-    return np.asarray(np.polynomial.legendre.legvander(x, degree))
-
-
-def force(
-    speed_rpm: Array, span_rpm: tuple[float, float], reference_rpm: float, exponent: float, law: tuple[complex, ...]
-) -> Complex:
-    """Force (K,) at ``speed_rpm`` (K,) by the law of a block: 1 at ``reference_rpm`` where ``law`` is empty.
-
-    ``span_rpm``, ``exponent`` and ``law`` are those of :class:`Block`.
-    """
-    grown = np.asarray((speed_rpm / reference_rpm) ** exponent, dtype=np.complex128)
-    if law:
-        grown *= np.exp(smooth_shapes(speed_rpm, span_rpm, len(law))[:, 1:] @ np.array(law))
-    return grown
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,8 +333,9 @@ class Projected:
     """A block with its linear terms (smooth ones, then those of the ``reached`` modes) eliminated.
 
     ``basis`` (C, K, terms) is an orthonormal basis of the weighted columns, ``triangle`` (C, terms, terms) takes the
-    linear terms, each times its ``scale`` (C, terms), to it, ``along`` (C, terms) what was measured; ``left`` (C, K)
-    is the weighted residual, ``chi2`` its square and ``freedom`` the real numbers that it holds beyond the terms.
+    linear terms, each times its ``scale`` (C, terms), to it (what is below its diagonal counts for nothing), ``along``
+    (C, terms) what was measured; ``left`` (C, K) is the weighted residual, ``chi2`` its square and ``freedom`` the real
+    numbers that it holds beyond the terms.
     """
 
     reached: NDArray[np.int64]
@@ -291,7 +347,7 @@ class Projected:
     chi2: float
     freedom: int
 
-    @property
+    @cached_property
     def linear(self) -> Complex:
         """Linear terms (C, terms)."""
         return np.asarray((self.solve @ self.along[..., None])[..., 0] / self.scale)
@@ -303,35 +359,40 @@ class Projected:
         outer = self.scale[:, :, None] * self.scale[:, None, :]
         return np.asarray(inverse @ np.swapaxes(inverse, 1, 2).conj() / outer)
 
-    @property
+    @cached_property
     def solve(self) -> Complex:
         """Inverse (C, terms, terms) of the triangle: it takes what lies along the basis to the scaled linear terms."""
-        return np.asarray(np.linalg.pinv(self.triangle, rcond=1e-10))
-
-
-def resonance_slopes(frequency_hz: Array, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
-    """Derivatives of h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, by ln f_j and by ln ζ_j.
-
-    ``frequency_hz``: in Hz; ``natural_hz``: of the modes in Hz; ``damping``: their ratios.
-    """
-    x = frequency_hz[:, None] / natural_hz
-    over = 1.0 / (1.0 - x**2 + 2j * damping * x)
-    by_x = -2.0 * x * over + x**2 * (-2.0 * x + 2j * damping) * over**2
-    return np.asarray(-x * by_x, dtype=np.complex128), np.asarray(2j * damping * x**3 * over**2, dtype=np.complex128)
+        return np.asarray(np.linalg.pinv(np.triu(self.triangle), rcond=1e-10))
 
 
 def project(block: Block, poles: Poles) -> Projected:
-    """``block`` with its linear terms eliminated for given ``poles`` (Golub and Pereyra 1973)."""
-    reached, weight = block.reached(poles), block.weight
-    design = np.concatenate([block.smooth(), block.modal(poles.frequency_hz[reached], poles.damping[reached])], axis=1)
-    weighted = design * weight[..., None]
-    scale = np.maximum(np.linalg.norm(weighted, axis=1), 1e-300)
-    basis, triangle = (np.asarray(x, dtype=np.complex128) for x in np.linalg.qr(weighted / scale[:, None]))
-    measured = np.where(weight > 0.0, block.amplitude, 0.0) * weight
+    """``block`` with its linear terms eliminated for given ``poles`` (Golub and Pereyra 1973).
+
+    That behind the poles that were asked for last is kept: the others may move.
+    """
+    reached = block.reached(poles)
+    natural_hz, damping = poles.frequency_hz[reached], poles.damping[reached]
+    key = reached.tobytes() + natural_hz.tobytes() + damping.tobytes()
+    made = block.projections.get(key)
+    if made is None:
+        made = _eliminated(block, reached, block.design(natural_hz, damping))
+        block.projections.clear()
+        block.projections[key] = made
+    return made
+
+
+def _eliminated(block: Block, reached: NDArray[np.int64], design: Complex) -> Projected:
+    """``block`` with the terms of ``design`` (K, terms) eliminated, those of the modes ``reached`` the last of them."""
+    weight = block.weight
+    weighted = design.T * weight[:, None]
+    scale = np.maximum(np.linalg.norm(weighted, axis=2), 1e-300)
+    weighted /= scale[..., None]
+    basis, triangle = orthonormal(np.swapaxes(weighted, 1, 2))
+    measured = block.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
     freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
-    return Projected(reached, basis, triangle, scale, along, left, float(np.sum(np.abs(left) ** 2)), freedom)
+    return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), freedom)
 
 
 def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
@@ -341,29 +402,28 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
     projected with them.
     """
     reached, per = part.reached, block.columns_per_mode
-    made = np.zeros((*block.amplitude.shape, 2 * len(poles)), dtype=complex)
-    if len(reached):
-        linear = part.linear[:, block.degree + 1 :]
-        slopes = block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])
-        for offset, slope in enumerate(slopes):
-            turned = slope[None] * linear[:, None]
-            turned = turned.reshape(*turned.shape[:2], len(reached), per).sum(axis=3) * block.weight[..., None]
-            made[..., 2 * reached + offset] = turned - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ turned)
-    rows = as_real(made, block)
-    if part.freedom < ENOUGH_FREEDOM:
-        return rows
-    bent = _bent(block, part, max(len(block.law), 1))
-    both = as_real(bent if block.power else np.concatenate([bent, 1j * bent], axis=2), block)
-    unit = np.linalg.qr(both / np.maximum(np.linalg.norm(both, axis=0), 1e-300))[0]
-    return np.asarray(rows - unit @ (unit.T @ rows))
+    every = np.zeros((block.parts * block.amplitude.size, 2 * len(poles)))
+    if not len(reached):
+        return every
+    linear = part.linear[:, block.degree + 1 :]
+    turned: Complex = np.empty((*block.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
+    for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
+        made = slope[None] * linear[:, None]
+        turned[..., offset::2] = made.reshape(*made.shape[:2], len(reached), per).sum(axis=3)
+    turned *= block.weight[..., None]
+    turned = beyond(part.basis, turned)
+    if part.freedom >= ENOUGH_FREEDOM:
+        turned = beyond_law(turned, _bent(block, part, max(len(block.law), 1)), power=block.power)
+    places = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
+    every[:, places] = as_real(turned, block)
+    return every
 
 
 def _bent(block: Block, part: Projected, degree: int) -> Complex:
     """Derivatives (C, K, ``degree``) of a projected block by the law of its force, less what linear terms make up."""
-    shapes = smooth_shapes(block.speed_rpm, block.span_rpm, degree)[:, 1:]
-    fitted = np.where(block.weight > 0.0, block.amplitude, 0.0) * block.weight - part.left
-    bent = fitted[..., None] * shapes * (2.0 if block.power else 1.0)
-    return np.asarray(bent - part.basis @ (np.swapaxes(part.basis, 1, 2).conj() @ bent))
+    fitted = block.measured * block.weight - part.left
+    bent = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
+    return beyond(part.basis, bent)
 
 
 def as_real(values: Complex, block: Block) -> Array:
@@ -390,13 +450,13 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
             break
         weight = block.weight
         squared = np.square(np.abs(part.left) / np.where(weight > 0.0, weight, np.inf))
-        scatter, noise = _told(
+        scatter, noise = scatter_of(
             squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom
         )
         settled = abs(scatter - block.scatter) <= 0.05 * scatter and abs(noise - block.noise) <= 0.05 * noise
         if scatter == block.scatter and noise == block.noise:
             break
-        block = replace(block, scatter=scatter, noise=noise)
+        block = block.varied(scatter=scatter, noise=noise)
         part = project(block, poles)
         if settled:
             break
@@ -420,33 +480,6 @@ def _with_signs(block: Block, poles: Poles) -> tuple[Block, Projected]:
     return block, part
 
 
-def _told(squared: Array, error: Array, size: Array, freedom: int) -> tuple[float, float]:
-    """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is ``freedom``.
-
-    n is one as long as s is more than the least.
-    """
-    known = np.isfinite(error)
-    squared, error, size = squared[known], error[known], size[known]
-
-    def left(scatter: float, noise: float) -> float:
-        return float(np.sum(squared / (noise**2 * error + scatter**2 * size)))
-
-    if left(LEAST_SCATTER, 1.0) > freedom:
-        return _halved(lambda scatter: left(scatter, 1.0) > freedom, LEAST_SCATTER, 1e3), 1.0
-    if freedom < ENOUGH_FREEDOM:
-        return LEAST_SCATTER, 1.0
-    return LEAST_SCATTER, _halved(lambda noise: left(LEAST_SCATTER, noise) > freedom, LEAST_NOISE, 1.0)
-
-
-def _halved(is_below: Callable[[float], bool], low: float, high: float) -> float:
-    """Where ``is_below`` turns false between ``low`` and ``high``, by halving the logarithm."""
-    first, last = np.log(low), np.log(high)
-    for _ in range(20):
-        middle = 0.5 * (first + last)
-        first, last = (middle, last) if is_below(float(np.exp(middle))) else (first, middle)
-    return float(np.exp(0.5 * (first + last)))
-
-
 def with_best_law(block: Block, poles: Poles) -> Block:
     """``block`` with the force's law, common to its channels, by which the ``poles`` explain it best.
 
@@ -454,13 +487,12 @@ def with_best_law(block: Block, poles: Poles) -> Block:
     a power: each by the Bayesian information criterion with the scatter that it leaves.
     """
     best, cost = block, np.inf
-    most = min(MOST_DEGREE, int(block.rows.min()) // 4 - 1)
+    most = min(MOST_DEGREE, block.fewest_rows // 4 - 1)
     tried = [(n, 0, 0) for n in (INERTIA, *(n for n in EXPONENTS if n != INERTIA))]
     tried += [(np.nan, degree, 0) for degree in range(1, most + 1)]
     tried += [(np.nan, -1, degree) for degree in range(1, most + 1)]
     for exponent, degree, bends in tried:
-        trial = replace(
-            block,
+        trial = block.varied(
             exponent=best.exponent if np.isnan(exponent) else exponent,
             degree=best.degree if degree < 0 else degree,
             law=(0.0,) * bends,
@@ -490,7 +522,7 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     )
     step = solved[0]
     step *= min(1.0, MOST_BEND / max(float(np.abs(step).max()), 1e-300))
-    return replace(block, law=tuple((np.array(block.law) + step).tolist()))
+    return block.varied(law=tuple((np.array(block.law) + step).tolist()))
 
 
 def fitting(

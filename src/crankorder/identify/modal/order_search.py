@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.order_proof import PROOF_CHANCE, OrderPole, Proof, named
 from crankorder.identify.modal.order_responses import (
-    LEAST_SCATTER,
     MOST_DEGREE,
     Block,
     Blocks,
@@ -23,6 +22,7 @@ from crankorder.identify.modal.order_responses import (
 )
 from crankorder.identify.modal.pole_errors import order_pole_covariance
 from crankorder.identify.modal.ringing import without_ringing
+from crankorder.identify.modal.scatter import LEAST_SCATTER
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
 MOST_POLES = 12
@@ -392,7 +392,7 @@ def _gains(state: Fitted, tried: Tried) -> Array:
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
         settled = block.scatter < FELT_ERROR
         if settled:
-            block = replace(block, scatter=FELT_ERROR)
+            block = block.varied(scatter=FELT_ERROR)
             part = project(block, state.poles)
         else:
             block, part = _anew(block, part, state.poles)
@@ -411,7 +411,7 @@ def _gains(state: Fitted, tried: Tried) -> Array:
 def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
     """``block`` and how it is projected (``part``), without what a pole that is missing may have led it to."""
     if block.scatter > WELL_LAID and block.rows.min() > 4 * FEWEST_ROWS:
-        block = replace(block, degree=MOST_DEGREE)  # a peak may have hidden how the force grows
+        block = block.varied(degree=MOST_DEGREE)  # a peak may have hidden how the force grows
     elif not block.sign_free:
         return block, part
     if block.sign_free:

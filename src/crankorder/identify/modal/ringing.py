@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import HiddenSpeeds, Mode
-from crankorder.identify.modal.order_responses import Block, Projected, force
+from crankorder.identify.modal.order_force import force
+from crankorder.identify.modal.order_responses import Block, Projected
 from crankorder.identify.modal.passage import Passage
 from crankorder.identify.modal.surface_fit import Poles
 
@@ -67,11 +68,11 @@ def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Pol
             spread = part.covariance[from_rows, column, column].real * max(1.0, part.chi2 / max(part.freedom, 1))
             total[rows] += residue[:, None] * took
             variance[rows] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
-    amplitude, error = block.measured or (block.amplitude, block.error)
+    amplitude, error = block.as_read or (block.amplitude, block.error)
     if not total.any():
-        return block if block.measured is None else replace(block, amplitude=amplitude, error=error, measured=None)
+        return block if block.as_read is None else replace(block, amplitude=amplitude, error=error, as_read=None)
     return replace(
-        block, amplitude=amplitude - total, error=np.hypot(error, np.sqrt(variance)), measured=(amplitude, error)
+        block, amplitude=amplitude - total, error=np.hypot(error, np.sqrt(variance)), as_read=(amplitude, error)
     )
 
 
