@@ -52,7 +52,7 @@ def find(
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    in_map = numbered_as_followed(_orders_in_map(order_map, frames, settings), followed)
+    in_map = numbered_as_followed(_orders_in_map(order_map, frames, settings, followed), followed)
     in_map = with_followed(in_map, followed, order_map)
     fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
@@ -93,10 +93,12 @@ def find(
     return findings if balance is not None else findings | {"balance_reason": no_balance}
 
 
-def _orders_in_map(order_map: xr.Dataset, frames: Sequence[xr.Dataset], settings: Settings) -> tuple[AgreedOrder, ...]:
+def _orders_in_map(
+    order_map: xr.Dataset, frames: Sequence[xr.Dataset], settings: Settings, followed: Sequence[xr.Dataset]
+) -> tuple[AgreedOrder, ...]:
     """Orders that stand out in the OrderMap, with what it holds of them."""
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
-    return orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify)
+    return orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
 
 
 def _energy(shares: dict[str, Any]) -> dict[str, Any]:

@@ -13,8 +13,9 @@ from scipy.optimize import brentq
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
-from crankorder.identify.lines.order_lines import SWELLS
+from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
+from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
 from crankorder.identify.lines.speed_proof import PROVEN_SPEED_ERROR, STATED_SPEED_ERROR, proves_speed, speed_source
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
@@ -35,6 +36,8 @@ MOST_MODE_TURNS = 4.0
 IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
 """What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
 
+PARTED_IN_SWEEP = "one of several lines within a quarter order, told apart as they were followed through the sweep"
+
 Floats = NDArray[np.float64]
 
 
@@ -47,6 +50,7 @@ class _Test:
     speed_is_sure: bool
     """Whether pulses tell the speed, or the orders themselves prove the one that was stated."""
     by_pulses: bool
+    followed: Sequence[xr.Dataset] = ()
 
     @property
     def resolution(self) -> float:
@@ -56,6 +60,11 @@ class _Test:
     @property
     def revs_per_cycle(self) -> int:
         return int(self.order_map.attrs["revs_per_cycle"])
+
+    @property
+    def reach(self) -> float:
+        """Distance [orders] within which a line hides another one."""
+        return min(NEIGHBOUR_ORDERS, NEIGHBOUR_BINS * self.resolution)
 
 
 @dataclass(frozen=True)
@@ -92,7 +101,12 @@ class _Unnamed:
 
 
 def orders_agreed(
-    lines: Sequence[OrderLine], *, frames: Sequence[xr.Dataset], order_map: xr.Dataset, settings: IdentifySettings
+    lines: Sequence[OrderLine],
+    *,
+    frames: Sequence[xr.Dataset],
+    order_map: xr.Dataset,
+    settings: IdentifySettings,
+    followed: Sequence[xr.Dataset] = (),
 ) -> tuple[AgreedOrder, ...]:
     """Orders of the test, lowest first, each with the ``lines`` of the channels that show it: they see one shaft.
 
@@ -102,7 +116,8 @@ def orders_agreed(
     with the speed, the number is the mean over recordings and its error that of such a mean. A number that is proven
     an exact multiple of the cycle's (``lock`` "locked") is given as that multiple; no other is rounded. Two lines
     within a bin are told apart where they beat within a recording; where a line only swells and fades, the
-    reservation says that two may stand there.
+    reservation says that two may stand there. Close lines of a sweep, which its short frames hold as one, are told
+    apart where they were ``followed`` jointly (RecordingTracks, may be empty).
 
     Without pulses the crank angle itself comes from a stated speed, a speed signal or the vibration: an order is only
     as good as that, 0.2 % is added to its standard error, and nothing is called locked; but where the orders prove a
@@ -110,8 +125,8 @@ def orders_agreed(
     ``settings``: ``order_match``, the distance below which two found orders may be one.
     """
     source = speed_source([*frames, order_map])
-    test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses")
-    found = [one for group in _groups(lines) for one in _agreed(group, test)]
+    test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
+    found = _each_once([one for group in _groups(lines) for one in _parted(group, test)])
     if source == "stated":
         told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
         test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
@@ -132,17 +147,35 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
     return groups
 
 
+def _each_once(found: list[_Unnamed]) -> list[_Unnamed]:
+    """``found`` without close lines that another group of lines has led to already."""
+    kept: list[_Unnamed] = []
+    for one in found:
+        if one.reservation != PARTED_IN_SWEEP or one.number not in [other.number for other in kept]:
+            kept.append(one)
+    return kept
+
+
 def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:
     """``agreed`` without a second line that another group had found as its own already."""
     kept: list[AgreedOrder] = []
     for item in agreed:
         twin = bool(kept) and item.order - kept[-1].order < min(near, match)
+        twin = twin and not all(PARTED_IN_SWEEP in one.reservation for one in (item, kept[-1]))
         error = np.hypot(item.order_error, kept[-1].order_error) if twin else 0.0
         if twin and item.order - kept[-1].order < 4.0 * error:
             kept[-1] = max(kept[-1], item, key=lambda one: sum(len(line.seen) for line in one.lines))
         else:
             kept.append(item)
     return kept
+
+
+def _parted(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
+    """The orders of ``group`` as a sweep was followed by them, where that parts some; else those of its frames."""
+    weights = [1.0 / line.order_error**2 for line in group]
+    mean = float(np.average([line.order for line in group], weights=weights))
+    close = parted_lines(test.followed, near=mean, reach=test.reach)
+    return [_followed(group, one, test) for one in close] or _agreed(group, test)
 
 
 def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
@@ -188,6 +221,28 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     return [_Unnamed(first, group, text)]
 
 
+def _followed(group: list[OrderLine], found: list[Followed], test: _Test) -> _Unnamed:
+    """One of several close lines of a sweep as it was ``found`` in the recordings that part them."""
+    read = [item for item in found if item.by_phase] or found
+    joined = _joined([item.told for item in read])
+    number = replace(
+        joined,
+        # the same modes turn the phase in all recordings alike: more of them tell no better
+        error=max(joined.error, float(np.sqrt(min(item.variance for item in read)))),
+        by_phase=read[0].by_phase,
+        swept=tuple((item.order, item.course) for item in found),
+        parted_rev=min(item.span_rev for item in found),
+    )
+    lines = lines_of(
+        _all_channels(group, test),
+        found,
+        speed_rpm=test.order_map["speed"].values,
+        order=number.order,
+        order_error=number.error,
+    )
+    return _Unnamed(number, lines or group, PARTED_IN_SWEEP)
+
+
 def _may_be_two(group: list[OrderLine]) -> bool:
     """Whether the lines of ``group`` change as two do that beat, in frames too few to part these."""
     return any(line.remark and line.evidence != "locked to the shaft" for line in group)
@@ -219,6 +274,8 @@ def _zooms(group: list[OrderLine], test: _Test, bin_order: float, expected: floa
         speeds_rpm=np.unique(np.concatenate([line.speed_rpm for line in group])),
         speed_bin_rpm=float(test.order_map.attrs.get("speed_bin_rpm", 25.0)),
         near=expected - bin_order,
+        # what long frames of a sweep do not part is no pair: modes make short ones look like two
+        alone=stands_out(test.followed, near=expected, reach=np.inf) is not None,
     )
 
 
@@ -272,7 +329,8 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
     needed = None
     multiple = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
-    if lock == "slips" and not number.slips_from(multiple):
+    hidden = bool(number.swept) and stands_out(test.followed, near=order, reach=test.resolution) is False
+    if lock == "slips" and (hidden or not number.slips_from(multiple)):
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.freedom))
         reasons.append(IN_SWEEP)

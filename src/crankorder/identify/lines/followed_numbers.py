@@ -13,6 +13,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.agreed_orders import IN_SWEEP, MOST_MODE_TURNS
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
+from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
 
 SAME_ORDER = 1e-3
 """Share of an order within which a followed one is taken for it anyway."""
@@ -67,20 +68,18 @@ def with_followed(
         return tuple(orders)
     apart = 0.5 * float(axis[1] - axis[0])
     for item in followed:
-        if not item.attrs.get("swept", 0) or not item.sizes["frame"]:
-            continue
-        for place, number in enumerate(item["order"].values.tolist()):
+        for place in standing_out(item):
+            number = float(item["order"].values[place])
             known = any(abs(one.order - number) <= max(SAME_ORDER * number, apart) for one in found)
             if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > SAME_ORDER * number:
                 continue
             clear = _clear_rows(item, place)
-            lines = _lines_along(item, place, clear, order_map)
-            if lines:
+            if clear.any():
                 span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
                 error = min(apart, MOST_MODE_TURNS / span) / half_width(np.inf)
-                found.append(
-                    AgreedOrder(number, error, np.inf, "undecided", None, lines, f"{ONLY_FOLLOWED}; {IN_SWEEP}")
-                )
+                lines = _lines_along(item, place, clear, error, order_map)
+                why = f"{ONLY_FOLLOWED}; {IN_SWEEP}"
+                found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, why))
     return tuple(sorted(found, key=lambda one: one.order))
 
 
@@ -93,38 +92,19 @@ def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
 
 
 def _lines_along(
-    item: xr.Dataset, place: int, clear: NDArray[np.bool_], order_map: xr.Dataset
+    item: xr.Dataset, place: int, clear: NDArray[np.bool_], error: float, order_map: xr.Dataset
 ) -> tuple[OrderLine, ...]:
     """Lines of the order at ``place`` of the tracks ``item``, in rows of the map, of channels where it is ``clear``."""
-    number, axis = float(item["order"].values[place]), order_map["order"].values
-    column = int(np.argmin(np.abs(axis - number)))
-    speeds, names = order_map["speed"].values, order_map["channel"].values.tolist()
-    made = []
-    for name, rows in zip(item["channel"].values.tolist(), clear, strict=True):
-        if not rows.any() or name not in names:
-            continue
-        seen = np.unique(np.abs(speeds[:, None] - item["speed"].values[rows]).argmin(axis=0))
-        amplitude, error, freedom, phase = (
-            order_map[variable].values[names.index(name), seen, column].astype(np.float64)
-            for variable in ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
-        )
-        known = np.isfinite(amplitude) & (error > 0.0)
-        if not known.any():
-            continue
-        level = 20.0 * np.log10(float((amplitude[known] / error[known]).max()))
-        made.append(
-            OrderLine(
-                name,
-                number,
-                0.5 * float(axis[1] - axis[0]),
-                seen[known],
-                speeds[seen[known]],
-                amplitude[known],
-                error[known],
-                freedom[known],
-                phase[known],
-                "follows the speed",
-                level,
-            )
-        )
-    return tuple(made)
+    number, none = float(item["order"].values[place]), np.zeros(0)
+    stand_ins = []
+    for channel, name in enumerate(item["channel"].values.tolist()):
+        rows = np.flatnonzero(clear[channel])
+        if len(rows):
+            amplitude, noise = (item[key].values[channel, place, rows] for key in ("amplitude", "standard_error"))
+            level = 20.0 * np.log10(float((np.abs(amplitude) / noise).max()))
+            seen = np.zeros(0, dtype=np.int64)
+            line = OrderLine(name, number, error, seen, none, none, none, none, none, "follows the speed", level)
+            stand_ins.append(line)
+    track = Followed(item, place, number, error**2, by_phase=False, course=None)
+    speeds = order_map["speed"].values
+    return tuple(lines_of(stand_ins, [track], speed_rpm=speeds, order=number, order_error=error))

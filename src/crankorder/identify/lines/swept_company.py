@@ -22,6 +22,15 @@ LEAST_GAIN = 8.0
 FEWEST_FRAMES = 8
 """Frames of which so many can be told by their median."""
 
+SETTLING_STEPS = 3
+"""Rounds in which numbers of close lines settle: each leaves a tenth of what the one before left."""
+
+TRIAL_SPEEDS = 64
+"""Speeds at which a ringing mode may have been met."""
+
+LARGEST_MOVE = 0.5
+"""Share of the distance of two lines by which a number moves at most."""
+
 WIDTH_BINS = 0.01
 """Step by which the shape of a line that swells or bends is differenced."""
 
@@ -37,13 +46,8 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     """
     revs = float(frames.attrs["revs_per_frame"])
     place = order * revs
-    used: Array = np.arange(
-        max(1, round(place) - REACH_BINS), min(frames.sizes["order"], round(place) + REACH_BINS + 1), dtype=np.float64
-    )
-    centre = frames["crank_angle"].values + 0.5 * revs
-    turned = frames["spectrum"].values[:, :, used.astype(int)] * np.exp(
-        2j * np.pi * (np.outer(centre, used) / revs % 1.0)
-    )
+    used = _bins_about(place, frames)
+    turned = _turned(frames, used)
     seen = turned.reshape(-1, len(used))
     seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
     if len(seen) < FEWEST_FRAMES or len(used) < REACH_BINS:
@@ -64,6 +68,65 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     share = np.median(1.0 - np.abs(left @ lobes.T) ** 2 / energy[:, None], axis=0)
     best = int(share.argmin())
     return order + float(apart[best]) / revs if share[best] * LEAST_GAIN < 1.0 else float("nan")
+
+
+def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float] = ()) -> list[float] | None:
+    """Numbers of the close lines ``orders`` by how their phases run over the OrderFrames ``frames`` of a sweep.
+
+    Each frame is solved for all of them and those of ``others`` (orders) in reach; what most steps from frame to frame
+    turn a line by is how far it is off. None where one moves by more than LARGEST_MOVE of their distance, or keeps a
+    frequency rather than an order: then they are no two lines that keep their numbers, but one and what it rings.
+    """
+    revs = float(frames.attrs["revs_per_frame"])
+    middle, apart = float(np.mean(orders)), float(np.diff(sorted(orders)).min())
+    used = _bins_about(middle * revs, frames)
+    centre: Array = frames["crank_angle"].values + 0.5 * revs
+    turned = _turned(frames, used)
+    near = [
+        _changing_lobe(used - other * revs)[:2] for other in others if abs(other - middle) * revs < 2.0 * REACH_BINS
+    ]
+    numbers: Array = np.array(orders, dtype=np.float64)
+    for _ in range(SETTLING_STEPS):
+        lobes = np.concatenate([hann_lobe(used - numbers[:, None] * revs), *near])
+        phasors = turned @ np.linalg.pinv(lobes)[:, : len(numbers)]
+        steady = phasors * np.exp(-2j * np.pi * (np.outer(centre, numbers) % 1.0))
+        steps = np.nansum(steady[:, 1:] * steady[:, :-1].conj(), axis=0)
+        numbers = numbers + _usual_turn(steps) / float(np.median(np.diff(centre)))
+    moved = np.abs(numbers - np.asarray(orders)).max()
+    rings = any(_keeps_frequency(step, number, frames) for step, number in zip(steps.T, numbers, strict=True))
+    return None if rings or moved > LARGEST_MOVE * apart else numbers.tolist()
+
+
+def _keeps_frequency(steps: NDArray[np.complex128], order: float, frames: xr.Dataset) -> bool:
+    """Whether ``steps`` (frames - 1,) from frame to frame turn as those of one frequency near ``order``, rather than as
+    those of one order: a lightly damped mode rings on at its own."""
+    speed = frames["speed"].values
+    between, hop = 0.5 * (speed[1:] + speed[:-1]), np.diff(frames["crank_angle"].values)
+    unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+    met: Array = np.linspace(speed.min(), speed.max(), TRIAL_SPEEDS)
+    turns = np.outer(order * met, hop / between)
+    return bool(np.abs(np.exp(-2j * np.pi * turns) @ unit).max() >= np.abs(unit.sum()))
+
+
+def _usual_turn(steps: NDArray[np.complex128]) -> Array:
+    """Median turn [rev] of ``steps`` (frames - 1, lines), about their mean."""
+    unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+    mean = np.exp(1j * np.angle(unit.sum(axis=0)))
+    return np.asarray((np.angle(mean) + np.median(np.angle(unit / mean), axis=0)) / (2.0 * np.pi))
+
+
+def _bins_about(place: float, frames: xr.Dataset) -> Array:
+    """Numbers of the bins in reach of ``place`` (in bins)."""
+    first, last = round(place) - REACH_BINS, round(place) + REACH_BINS + 1
+    return np.arange(max(1, first), min(frames.sizes["order"], last), dtype=np.float64)
+
+
+def _turned(frames: xr.Dataset, used: Array) -> NDArray[np.complex128]:
+    """Spectra (channels, frames, bins) in the bins ``used``, phases counted from the middle of each frame."""
+    revs = float(frames.attrs["revs_per_frame"])
+    centre = frames["crank_angle"].values + 0.5 * revs
+    turn = np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
+    return np.asarray(frames["spectrum"].values[:, :, used.astype(int)] * turn)
 
 
 def _changing_lobe(off_bins: Array) -> Array:

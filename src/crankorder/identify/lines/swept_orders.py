@@ -7,7 +7,7 @@ import xarray as xr
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.swept_company import company_of
+from crankorder.identify.lines.swept_company import company_of, settled
 from crankorder.orders.common_frames import reframed
 from crankorder.orders.map import order_map
 from crankorder.settings import Settings
@@ -41,17 +41,29 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
     for item in lengths:
         step = 1.0 / float(item.attrs["revs_per_frame"])
         for line in sorted(_lines(item, settings), key=lambda line: -line.level_over_floor_db):
-            multiple = round(line.order * cycle) / cycle
-            order = multiple if abs(line.order - multiple) < SAME_BINS * step else line.order
+            order = _on_multiple(line.order, cycle, step)
             if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
                 kept.append((order, line.level_over_floor_db))
     for item in lengths:
         for order, level in list(kept):
-            company = company_of(order, item, [other for other, _ in kept])
-            if company > 0.0 and all(abs(company - other) > 0.5 * abs(company - order) for other, _ in kept):
-                kept.append((company, level))
+            others = [other for other, _ in kept]
+            company = company_of(order, item, others)
+            if company > 0.0 and all(abs(company - other) > 0.5 * abs(company - order) for other in others):
+                numbers = settled((order, company), item, [other for other in others if other != order])
+                if numbers is None:
+                    continue
+                step = 1.0 / float(item.attrs["revs_per_frame"])
+                placed = [_on_multiple(number, cycle, step) for number in numbers]
+                kept.remove((order, level))
+                kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]
     strongest = sorted(kept, key=lambda one: -one[1])[:MOST_FOLLOWED]
     return sorted(order for order, _ in strongest)
+
+
+def _on_multiple(order: float, cycle: int, step: float) -> float:
+    """``order``, or the multiple of 1 / ``cycle`` that bins of ``step`` orders do not tell from it."""
+    multiple = round(order * cycle) / cycle
+    return multiple if abs(order - multiple) < SAME_BINS * step else order
 
 
 def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
