@@ -493,22 +493,26 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     """
     first = number = len(state.prior.place)
     for group in _neighbours(state.poles, first):
-        poles = state.poles.chosen(~np.isin(np.arange(len(state.poles)), group))
-        rest = Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
-        if state.accounts_for(rest) <= FELT:
-            return _pruned(rest, chance=chance)
+        alone = _told_anew(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
+        if state.accounts_for(alone) <= FELT:
+            return _pruned(alone, chance=chance)
     while number < len(state.poles):
         rest = state.poles.without(number)
         fewer = Fitted.of(state.blocks, rest, state.prior)
         needed = state.saves(fewer) > _limit(state.blocks, chance) and state.accounts_for(fewer) > FELT
         if needed and _is_beside(state.poles, number):
-            fewer = Fitted.of([with_best_law(block, rest) for block in state.blocks], rest, state.prior).moved()
+            fewer = _told_anew(state, rest)
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
         else:
             state, number = fewer, first
     return state
+
+
+def _told_anew(state: Fitted, poles: Poles) -> Fitted:
+    """``state`` with these ``poles`` where they and the laws of the forces fit best."""
+    return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
 
 
 def _neighbours(poles: Poles, first: int) -> list[NDArray[np.int64]]:

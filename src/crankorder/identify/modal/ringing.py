@@ -98,7 +98,7 @@ def _rings(block: Block, later: float, natural_hz: float, damping: float, share:
         return False
     rate = float(np.abs(steps).max()) / passage.step_s / 60.0
     delay = natural_hz * abs(1.0 / later - 1.0 / block.order) / max(rate, 1e-12)
-    return 2.0 * np.pi * damping * natural_hz * delay < -np.log(share)
+    return bool(2.0 * np.pi * damping * natural_hz * delay < -np.log(share))
 
 
 def hidden_speeds(blocks: Sequence[Block], modes: Sequence[Mode], *, revs_per_cycle: int) -> tuple[HiddenSpeeds, ...]:
