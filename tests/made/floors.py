@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-OF_ONE_MARK = {"phase_reference": "tdc", "cycle_known": 1}
+OF_ONE_MARK = {"phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2}
 """Attributes of an order map whose phases all tell from one mark of the crank."""
 
 

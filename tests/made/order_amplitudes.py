@@ -143,7 +143,7 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
             "speed": rpm,
             "order": order,
         },
-        attrs={"phase_reference": reference, "cycle_known": 1},
+        attrs={"phase_reference": reference, "cycle_known": 1, "revs_per_cycle": 2},
     )
 
 
