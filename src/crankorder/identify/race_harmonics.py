@@ -45,7 +45,7 @@ class StruckRace:
     shaft_error: float
 
     def nearest(self, order: float, error: float) -> tuple[int, int, float] | None:
-        """Harmonic and turns of the shaft nearest to ``order`` and how far that is; None where none is near enough."""
+        """Harmonic and turns of the shaft at ``order`` and how far that is; None where, with its ``error``, none is."""
         best = None
         for harmonic in range(1, MOST_HARMONICS + 1):
             turns = round((order - harmonic * self.order) / self.shaft)
@@ -72,7 +72,7 @@ def struck_races(
     """Races and rolling elements that ``bearings`` (their records) show, as fine as ``lines`` (order, error) tell.
 
     The line of the vibration is the finer one; the shaft's own order is what the record of the envelope read from the
-    sidebands, or the stated one.
+    sidebands, or the one that ``sources`` state.
     """
     made: dict[tuple[str, str], StruckRace] = {}
     ratio = {bearing.name: bearing.shaft_ratio for bearing in sources.bearings}

@@ -157,10 +157,15 @@ def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probabi
     found = [
         line for place in inside if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None
     ]
+    cell = float(spectra.cell.max())
+    found = [line for line in found if line.place.low - cell <= line.order <= line.place.high + cell]
     found.sort(key=lambda line: (-line.level_db, -line.ratio))
     kept: list[EnvelopeLine] = []
-    within = 1.5 * float(spectra.cell.max())
+    within = 1.5 * cell
     for line in found:
+        first = all(other.place.name != line.place.name for other in kept)
+        if not first and not _stands(spectra, line.order, line.channel, line.speed):
+            continue  # the harmonics are another's: its own line is not there
         told = next(((other, how) for other in kept if (how := _made_by(line, other, within))), None)
         if told is None:
             kept.append(line)
@@ -201,11 +206,9 @@ def _line(
     order, error, freedom = _order(spectra, seen, mean, peak, total)
     strength = float(spectra.ratio[channel, speed, peak])
     size = float(spectra.amplitude[channel, speed, peak])
-    spread = 0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9))
     multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
-    own = [other for other in places if other.name == place.name]
     where = spectra.ratio[channel, speed] if seen.any() else mean
-    ranked = ranking(where, float(step), spectra.free()[int(speed)], own)
+    own = [other for other in places if other.name == place.name]
     return EnvelopeLine(
         place=place,
         order=order,
@@ -215,12 +218,12 @@ def _line(
         speed=int(speed),
         ratio=strength,
         amplitude=size,
-        amplitude_error=spread,
+        amplitude_error=0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9)),
         chance=chance,
         seen=seen,
         harmonics=multiples,
         sidebands=spacing,
-        ranking=ranked,
+        ranking=ranking(where, float(step), spectra.free()[int(speed)], own),
     )
 
 
@@ -263,7 +266,7 @@ def _comb_chances(
 
 
 def parabola(ratio: NDArray[np.float64], at: int) -> float:
-    """Where, in bins from ``at``, the parabola through a power of three neighbours has its top: right to 0.001 bins.
+    """Where, in bins from ``at``, a parabola through a power of three of ``ratio`` has its top: right to 0.001 bins.
 
     Source: K. J. Werner and F. G. Germain (2016), Applied Sciences 6, 306: the power that suits a Hann window.
     """

@@ -95,7 +95,7 @@ def bearing_places(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, 
 
 
 def bearing_combs(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> tuple[Comb, ...]:
-    """Trains of strikes of ``bearings`` to be looked for in envelopes, each once; N*fs keeps step and is none."""
+    """Trains of strikes of ``bearings``, each once, at any slip of ``slip_percent``; N*fs keeps step and is none."""
     places = bearing_places(bearings, slip_percent=slip_percent)
     return tuple(dict.fromkeys(Comb(place.low, place.high) for place in places if place.line != "N*fs"))
 

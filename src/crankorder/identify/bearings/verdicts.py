@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from crankorder.identify.bearings.candidates import Candidate
 from crankorder.identify.bearings.envelope_lines import EnvelopeLine
 from crankorder.identify.bearings.places import Place
 from crankorder.identify.bearings.shaft_speed import ShaftSpeed
@@ -16,6 +17,12 @@ DAMAGED = {
     "BSF": "a rolling element",
     "FTF": "the cage",
 }
+
+COMPANION_SHARE = 0.5
+"""Of a line's amplitude, from which another line of the same bearing may be the damage as well as it."""
+
+OFF_SHARE = 0.08
+"""Of the cage's order, from which a line is none of its multiples."""
 
 RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
 
@@ -97,11 +104,13 @@ def envelope_verdict(
     lead = _lead(line, found)
     if lead is not None:
         share = line.amplitude / lead.amplitude
+        sure = not _rivals(lead, found)
+        goes = f"{_damage(lead.place)} as the load passes the rolling elements" if sure else "the strikes there"
         return (
             f"{place.title} of {place.name} ({slip}) with {share:.0%} of the amplitude of {lead.place.title}: it goes "
-            f"with {_damage(lead.place)} as the load passes the rolling elements; no second damage is concluded."
+            f"with {goes}; no second damage is concluded."
         )
-    text = _part_words(line, slip)
+    text = _part_words(line, _rivals(line, found), slip)
     if speed_is_nominal:
         text += f" {_speed_words(shaft)}"
     others = [other for other in found if other is not line]
@@ -132,19 +141,41 @@ def _lead(line: EnvelopeLine, found: list[EnvelopeLine]) -> EnvelopeLine | None:
     kin = [other for other in found if other.place.name == line.place.name and other.place.line != line.place.line]
     higher = [other for other in kin if (other.level_db, other.ratio) > (line.level_db, line.ratio)]
     lead = max(higher, key=lambda other: (other.level_db, other.ratio), default=None)
-    if lead is None or line.place.line in {one.place.line for one in lead.ranking.rivals()}:
+    if lead is None or line.place.line in {one.place.line for one in _rivals(lead, found)}:
         return None
     return lead
 
 
-def _part_words(line: EnvelopeLine, slip: str) -> str:
-    """Which part a ``line`` that goes with no other tells of, by how much, and what else it may be."""
+def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
+    """Parts of its bearing that that of ``line`` is not told from.
+
+    They stand about as high by their harmonics, or have a line of about its amplitude among those ``found``; a cage's
+    goes with every damage that comes and goes with the load.
+    """
+    ranked, place_line = line.ranking, line.place.line
+    high = {one.place.line for one in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
+    kin = [other for other in found if other.place.name == line.place.name]
+    large = {
+        other.place.line
+        for other in kin
+        if other.place.line not in ("FTF", "N*fs")
+        and other.amplitude >= COMPANION_SHARE * line.amplitude
+        and not (place_line == "FTF" and _is_multiple(other.order, line.order))
+    }
+    return [one for one in ranked.candidates if one.place.line in (high | large) - {line.place.line}]
+
+
+def _is_multiple(order: float, cage: float) -> bool:
+    """Whether a line at ``order`` is one of the many harmonics that a damaged ``cage`` has."""
+    return abs(order / cage - round(order / cage)) <= OFF_SHARE
+
+
+def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
+    """Which part a ``line`` that goes with no other tells of, by how much, and which of ``rivals`` it may be."""
     place, ranked = line.place, line.ranking
     own = ranked.of(place.line)
     if own is None:
         return f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}."
-    first = ranked.candidates[0]
-    rivals = [one for one in (first, *ranked.rivals()) if one.place.line != place.line]
     if not rivals:
         margin = f", {ranked.margin_db:.0f} dB more than {ranked.candidates[1].place.title}" if ranked.others else ""
         return (
