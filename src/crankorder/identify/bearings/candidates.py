@@ -24,6 +24,9 @@ CLEAR_SHARE = 0.25
 NOISE_DB, OFF_BINS = 5.0, 2.5
 """Level that noise reaches at the best of all places of a part, and bins beside a multiple that are off it."""
 
+CAGE_FROM = 3
+"""First harmonic of a cage that counts: the load zone makes the lower ones of any damage that passes through it."""
+
 SIDE_SHARE = 0.5
 """Weight of the sidebands that a part makes as it comes and goes with the load, against its harmonics."""
 
@@ -68,13 +71,13 @@ class Ranking:
 def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Place]) -> Ranking:
     """Ranking of the ``places`` of one bearing by ``ratio`` (orders,), power over the floor in bins ``step`` apart.
 
-    The level of a part is the mean of those of its first harmonics, three of a race or a rolling element and six of a
-    cage, each at the place that suits it best. Half of that of an inner race or a rolling element is in the sidebands
-    that its way through the load zone makes. What stands one turn of the cage beside is taken from the level of a race,
-    for a damaged cage or rolling element has lines there too; from that of a rolling element the multiple of the cage's
-    order half way between its harmonics, where only a cage has one. What a rolling element makes off the multiples of
-    the cage's order speaks against the cage, for the element comes and goes with it. Bins that are not ``free`` do not
-    count.
+    The level of a part is the mean of those of its first harmonics, three of a race or a rolling element and the third
+    to the sixth of a cage, each at the place that suits it best. Half of that of an inner race or a rolling element is
+    in the sidebands that its way through the load zone makes. What stands one turn of the cage beside is taken from the
+    level of a race, for a damaged cage or rolling element has lines there too; from that of a rolling element the
+    multiple of the cage's order half way between its harmonics, where only a cage has one. What a rolling element makes
+    off the multiples of the cage's order speaks against the cage, for the element comes and goes with it. Bins that are
+    not ``free`` do not count.
     """
     level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, HIGHEST_DB)
     level = np.where(free, level, np.nan)
@@ -95,7 +98,7 @@ def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
     """Orders (trials,) at which ``place`` may be, and its level at each; NaN beyond the spectrum."""
     comb = Comb(place.low, place.high)
     trials = comb.trials(step)
-    harmonic = np.arange(1, comb.teeth + 1)[:, None]
+    harmonic = np.arange(CAGE_FROM if place.line == "FTF" else 1, comb.teeth + 1)[:, None]
     teeth = harmonic * trials
     made = _levels(level, step, teeth)
     cage = place.cage_at(trials)
