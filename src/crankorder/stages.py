@@ -21,6 +21,7 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.fft.band import band_limited
 from crankorder.flow import StagePlan
+from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.findings import find
 from crankorder.identify.lines.swept_orders import swept_orders
 from crankorder.identify.sources import Sources
@@ -199,10 +200,12 @@ def envelope_of_recording(
     """Order spectrum of the envelope of ``recording`` by ``shaft`` (``settings`` of orders), if it has bearings.
 
     ``manifest`` and the engine that ``knowledge`` holds name them; without any there is nothing to look for.
+    ``settings`` of identify say by how much they may slip.
     """
     bearings = manifest.bearings or (knowledge.engine.bearings if knowledge.engine is not None else ())
     looked_at = recording if bearings else recording.isel({recording["signal"].dims[1]: slice(0, 0)})
-    return RecordingEnvelope(recording_envelope(looked_at, shaft, settings=settings.orders))
+    combs = bearing_combs(bearings, slip_percent=settings.identify.bearing_slip_percent)
+    return RecordingEnvelope(recording_envelope(looked_at, shaft, settings=settings.orders, combs=combs))
 
 
 @stage

@@ -177,3 +177,20 @@ def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
     found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
     assert found and all(item.needed_revs is None for item in found)
     assert all(item.lock != "undecided" or "a recording at one speed would tell" in item.reservation for item in found)
+
+
+def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond() -> None:
+    """Orders go to 20 in bins of 1/16: a line up to half a bin beyond is told, of one farther out nothing is said."""
+    rng, end, half_bin = np.random.default_rng(14), 20.0, 0.5 / 16
+    for seed in range(40):
+        beyond, revs = rng.uniform(-2.0, 3.0) * half_bin, int(rng.integers(30, 400))
+        found = agreed(
+            lambda angle, _, at=end + beyond: wave(angle, at, 1.0),
+            seed=seed,
+            revs=revs,
+            noise=10 ** rng.uniform(-2, -1),
+        )
+        if beyond < 0.9 * half_bin:
+            assert [item.order for item in found] == pytest.approx([end + beyond], abs=2e-3)
+        elif beyond > 1.1 * half_bin:
+            assert found == ()

@@ -13,6 +13,7 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
+from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.settings import load_settings
 from crankorder.shaft.folding import Fold
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
@@ -151,7 +152,8 @@ def test_a_race_modulated_by_its_shaft_has_sidebands():
     ]
     found = texts(orders, sources, bearings=[bearing_record(JACK_SHAFT, "BPFI", inner)])
     assert found[inner] == "bearing jack shaft BPFI"
-    assert found[inner - 0.5] == found[inner + 0.5] == "sideband of order 3.317 spaced by 0.5"
+    assert found[inner - 0.5] == "bearing jack shaft BPFI - 1 x shaft"
+    assert found[inner + 0.5] == "bearing jack shaft BPFI + 1 x shaft"
 
 
 def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
@@ -254,3 +256,26 @@ def test_tones_that_are_all_multiples_of_one_frequency_are_no_sidebands_of_each_
     tones = [Tone(hz, 1e-3, "tone", {"A": (size, 1e-3)}, "a tone") for hz, size in zip(places, sizes, strict=True)]
     found = causes([], ROTOR, modal=fit(tones=tones))
     assert {cause.text for cause in found.tones} == {"tone"}
+
+
+def test_harmonics_of_a_drawn_race_and_their_sidebands_are_told_from_other_lines():
+    rng = np.random.default_rng(14)
+    hits = others = 0
+    for _ in range(40):
+        race, shaft = rng.uniform(3.1, 8.9), 1.0 - rng.uniform(-0.001, 0.001)
+        wanted = {(n, k): n * race + k * shaft for n in range(1, 5) for k in range(-2, 3) if n * race + k * shaft > 1.5}
+        sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0}),))
+        places = [(order + 1e-4 * rng.standard_normal(), 2e-4) for order in wanted.values()]
+        (found,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", race)], sources, places)
+        hits += sum(found.nearest(*place) is not None for place in places) / len(places)
+        anywhere = rng.uniform(1.5, 30.0, 50)
+        others += sum(found.nearest(float(order), 2e-4) is not None for order in anywhere) / len(anywhere)
+    assert hits / 40 > 0.97
+    assert others / 40 < 0.05
+
+
+def test_a_tone_of_a_struck_race_at_one_speed_is_no_tone_of_its_own():
+    sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0}),))
+    (race,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", 5.4)], sources, [])
+    assert harmonic_words([race], 2 * 5.4 - 1.0, 1e-4) == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
+    assert harmonic_words([race], 4.93, 1e-4) == ""

@@ -13,7 +13,8 @@ from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import growth
-from crankorder.identify.mains_orders import mains_orders
+from crankorder.identify.mains_orders import ALIKE_SPEEDS, mains_orders
+from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
 from crankorder.settings import IdentifySettings
@@ -99,9 +100,12 @@ def explained(
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     """
     causes: dict[tuple[str, float], Cause] = {}
+    races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
     for agreed in orders:
         for line in agreed.lines:
-            cause = _first_cause(agreed, line, orders, bearings, sources, quantity[line.channel], folds, settings)
+            cause = _first_cause(
+                agreed, line, orders, bearings, races, sources, quantity[line.channel], folds, settings
+            )
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
     for order, (text, evidence) in mains_orders(orders, settings=settings).items():
         for key in causes:
@@ -118,7 +122,7 @@ def explained(
     modes = tuple(
         Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
     )
-    return Causes(causes, modes, _explained_tones(modal.tones))
+    return Causes(causes, modes, _explained_tones(modal.tones, races, _one_speed(orders)))
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
@@ -141,6 +145,7 @@ def _first_cause(
     line: OrderLine,
     orders: tuple[AgreedOrder, ...],
     bearings: list[dict[str, Any]],
+    races: list[StruckRace],
     sources: Sources,
     quantity: str,
     folds: Sequence[ShownFold],
@@ -160,6 +165,7 @@ def _first_cause(
         lambda: _first_order(of_cycle, line, sources, quantity, proof),
         lambda: _combustion(of_cycle, sources, proof),
         lambda: _bearing(agreed, of_cycle, bearings, sources, settings),
+        lambda: _race_harmonic(agreed, of_cycle, races),
         lambda: _fold(line, folds),
         lambda: _half_order(of_cycle, orders, sources, proof),
         lambda: _shaft_harmonic(of_cycle, sources, proof),
@@ -257,6 +263,25 @@ def _bearing(
     return Cause(text, "within the interval of the bearing's line" + ("; exactly locked" if parts else ""))
 
 
+RACE_EVIDENCE = "where the strikes that were found have a harmonic, or one with turns of the shaft beside it"
+"""Why a line is a struck race's: strikes have many harmonics, and come and go with the load as the shaft turns."""
+
+
+def _race_harmonic(agreed: AgreedOrder, of_cycle: float | None, races: list[StruckRace]) -> Cause | None:
+    """Harmonic of a struck race or a sideband of one, which a line on a multiple of the cycle's order is not."""
+    if of_cycle is not None or agreed.lock == "locked":
+        return None
+    text = harmonic_words(races, agreed.order, agreed.order_error)
+    return Cause(text, RACE_EVIDENCE) if text else None
+
+
+def _one_speed(orders: tuple[AgreedOrder, ...]) -> float | None:
+    """Speed in rpm of a test at one speed, where a tone may as well be a line that goes with it; else None."""
+    speed = np.array([rpm for agreed in orders for line in agreed.lines for rpm in line.speed_rpm])
+    alike = len(speed) > 0 and bool(np.isfinite(speed).all()) and speed.max() <= ALIKE_SPEEDS * speed.min()
+    return float(speed.mean()) if alike else None
+
+
 def _article(number: int) -> str:
     return "an" if str(number).startswith(("8", "11", "18")) else "a"
 
@@ -309,8 +334,11 @@ def _spacings(sources: Sources, bearings: list[dict[str, Any]]) -> dict[str, flo
     return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
 
 
-def _explained_tones(tones: tuple[Tone, ...]) -> tuple[Cause, ...]:
-    """Mains, orders that no speed tells from tones, sidebands of a stronger tone; the rest are tones."""
+def _explained_tones(tones: tuple[Tone, ...], races: list[StruckRace], rpm: float | None) -> tuple[Cause, ...]:
+    """Mains, orders that no speed tells from tones, harmonics of struck ``races``, sidebands; the rest are tones.
+
+    ``rpm``: of a test at one speed, else None.
+    """
     sizes = [max((amplitude for amplitude, _ in tone.amplitude.values()), default=0.0) for tone in tones]
     places = [tone.frequency_hz for tone in tones]
     mains = {f"mains {tone.frequency_hz:.4g} Hz": tone.frequency_hz for tone in tones if tone.kind == "mains"}
@@ -327,12 +355,27 @@ def _explained_tones(tones: tuple[Tone, ...]) -> tuple[Cause, ...]:
     causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
-        if tone.kind == "tone" and band is not None:
+        race = _race_of_tone(tone, races, rpm)
+        if race:
+            causes.append(Cause(race, RACE_EVIDENCE))
+        elif tone.kind == "tone" and band is not None:
             text = f"sideband of {places[band.carrier]:.4g} Hz spaced by {band.spacing:.4g} Hz"
             causes.append(Cause(text, f"one of a pair about a stronger tone; chance {band.chance:.1g}"))
         else:
             causes.append(Cause(tone.kind, tone.evidence))
     return tuple(causes)
+
+
+LOW_MAINS_HZ = 250.0
+"""Up to this mains are strong: above, a line that a struck race has for certain is its own."""
+
+
+def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> str:
+    """What a ``tone`` is called that at the only speed ``rpm`` of a test lies where one of ``races`` puts a line."""
+    mains = tone.kind == "mains"
+    if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < LOW_MAINS_HZ):
+        return ""
+    return harmonic_words(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
 
 
 def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:

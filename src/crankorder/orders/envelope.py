@@ -20,8 +20,10 @@ from crankorder.orders.envelope_band import (
     between,
     block_spectra,
     envelopes_of,
+    without_tones,
 )
-from crankorder.orders.envelope_lines import best_band, free_orders, line_floor
+from crankorder.orders.envelope_combs import Comb, comb_chances
+from crankorder.orders.envelope_lines import FLOOR_WORTH, best_band, free_orders, line_floor, off_mains
 from crankorder.quantities import channel_coords, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
@@ -34,6 +36,13 @@ PIECES = 4
 
 FRAMES_PER_PIECE = 2
 """Frames that a piece holds at least, where that is not more than is analysed: cut pieces lose what overlaps."""
+
+
+COMB_SHARE = 0.9
+"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
+
+SURE_OF_COMB = 0.01
+"""Chance that noise makes a comb in any band of a channel below which the band that shows it best is taken."""
 
 
 class Frames(NamedTuple):
@@ -97,16 +106,19 @@ class Choice(NamedTuple):
     share: float
 
 
-def recording_envelope(recording: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
+def recording_envelope(
+    recording: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings, combs: tuple[Comb, ...] = ()
+) -> xr.Dataset:
     """RecordingEnvelope: order spectrum (channel, speed, order) of the squared envelope in the band that shows most.
 
     ``recording`` is the full-band Recording by time, which may lie on disk; ``shaft`` its ShaftAngle. Of a tree of
     bands above order ``settings.max_order`` (so that order lines are not taken for strikes) that one is taken, channel
-    by channel, in whose envelope an order that is no multiple of the cycle's stands highest above the floor. The
-    squared envelope is averaged over even steps of crank angle, and its power spectra over frames of
-    ``settings.envelope_revs_per_frame`` (fewer where the recording is shorter; the orders' spacing stays).
-    ``amplitude`` is the root of the squared envelope's line: of strikes it grows as they do, whatever noise they stand
-    in. At most ``settings.envelope_longest_s`` are analysed, in pieces spread over the recording (``analysed_s``).
+    by channel, which shows the harmonics of one of ``combs`` best, where one band shows any for certain; else that in
+    whose envelope an order that is no multiple of the cycle's stands highest above the floor. The squared envelope is
+    averaged over even steps of crank angle, and its power spectra over frames of ``settings.envelope_revs_per_frame``
+    (fewer where the recording is shorter; the orders' spacing stays). ``amplitude`` is the root of the squared
+    envelope's line: of strikes it grows as they do, whatever noise they stand in. At most
+    ``settings.envelope_longest_s`` are analysed, in pieces spread over the recording (``analysed_s``).
 
     Without orders, and flagged "no_envelope_band", where the sampling leaves no room above ``max_order``, the speed is
     not known, less than eight revolutions were recorded or the recording is by crank angle.
@@ -123,7 +135,7 @@ def recording_envelope(recording: xr.Dataset, shaft: xr.Dataset, *, settings: Or
         revs_per_cycle=int(shaft.attrs["revs_per_cycle"]),
     )
     stretches = _stretches(recording, shaft, pieces, frames)
-    chosen = [_choose(row, bands, stretches, frames, turn) for row in recording["signal"].values]
+    chosen = [_choose(row, bands, stretches, frames, turn, combs) for row in recording["signal"].values]
     return _dataset(recording, shaft, settings, chosen, frames, len(bands), pieces)
 
 
@@ -219,28 +231,58 @@ def _stretches(
 
 
 def _choose(
-    signal: NDArray[np.floating], bands: tuple[Band, ...], stretches: list[Stretch], frames: Frames, turn: Turn
+    signal: NDArray[np.floating],
+    bands: tuple[Band, ...],
+    stretches: list[Stretch],
+    frames: Frames,
+    turn: Turn,
+    combs: tuple[Comb, ...],
 ) -> Choice:
-    """The band of one channel in whose envelope most stands out, with its spectrum."""
+    """The band of one channel in whose envelope ``combs`` or, failing these, most stands out, with its spectrum.
+
+    The choice is made without the tones of the signal, the spectrum is that of all of it.
+    """
     blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in stretches]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
-    screened = _spectra(blocks, finest, stretches, frames, turn, level=finest[0].level)
+    toneless = [without_tones(some) for some in blocks]
+    screened = _spectra(toneless, finest, stretches, frames, turn, level=finest[0].level)
     if not screened.used:
         missing = np.full(frames.n_orders, np.nan)
         return Choice(bands[0], missing, missing, math.nan, 0.0)
-    total = sum(len(one.begins) for one in stretches)
-    n_independent = frames.n_independent * screened.used / total
+    share = screened.used / sum(len(one.begins) for one in stretches)
+    n_independent = frames.n_independent * share
     floor = line_floor(screened.power, frames.order, n_independent)
     height = screened.power / np.maximum(floor, np.finfo(np.float64).tiny)
     free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
-    best = best_band(np.where(free, height, 0.0).max(axis=1))
-    if bands[best] in finest:
-        return Choice(
-            bands[best], screened.power[best], floor[best], float(screened.level[best]), screened.used / total
-        )
+    free &= off_mains(frames.order, speed_hz=turn.mean_hz, cell=1.0 / frames.revs)
+    best = _band_of_combs(height, combs, frames, n_independent, free)
+    if best is None:
+        best = best_band(np.where(free, height, 0.0).max(axis=1))
     exact = _spectra(blocks, (bands[best],), stretches, frames, turn, level=1)
     floor = line_floor(exact.power, frames.order, n_independent)
-    return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), screened.used / total)
+    return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), share)
+
+
+def _band_of_combs(
+    height: NDArray[np.float64], combs: tuple[Comb, ...], frames: Frames, n_independent: float, free: NDArray[np.bool_]
+) -> int | None:
+    """Band (row of ``height``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
+    step = float(frames.order[1])
+    count = np.full(len(height), n_independent)
+    worth = np.full(len(height), FLOOR_WORTH * frames.revs)
+    chances = [
+        comb_chances(height, comb, step=step, count=count, floor_worth=worth, free=free)
+        for comb in combs
+        if comb.low > step and comb.high < frames.order[-1]
+    ]
+    if not chances:
+        return None
+    every = np.concatenate(chances, axis=1)
+    if every.min() * every.size > SURE_OF_COMB:
+        return None
+    nats = -np.log(np.maximum(every.min(axis=1), 1e-300))
+    # a wider band that shows it as well holds more of the resonance
+    return int(np.flatnonzero(nats >= COMB_SHARE * nats.max())[0])
 
 
 def _spectra(

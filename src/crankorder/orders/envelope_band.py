@@ -26,6 +26,10 @@ TAPER_SHARE = 0.1
 HIGHEST_SHARE = 0.49
 """Of the sampling rate, up to which bands reach."""
 
+TONE_BINS, TONE_RATIO = 256, 5.0
+"""Bins of a block's spectrum whose median is its level there, and the multiple of it above which a line is a tone: of
+noise one bin in 1e7 is."""
+
 MOST_PLANS = 24
 """Plans of inverse transforms that a thread keeps: enough for four record layouts."""
 
@@ -127,6 +131,25 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
         row[:] = plan.output_array
     gaps = np.concatenate(bad) if bad else np.zeros((0, 2), dtype=np.int64)
     return Blocks(firsts, made, (scale or 1.0) ** -2, gaps)
+
+
+def without_tones(blocks: Blocks) -> Blocks:
+    """``blocks`` with no line higher than ``TONE_RATIO`` times the median of the bins about it.
+
+    Two steady tones in one band, such as those of a mesh and of the mains, beat in its envelope as strikes do; strikes
+    whose intervals wander have no such lines. Source: P. Borghesani et al. (2013), Mechanical Systems and Signal
+    Processing 36, p. 370 (all magnitudes made equal); here only what stands out is lowered.
+    """
+    made = blocks.spectra.copy()
+    whole = made.shape[1] // TONE_BINS * TONE_BINS
+    for row in made:
+        size = np.abs(row)
+        middle = TONE_RATIO * np.median(size[:whole].reshape(-1, TONE_BINS), axis=1)
+        limit = np.full(len(size), middle[-1])
+        limit[:whole] = np.repeat(middle, TONE_BINS)
+        over = size > limit
+        row[over] *= limit[over] / size[over]
+    return blocks._replace(spectra=made)
 
 
 def envelopes_of(

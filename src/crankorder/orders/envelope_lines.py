@@ -8,8 +8,16 @@ from numpy.typing import NDArray
 FLOOR_ORDERS = 1.0
 """Width in orders of the pieces of a spectrum whose medians are the floor: wide against any line and its skirts."""
 
+FLOOR_WORTH = 0.4
+"""Independent powers per cell of resolution that a floor of medians is worth: of a Hann window two thirds are, and a
+median is worth 0.6 of their mean."""
+
 LOCKED_BINS = 2.0
 """Cells of resolution beside a multiple of the cycle's order that take no part in the choice of the band."""
+
+MAINS_HZ, MAINS_SHARE, MAINS_CELLS = (50.0, 60.0), 0.002, 1.5
+"""Multiples of the mains beat with each other in every band that holds two of them, as strikes at such a rate would:
+frequencies, by how much these wander as a share, and cells of resolution beside in which nothing is told."""
 
 LOWEST_ORDER = 0.25
 """Order below which nothing is chosen by: slow changes of load and speed are there."""
@@ -37,6 +45,16 @@ def free_orders(order: NDArray[np.float64], revs: int, revs_per_cycle: int) -> N
     """
     beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
     return np.asarray((beside > LOCKED_BINS / revs) & (order > LOWEST_ORDER))
+
+
+def off_mains(order: NDArray[np.float64], *, speed_hz: float, cell: float) -> NDArray[np.bool_]:
+    """Which ``order`` (orders,) is, at ``speed_hz``, none at which multiples of the mains beat; ``cell`` in orders."""
+    made = np.ones(len(order), dtype=np.bool_)
+    for mains_hz in MAINS_HZ:
+        spacing = mains_hz / speed_hz
+        beside = np.abs(order - spacing * np.maximum(np.round(order / spacing), 1.0))
+        made &= beside > MAINS_CELLS * cell + MAINS_SHARE * order
+    return made
 
 
 def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_independent: float) -> NDArray[np.float64]:

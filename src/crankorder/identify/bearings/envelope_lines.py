@@ -10,16 +10,13 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
+from crankorder.identify.bearings.candidates import Ranking, ranking
 from crankorder.identify.bearings.places import Place, made_by, on_cycle
+from crankorder.orders.envelope_combs import TRIALS_PER_BIN, Comb, comb_chances
+from crankorder.orders.envelope_lines import FLOOR_WORTH, off_mains
 
 FLOOR_BINS = 64
 """Bins whose median is the floor, a Hann window's worth of independent ones being two thirds."""
-
-FLOOR_WORTH = 0.4
-"""Independent powers that a bin is worth in the median: two thirds (Hann) of the mean's, and that of 0.6."""
-
-NEAR_CELLS = (3, 12)
-"""Cells of resolution beside a line whose median is its nearest floor: a line on the skirt of another is none."""
 
 CYCLE_CELLS = 1.5
 """Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
@@ -40,6 +37,12 @@ LEAST_SPEEDS = 4
 
 HARMONICS = 4
 """Highest multiple of a line that is looked for."""
+
+WAYS = 2.0
+"""Ways in which a line is looked for: in single spectra and in the mean of all."""
+
+LEAST_FREE = 0.5
+"""Share of the spectra in which an order must be free for the mean of all to count there."""
 
 HARMONIC_LEVEL = 1e-3
 """Chance that noise alone makes one multiple or sideband of a line that was found."""
@@ -69,10 +72,22 @@ class Spectra:
         return np.asarray(FLOOR_BINS * FLOOR_WORTH * self.order[1] / self.cell)
 
     def free(self) -> NDArray[np.bool_]:
-        """Bins (speed, order) at which strikes can be told from what is locked to the engine's cycle."""
-        return np.logical_not(
-            on_cycle(self.order[None], revs_per_cycle=self.revs_per_cycle, within=CYCLE_CELLS * self.cell[:, None])
-        )
+        """Bins (speed, order) at which strikes can be told from what is locked to the engine's cycle and from mains."""
+        cycle = on_cycle(self.order[None], revs_per_cycle=self.revs_per_cycle, within=CYCLE_CELLS * self.cell[:, None])
+        mains = [
+            off_mains(self.order, speed_hz=rpm / 60.0, cell=float(cell))
+            for rpm, cell in zip(self.speed_rpm, self.cell, strict=True)
+        ]
+        return np.logical_not(cycle) & np.array(mains)
+
+    def mean(self) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
+        """Mean of all channels and speeds (orders,) where these are free, spectra it is worth, and bins that count."""
+        weight = self.count[:, :, None] * self.free()[None]
+        own = weight.sum(axis=(0, 1))
+        counts = own >= LEAST_FREE * max(float(self.count.sum()), 1e-9)
+        mean = (weight * self.ratio).sum(axis=(0, 1)) / np.where(counts, own, 1.0)
+        worth = float(own[counts].min()) if counts.any() else 0.0
+        return np.where(counts, mean, 0.0), worth, np.asarray(counts)
 
     def near(self, order: float) -> slice:
         """Bins within one cell of ``order``, of the coarsest resolution there is."""
@@ -87,7 +102,8 @@ class EnvelopeLine:
     """A bearing line in the envelope: its order with standard error and degrees of freedom, and where it is strongest.
 
     ``seen`` (channel, speed) says where it stands over the level by itself; ``chance`` is that of noise making it
-    anywhere in the test, ``also`` what else of the list it makes.
+    anywhere in the test, ``ranking`` how the parts of its bearing compare there, ``also`` what else of the list it
+    makes.
     """
 
     place: Place
@@ -103,7 +119,14 @@ class EnvelopeLine:
     seen: NDArray[np.bool_]
     harmonics: int
     sidebands: float | None
+    ranking: Ranking
     also: list[str] = field(default_factory=list)
+
+    @property
+    def level_db(self) -> float:
+        """Mean level of the lines that damage there makes; that of the line where it is no part's."""
+        own = self.ranking.of(self.place.line)
+        return own.level_db if own is not None else 0.0
 
 
 def spectra_of(envelope: xr.Dataset) -> Spectra:
@@ -131,11 +154,18 @@ def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probabi
     """
     inside = [place for place in places if place.low > spectra.order[1] and place.high < spectra.order[-1]]
     bins = sum(int((place.high - place.low) / spectra.order[1]) + 1 for place in inside)
-    found = [line for place in inside if (line := _line(spectra, place, bins, false_alarm_probability)) is not None]
-    found.sort(key=lambda line: -line.ratio)
+    found = [
+        line for place in inside if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None
+    ]
+    cell = float(spectra.cell.max())
+    found = [line for line in found if line.place.low - cell <= line.order <= line.place.high + cell]
+    found.sort(key=lambda line: (-line.level_db, -line.ratio))
     kept: list[EnvelopeLine] = []
-    within = 1.5 * float(spectra.cell.max())
+    within = 1.5 * cell
     for line in found:
+        first = all(other.place.name != line.place.name for other in kept)
+        if not first and not _stands(spectra, line.order, line.channel, line.speed):
+            continue  # the harmonics are another's: its own line is not there
         told = next(((other, how) for other in kept if (how := _made_by(line, other, within))), None)
         if told is None:
             kept.append(line)
@@ -151,28 +181,24 @@ def _made_by(line: EnvelopeLine, other: EnvelopeLine, within: float) -> str:
     return made_by(line.order, other.place, other.order, within=within)
 
 
-def _line(spectra: Spectra, place: Place, bins: int, false_alarm_probability: float) -> EnvelopeLine | None:
-    """The line of ``place``; None where nothing stands over the level."""
+def _line(
+    spectra: Spectra, place: Place, places: list[Place], bins: int, false_alarm_probability: float
+) -> EnvelopeLine | None:
+    """The line of ``place``, one of the ``places``; None where nothing stands over the level."""
     step = spectra.order[1]
     span = slice(math.ceil(place.low / step), math.floor(place.high / step) + 1)
-    ratio = np.where(_peaks(spectra, span), spectra.ratio[:, :, span], 0.0)
-    if not ratio.size or not ratio.any():
+    mean, total, _ = spectra.mean()
+    alone, together = _chances(spectra, place, span, bins)
+    if not alone.size:
         return None
-    cells = spectra.count.size * spectra.bands_tried * bins
-    alone = np.minimum(spectra.chance(ratio) * cells * 2.0, 1.0)
-    total = float(spectra.count.sum())
-    mean = (spectra.count[:, :, None] * spectra.ratio).sum(axis=(0, 1)) / max(total, 1e-9)
-    own = float((spectra.count * spectra.floor_worth[None]).sum())
-    free = spectra.free()[:, span].all(axis=0) & _peak_of(mean, span, 1)
-    together = np.where(
-        free, np.minimum(fdtrc(2.0 * total, 2.0 * own, mean[span]) * spectra.bands_tried * bins * 2.0, 1.0), 1.0
-    )
     chance = min(float(alone.min()), float(together.min()))
     if chance > false_alarm_probability:
         return None
     seen: NDArray[np.bool_] = np.asarray(alone.min(axis=2) <= false_alarm_probability)
     if seen.any():
-        channel, speed, at = np.unravel_index(np.argmax(ratio * (alone <= false_alarm_probability)), ratio.shape)
+        channel, speed, at = np.unravel_index(
+            np.argmax(spectra.ratio[:, :, span] * (alone <= false_alarm_probability)), alone.shape
+        )
     else:
         at = np.argmin(together)
         channel, speed = np.unravel_index(np.argmax(spectra.ratio[:, :, span.start + at]), seen.shape)
@@ -180,45 +206,67 @@ def _line(spectra: Spectra, place: Place, bins: int, false_alarm_probability: fl
     order, error, freedom = _order(spectra, seen, mean, peak, total)
     strength = float(spectra.ratio[channel, speed, peak])
     size = float(spectra.amplitude[channel, speed, peak])
-    spread = 0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9))
     multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
+    where = spectra.ratio[channel, speed] if seen.any() else mean
+    own = [other for other in places if other.name == place.name]
     return EnvelopeLine(
-        place, order, error, freedom, int(channel), int(speed), strength, size, spread, chance, seen, multiples, spacing
+        place=place,
+        order=order,
+        order_error=error,
+        freedom=freedom,
+        channel=int(channel),
+        speed=int(speed),
+        ratio=strength,
+        amplitude=size,
+        amplitude_error=0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9)),
+        chance=chance,
+        seen=seen,
+        harmonics=multiples,
+        sidebands=spacing,
+        ranking=ranking(where, float(step), spectra.free()[int(speed)], own),
     )
 
 
-def _peaks(spectra: Spectra, span: slice) -> NDArray[np.bool_]:
-    """Bins (channel, speed, bins of ``span``) that may be lines: peaks off the cycle's orders and above skirts."""
-    made = np.zeros((*spectra.count.shape, span.stop - span.start), dtype=np.bool_)
-    free = spectra.free()
-    for speed, cell in enumerate(spectra.cell):
-        reach = max(1, round(float(cell) / spectra.order[1]))
-        for channel in range(len(made)):
-            made[channel, speed] = free[speed, span] & _peak_of(spectra.ratio[channel, speed], span, reach)
+def _chances(spectra: Spectra, place: Place, span: slice, bins: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Chances (channel, speed, bins of ``span``) and, in the mean of all, (bins of ``span``) of noise anywhere.
+
+    They are those of a line's first harmonics together: two tones beat at one frequency, strikes have harmonics.
+    """
+    if span.stop <= span.start:
+        return np.zeros((*spectra.count.shape, 0)), np.zeros(0)
+    flat = spectra.ratio.reshape(-1, len(spectra.order))
+    worth = np.broadcast_to(spectra.floor_worth, spectra.count.shape).reshape(-1)
+    free = np.broadcast_to(spectra.free(), spectra.ratio.shape).reshape(flat.shape)
+    alone = _comb_chances(flat, place, span, spectra, spectra.count.reshape(-1), worth, free)
+    mean, total, counts = spectra.mean()
+    own = float((spectra.count * spectra.floor_worth[None]).sum()) / max(float(spectra.count.sum()), 1e-9)
+    together = _comb_chances(mean[None], place, span, spectra, np.array([total]), np.array([own]), counts[None])
+    trials = spectra.bands_tried * bins * WAYS
+    alone = alone.reshape(*spectra.count.shape, -1) * spectra.count.size * trials
+    return np.minimum(alone, 1.0), np.minimum(together[0] * trials, 1.0)
+
+
+def _comb_chances(
+    ratio: NDArray[np.float64],
+    place: Place,
+    span: slice,
+    spectra: Spectra,
+    count: NDArray[np.float64],
+    worth: NDArray[np.float64],
+    free: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Chances (rows, bins of ``span``) of the harmonics in the rows of ``ratio`` whose first is nearest to each bin."""
+    step = float(spectra.order[1])
+    comb = Comb(place.low, place.high)
+    chance = comb_chances(ratio, comb, step=step, count=count, floor_worth=worth, free=free)
+    nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
+    bins = [chance[:, nearest == at].min(axis=1, initial=1.0) for at in range(span.start, span.stop)]
+    made: NDArray[np.float64] = np.minimum(np.stack(bins, axis=1) * TRIALS_PER_BIN, 1.0)
     return made
 
 
-def _peak_of(ratio: NDArray[np.float64], span: slice, reach: int) -> NDArray[np.bool_]:
-    """Bins of ``span`` that are the largest within ``reach`` and stand well above the medians to both sides."""
-    made = np.zeros(span.stop - span.start, dtype=np.bool_)
-    near, far = NEAR_CELLS[0] * reach, NEAR_CELLS[1] * reach
-    for at in range(span.start, span.stop):
-        around = ratio[max(at - reach, 0) : at + reach + 1]
-        if ratio[at] <= 0.0 or ratio[at] < around.max():
-            continue
-        left, right = ratio[max(at - far, 0) : max(at - near + 1, 0)], ratio[at + near : at + far + 1]
-        # a line on the flank of another is above one side's median only
-        skirts = max(float(np.median(side)) if side.size else 0.0 for side in (left, right))
-        made[at - span.start] = ratio[at] > SKIRT_RATIO * skirts
-    return made
-
-
-SKIRT_RATIO = 6.0
-"""Power ratio over the medians of both sides that a line needs: noise rarely has it, a skirt never."""
-
-
-def _parabola(ratio: NDArray[np.float64], at: int) -> float:
-    """Where, in bins from ``at``, the parabola through a power of three neighbours has its top: right to 0.001 bins.
+def parabola(ratio: NDArray[np.float64], at: int) -> float:
+    """Where, in bins from ``at``, a parabola through a power of three of ``ratio`` has its top: right to 0.001 bins.
 
     Source: K. J. Werner and F. G. Germain (2016), Applied Sciences 6, 306: the power that suits a Hann window.
     """
@@ -227,6 +275,11 @@ def _parabola(ratio: NDArray[np.float64], at: int) -> float:
     left, middle, right = np.maximum(ratio[at - 1 : at + 2], 0.0) ** PARABOLA_POWER
     bend = left - 2.0 * middle + right
     return float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
+
+
+def place_error(ratio: float, cell: float) -> float:
+    """Standard error of the place of a line of power ``ratio`` in spectra of the resolution ``cell``."""
+    return cell * math.hypot(*PLACE_ERROR) / math.sqrt(ratio)
 
 
 def _order(
@@ -239,8 +292,8 @@ def _order(
     step = float(spectra.order[1])
     speeds = np.flatnonzero(seen.any(axis=0))
     if not len(speeds):
-        noise = float(spectra.cell.max()) * PLACE_ERROR[0] / math.sqrt(mean[peak] * total)
-        order = (peak + _parabola(mean, peak)) * step
+        noise = float(spectra.cell.max()) * PLACE_ERROR[0] / math.sqrt(max(float(mean[peak]), 1.0) * total)
+        order = (peak + parabola(mean, peak)) * step
         return order, math.hypot(noise, _wander(spectra, order, np.arange(len(spectra.cell)))), math.inf
     places, noises = np.array([_at_speed(spectra, seen, int(speed), peak) for speed in speeds]).T
     wanders = np.array([_wander(spectra, peak * step, np.array([speed])) for speed in speeds])
@@ -270,7 +323,7 @@ def _at_speed(spectra: Spectra, seen: NDArray[np.bool_], speed: int, peak: int) 
         ratio = spectra.ratio[channel, speed]
         first = max(peak - reach, 0)
         at = first + int(np.argmax(ratio[first : peak + reach + 1]))
-        places.append((at + _parabola(ratio, at)) * step)
+        places.append((at + parabola(ratio, at)) * step)
         weights.append(float(ratio[at] * spectra.count[channel, speed]))
     frames = max(float(spectra.count[:, speed].max()), 1.0)
     error = cell * math.hypot(PLACE_ERROR[0], PLACE_ERROR[1] / math.sqrt(frames)) / math.sqrt(sum(weights))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.orders.envelope_combs import Comb
 
 SHOWN_AT = {"BSF": 2.0}
 """Multiple of a line at which its damage shows, where not once: a rolling element strikes both races in a turn."""
@@ -45,6 +46,20 @@ class Place:
         """How much slower than in pure rolling ``order`` is, in percent."""
         return 100.0 * (1.0 - order / self.expected)
 
+    def cage_at(self, order: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Order of the cage where the line is at ``order``; None where the bearing's data do not tell.
+
+        The outer race is struck as often as elements pass, the inner one and an element as often as the shaft turns
+        against the cage.
+        """
+        if self.line == "FTF":
+            return order
+        if self.cage_order is None:
+            return None
+        if self.line == "BPFO":
+            return np.asarray(self.cage_order * order / self.expected)
+        return np.asarray(self.shaft_order - (self.shaft_order - self.cage_order) * order / self.expected)
+
     @property
     def spacing(self) -> float | None:
         """How far apart in orders the sidebands are that damage at this place makes by coming and going with the load.
@@ -77,6 +92,12 @@ def bearing_places(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, 
                 )
             )
     return made
+
+
+def bearing_combs(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> tuple[Comb, ...]:
+    """Trains of strikes of ``bearings``, each once, at any slip of ``slip_percent``; N*fs keeps step and is none."""
+    places = bearing_places(bearings, slip_percent=slip_percent)
+    return tuple(dict.fromkeys(Comb(place.low, place.high) for place in places if place.line != "N*fs"))
 
 
 def made_by(order: float, stronger: Place, stronger_order: float, *, within: float) -> str:

@@ -10,6 +10,7 @@ import xarray as xr
 from crankorder.engine.bearings import Bearing
 from crankorder.identify.bearings.envelope_lines import EnvelopeLine, Spectra, envelope_lines, spectra_of
 from crankorder.identify.bearings.places import Place, bearing_places
+from crankorder.identify.bearings.shaft_speed import ShaftSpeed, shaft_speed
 from crankorder.identify.bearings.verdicts import envelope_evidence, envelope_verdict, races_words, vibration_verdict
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width
@@ -53,7 +54,8 @@ def bearing_records(
         spectra = spectra_of(envelope)
         level = settings.bearing_false_alarm_probability
         found = envelope_lines(spectra, places, false_alarm_probability=level)
-        records += [_envelope_record(line, found, spectra, envelope, level=level) for line in found]
+        speeds = _shaft_speeds(spectra, found) if envelope.attrs["speed_basis"] == "nominal" else {}
+        records += [_envelope_record(line, found, spectra, envelope, level=level, shafts=speeds) for line in found]
     return [_with_races(record, records) for record in records]
 
 
@@ -116,10 +118,27 @@ def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
     )
 
 
-def _record(place: Place, order: float, error: float, freedom: float) -> dict[str, Any]:
-    """What every record says of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``."""
+def _shaft_speeds(spectra: Spectra, found: list[EnvelopeLine]) -> dict[tuple[str, int], ShaftSpeed]:
+    """Speed of the shaft by bearing and number of the speed, of the line of each whose sidebands tell it best."""
+    made: dict[tuple[str, int], ShaftSpeed] = {}
+    for line in found:
+        key, speed = (line.place.name, line.speed), shaft_speed(spectra, line)
+        if speed is not None and (key not in made or speed.error < made[key].error):
+            made[key] = speed
+    return made
+
+
+def _record(
+    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None = None
+) -> dict[str, Any]:
+    """What every record says of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``.
+
+    Slip is that beside the true speed of the ``shaft``, where it was read.
+    """
     half = error * half_width(freedom)
-    slip, half_slip = place.slip_percent(order), 100.0 * half / place.expected
+    factor, factor_error = (shaft.factor, shaft.error) if shaft is not None else (1.0, 0.0)
+    slip = place.slip_percent(order / factor)
+    half_slip = 100.0 / place.expected * math.hypot(half, Z95 * factor_error * order)
     return {
         "name": place.name,
         "line": place.line,
@@ -132,14 +151,22 @@ def _record(place: Place, order: float, error: float, freedom: float) -> dict[st
 
 
 def _envelope_record(
-    line: EnvelopeLine, found: list[EnvelopeLine], spectra: Spectra, envelope: xr.Dataset, *, level: float
+    line: EnvelopeLine,
+    found: list[EnvelopeLine],
+    spectra: Spectra,
+    envelope: xr.Dataset,
+    *,
+    level: float,
+    shafts: dict[tuple[str, int], ShaftSpeed],
 ) -> dict[str, Any]:
-    """Record of a ``line`` of the envelope among all ``found``."""
+    """Record of a ``line`` of the envelope among all ``found``; ``shafts``: speeds that sidebands tell."""
     names = envelope["channel"].values.tolist()
     nominal = envelope.attrs["speed_basis"] == "nominal"
     band = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
     half = Z95 * line.amplitude_error
-    return _record(line.place, line.order, line.order_error, line.freedom) | {
+    shaft = shafts.get((line.place.name, line.speed))
+    spoken = envelope_verdict(line, found, speed_is_nominal=nominal, shaft=shaft)
+    return _record(line.place, line.order, line.order_error, line.freedom, shaft) | {
         "seen_in": "envelope",
         "amplitude": line.amplitude,
         "amplitude_ci95": [max(0.0, line.amplitude - half), line.amplitude + half],
@@ -149,6 +176,7 @@ def _envelope_record(
         "harmonics": line.harmonics,
         "sidebands": line.sidebands,
         "lock": "slips",
-        "verdict": envelope_verdict(line, found, speed_is_nominal=nominal),
+        "shaft_order": shaft.factor * line.place.shaft_order if shaft is not None else None,
+        "verdict": spoken,
         "evidence": envelope_evidence(line, names, band, level=level, n_speeds=len(spectra.speed_rpm)),
     }

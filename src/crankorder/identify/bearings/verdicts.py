@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+from crankorder.identify.bearings.candidates import Candidate
 from crankorder.identify.bearings.envelope_lines import EnvelopeLine
 from crankorder.identify.bearings.places import Place
+from crankorder.identify.bearings.shaft_speed import ShaftSpeed
 from crankorder.identify.found import AgreedOrder
+from crankorder.identify.intervals import Z95
 
 DAMAGED = {
     "BPFO": "the outer race",
@@ -16,7 +19,10 @@ DAMAGED = {
 }
 
 COMPANION_SHARE = 0.5
-"""Of the strongest line's amplitude, below which another line of the same bearing is taken for its companion."""
+"""Of a line's amplitude, from which another line of the same bearing may be the damage as well as it."""
+
+OFF_SHARE = 0.08
+"""Of the cage's order, from which a line is none of its multiples."""
 
 RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
 
@@ -67,12 +73,6 @@ def races_words(races: list[str]) -> str:
     return f"{' and '.join(races)} of the same bearing {'was' if len(races) == 1 else 'were'} found: see there."
 
 
-def _alike(line: EnvelopeLine, other: EnvelopeLine) -> bool:
-    """Whether two lines are those of the two races and of about the same amplitude."""
-    races = {line.place.line, other.place.line} == {"BPFO", "BPFI"}
-    return races and COMPANION_SHARE <= line.amplitude / other.amplitude <= 1.0 / COMPANION_SHARE
-
-
 def _damage(place: Place) -> str:
     if place.line == "N*fs":
         return "strikes of every rolling element"
@@ -91,32 +91,29 @@ def _slip_words(slip_percent: float) -> str:
     return f"{abs(slip_percent):.2f} % {'slower' if slip_percent > 0.0 else 'faster'} than in pure rolling"
 
 
-def envelope_verdict(line: EnvelopeLine, found: list[EnvelopeLine], *, speed_is_nominal: bool) -> str:
+def envelope_verdict(
+    line: EnvelopeLine, found: list[EnvelopeLine], *, speed_is_nominal: bool, shaft: ShaftSpeed | None = None
+) -> str:
     """Verdict on a ``line`` of the envelope among all ``found``: which part is damaged, and how sure that is.
 
-    ``speed_is_nominal``: where the speed was stated and not measured, its error looks like slip.
+    ``speed_is_nominal``: where the speed was stated and not measured, its error looks like slip; ``shaft``: what the
+    sidebands tell of it.
     """
     place = line.place
-    others = [other for other in found if other is not line]
-    kin = [other for other in others if other.place.name == place.name and other.ratio > line.ratio]
-    lead = max(kin, key=lambda other: other.ratio, default=None)
-    slip = _slip_words(place.slip_percent(line.order))
-    if lead is not None and (place.line in ("N*fs", "FTF") or line.amplitude < COMPANION_SHARE * lead.amplitude):
+    slip = _slip_words(place.slip_percent(line.order / (shaft.factor if shaft is not None else 1.0)))
+    lead = _lead(line, found)
+    if lead is not None:
         share = line.amplitude / lead.amplitude
+        sure = not _rivals(lead, found)
+        goes = f"{_damage(lead.place)} as the load passes the rolling elements" if sure else "the strikes there"
         return (
             f"{place.title} of {place.name} ({slip}) with {share:.0%} of the amplitude of {lead.place.title}: it goes "
-            f"with {_damage(lead.place)} as the load passes the rolling elements; no second damage is concluded."
+            f"with {goes}; no second damage is concluded."
         )
-    like = [other for other in others if other.place.name == place.name and _alike(line, other)]
-    if like:
-        text = (
-            f"Strikes at {place.title} of {place.name}, {slip}, and about as strong at {like[0].place.title}: both "
-            "races are struck, as by a damaged rolling element, by dirt or by damage of both; which part is not told."
-        )
-    else:
-        text = f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}."
+    text = _part_words(line, _rivals(line, found), slip)
     if speed_is_nominal:
-        text += " The speed is nominal: its error looks like slip."
+        text += f" {_speed_words(shaft)}"
+    others = [other for other in found if other is not line]
     same = [
         other
         for other in others
@@ -126,6 +123,77 @@ def envelope_verdict(line: EnvelopeLine, found: list[EnvelopeLine], *, speed_is_
         names = ", ".join(f"{other.place.name} {other.place.title}" for other in same)
         text += f" {names} cannot be told from it."
     return f"{text} {RE_RUN}"
+
+
+def _speed_words(shaft: ShaftSpeed | None) -> str:
+    """What is said of a nominal speed."""
+    if shaft is None:
+        return "The speed is nominal: its error looks like slip."
+    off, error = 100.0 * (shaft.factor - 1.0), 100.0 * Z95 * shaft.error
+    return (
+        f"The stated speed is nominal: by the spacing of the sidebands the shaft turns {abs(off):.2f} % "
+        f"{'faster' if off > 0.0 else 'slower'} (± {error:.2f} %), and the slip is counted from that."
+    )
+
+
+def _lead(line: EnvelopeLine, found: list[EnvelopeLine]) -> EnvelopeLine | None:
+    """The line of the same bearing with which ``line`` goes; None where it leads or may be the damage itself."""
+    kin = [other for other in found if other.place.name == line.place.name and other.place.line != line.place.line]
+    higher = [other for other in kin if (other.level_db, other.ratio) > (line.level_db, line.ratio)]
+    lead = max(higher, key=lambda other: (other.level_db, other.ratio), default=None)
+    if lead is None or line.place.line in {one.place.line for one in _rivals(lead, found)}:
+        return None
+    return lead
+
+
+def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
+    """Parts of its bearing that that of ``line`` is not told from.
+
+    They stand about as high by their harmonics, or have a line of about its amplitude among those ``found``; a cage's
+    goes with every damage that comes and goes with the load.
+    """
+    ranked, place_line = line.ranking, line.place.line
+    high = {one.place.line for one in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
+    kin = [other for other in found if other.place.name == line.place.name]
+    large = {
+        other.place.line
+        for other in kin
+        if other.place.line not in ("FTF", "N*fs")
+        and other.amplitude >= COMPANION_SHARE * line.amplitude
+        and not (place_line == "FTF" and _is_multiple(other.order, line.order))
+    }
+    return [one for one in ranked.candidates if one.place.line in (high | large) - {line.place.line}]
+
+
+def _is_multiple(order: float, cage: float) -> bool:
+    """Whether a line at ``order`` is one of the many harmonics that a damaged ``cage`` has."""
+    return abs(order / cage - round(order / cage)) <= OFF_SHARE
+
+
+def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
+    """Which part a ``line`` that goes with no other tells of, by how much, and which of ``rivals`` it may be."""
+    place, ranked = line.place, line.ranking
+    own = ranked.of(place.line)
+    if own is None:
+        return f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}."
+    if not rivals:
+        margin = f", {ranked.margin_db:.0f} dB more than {ranked.candidates[1].place.title}" if ranked.others else ""
+        return (
+            f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}; its harmonics stand "
+            f"{own.level_db:.0f} dB over the floor{margin}."
+        )
+    levels = ", ".join(f"{one.place.title} {one.level_db:.0f} dB" for one in (own, *rivals))
+    if {place.line, *(one.place.line for one in rivals)} == {"BPFO", "BPFI"}:
+        return (
+            f"Strikes at {place.title} of {place.name}, {slip}, and about as strong at {rivals[0].place.title}: both "
+            "races are struck, as by a damaged rolling element, by dirt or by damage of both; which part is not told "
+            f"(harmonics over the floor: {levels})."
+        )
+    parts = " or ".join(DAMAGED[one.place.line] for one in (own, *rivals))
+    return (
+        f"Strikes at {place.title} of {place.name}, {slip}: damage of {parts}; which of them is not told (harmonics "
+        f"over the floor: {levels})."
+    )
 
 
 def envelope_evidence(

@@ -66,6 +66,14 @@ class _Test:
         """Distance [orders] within which a line hides another one."""
         return min(NEIGHBOUR_ORDERS, NEIGHBOUR_BINS * self.resolution)
 
+    def bin_near(self, order: float) -> int:
+        """Bin nearest to ``order``, of those that there are."""
+        return min(max(round(order / self.resolution), 0), self.order_map.sizes["order"] - 1)
+
+    def holds(self, order: float) -> bool:
+        """Whether a line at ``order`` has its bin here: beyond half a bin from the last one only its skirt is seen."""
+        return bool(order < self.order_map["order"].values[-1] + 0.5 * self.resolution)
+
 
 @dataclass(frozen=True)
 class _Number:
@@ -122,11 +130,13 @@ def orders_agreed(
     Without pulses the crank angle itself comes from a stated speed, a speed signal or the vibration: an order is only
     as good as that, 0.2 % is added to its standard error, and nothing is called locked; but where the orders prove a
     speed that was stated or recorded (:func:`proves_speed`) they are as good as with pulses.
-    ``settings``: ``order_match``, the distance below which two found orders may be one.
+    What only shows the skirt of an order beyond the last bin is none. ``settings``: ``order_match``, the distance below
+    which two found orders may be one.
     """
     source = speed_source([*frames, order_map])
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
-    found = _each_once([one for group in _groups(lines) for one in _parted(group, test)])
+    held = [line for line in lines if test.holds(line.order)]
+    found = _each_once([one for group in _groups(held) for one in _parted(group, test)])
     if source == "stated":
         told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
         test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
@@ -185,7 +195,7 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     spread = float(np.sqrt(np.average([(line.order - mean) ** 2 for line in group], weights=weights)))
     # channels share the noise and the skirts of other lines: none makes the others more certain
     by_lobe = _Number(mean, max(float(1.0 / np.sqrt(weights.max())), spread), np.inf, False)
-    bin_order = test.resolution * round(mean / test.resolution)
+    bin_order = test.resolution * test.bin_near(mean)
     seen = _zooms(group, test, bin_order, mean)
     if any(is_swept(item.speed_rpm) for item in test.recordings):
         by_lobe = replace(by_lobe, swept=((bin_order, None),))
@@ -270,7 +280,7 @@ def _zooms(group: list[OrderLine], test: _Test, bin_order: float, expected: floa
     return zooms(
         test.recordings,
         channels=[names.index(line.channel) for line in group],
-        at=round(bin_order / test.resolution),
+        at=test.bin_near(bin_order),
         speeds_rpm=np.unique(np.concatenate([line.speed_rpm for line in group])),
         speed_bin_rpm=float(test.order_map.attrs.get("speed_bin_rpm", 25.0)),
         near=expected - bin_order,
