@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
-from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, with_scatter
+from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, bent, with_scatter
 from crankorder.identify.modal.surface_fit import Poles, Problem
 
 BETWEEN_ROWS = 4
@@ -18,8 +18,8 @@ BETWEEN_ROWS = 4
 ALONG_SWEEP = 160
 """Speeds that are asked about along a sweep."""
 
-WIDER = (1.0, 3.0, 10.0)
-"""Multiples of the least damping ratio that a hidden mode is tried with."""
+WIDER = (1.0, 3.0, 10.0, 30.0, 80.0)
+"""Multiples of the least damping ratio that a hidden mode is tried with: up to one that amplifies hardly at all."""
 
 MATTERS = 0.03
 """Share of the largest amplitude of any order below which no amplitude matters."""
@@ -190,9 +190,12 @@ def _added(block: Block, part: Projected, speed: Array, damping: float, reach: f
     columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
     made = np.empty((len(block.channels), len(speed)))
+    bends = bent(block, part, max(len(block.law), 1))  # the law of the force may have taken it in
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)
+        taken = np.linalg.qr(bends[number])[0]
+        shown -= taken @ (taken.conj().T @ shown)
         norm = np.maximum(np.sum(np.abs(shown) ** 2, axis=0), 1e-300)
         along = np.abs(left.conj() @ shown) / norm + reach / np.sqrt(norm)
         if block.power:  # the real part is half as high as the imaginary one

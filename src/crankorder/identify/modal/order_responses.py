@@ -413,17 +413,17 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
     turned *= block.weight[..., None]
     turned = beyond(part.basis, turned)
     if part.freedom >= ENOUGH_FREEDOM:
-        turned = beyond_law(turned, _bent(block, part, max(len(block.law), 1)), power=block.power)
+        turned = beyond_law(turned, bent(block, part, max(len(block.law), 1)), power=block.power)
     places = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
     every[:, places] = as_real(turned, block)
     return every
 
 
-def _bent(block: Block, part: Projected, degree: int) -> Complex:
+def bent(block: Block, part: Projected, degree: int) -> Complex:
     """Derivatives (C, K, ``degree``) of a projected block by the law of its force, less what linear terms make up."""
     fitted = block.measured * block.weight - part.left
-    bent = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
-    return beyond(part.basis, bent)
+    bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
+    return beyond(part.basis, bends)
 
 
 def as_real(values: Complex, block: Block) -> Array:
@@ -515,8 +515,8 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     if not block.law:
         return block
     part = project(block, poles)
-    bent = _bent(block, part, len(block.law))
-    rows, left = bent.reshape(-1, len(block.law)), part.left.ravel()
+    bends = bent(block, part, len(block.law))
+    rows, left = bends.reshape(-1, len(block.law)), part.left.ravel()
     solved = (
         np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
     )
