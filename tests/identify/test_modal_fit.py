@@ -11,7 +11,10 @@ from tests.made.floors import Made, campbell_of, no_orders, orders_of
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine
 from crankorder.identify.modal import surface_fit
+from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modal.search import search
+from crankorder.identify.modal.tones import WIDER, widest_hz
 from crankorder.settings import IdentifySettings, load_settings
 
 THREE = Made(
@@ -218,3 +221,29 @@ def test_the_work_of_a_fit_grows_about_as_the_bins_do(monkeypatch: pytest.Monkey
         fit = modal_fit(campbell, no_orders(campbell), (), settings=_settings())
         assert len(fit.modes) >= 0.95 * len(natural)
     assert work[1] < 6.0 * work[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    campbell = campbell_of(replace(THREE, speed_rpm=(1000.0, 1010.0)), seed)
+    for n_bins in random.integers(4, 16, 4).tolist():
+        part = campbell.isel(frequency=slice(0, n_bins))
+        bins = (part["psd"].dims, random.gamma(0.3, 1.0, part["psd"].shape))
+        fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=_settings())
+        assert all(np.isfinite(mode.frequency_hz) for mode in fit.modes)
+    problem, _ = search(quiet_floor(campbell, ()), chance=1e-3)
+    few = replace(
+        problem,
+        frequency_hz=problem.frequency_hz[:5],
+        psd=problem.psd[:, :5],
+        averages=problem.averages[:, :5],
+        background=problem.background[:, :5],
+    )
+    poles = surface_fit.NO_POLES
+    for f in random.uniform(few.frequency_hz[0], few.frequency_hz[-1], 5).tolist():
+        poles = poles.with_pole(f, 0.02)
+    made = surface_fit.fit_surface(few, poles)
+    assert np.isfinite(made.deviance) and (made.poles.damping < 1.0).all()
+    lowest = surface_fit.fit_surface(problem, surface_fit.NO_POLES.with_pole(0.6 * problem.frequency_hz[0], 0.5))
+    assert widest_hz(problem, lowest, 0, lowest.deviance) < lowest.poles.frequency_hz[0] * WIDER

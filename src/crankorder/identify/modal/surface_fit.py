@@ -185,9 +185,12 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array) -> SurfaceFit:
 
 
 def _back_solved(r: Array, along: Array) -> Array:
-    """Solution of the triangular system ``r`` x = ``along``; columns that are hardly there get nothing."""
+    """Solution of the triangular system ``r`` x = ``along``; columns that are hardly there get nothing.
+
+    Where there are more columns than bins it is the smallest.
+    """
     diagonal = np.abs(np.diag(r))
-    if diagonal.min(initial=np.inf) > 1e-9 * diagonal.max(initial=0.0):
+    if r.shape[0] == r.shape[1] and diagonal.min(initial=np.inf) > 1e-9 * diagonal.max(initial=0.0):
         return np.asarray(np.linalg.solve(r, along))
     return np.asarray(np.linalg.lstsq(r, along, rcond=1e-9)[0])
 
@@ -273,6 +276,6 @@ def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:
     shift = np.clip(by[:, 0], -reach, reach)
     low, high = 0.5 * problem.frequency_hz[0], 1.2 * problem.frequency_hz[-1]
     frequency = np.clip(poles.frequency_hz * np.exp(shift), low, high)
-    narrowest = TONE_BINS * problem.seen.bin_hz / frequency
+    narrowest = np.minimum(TONE_BINS * problem.seen.bin_hz / frequency, WIDEST)  # a bin may be all of a low frequency
     damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, WIDEST)
     return Poles(frequency, np.where(poles.tone, narrowest, damping), poles.tone)

@@ -12,7 +12,7 @@ from crankorder.identify.mains import nearest_multiple
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
 from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
-from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
+from crankorder.identify.modal.surface_fit import WIDEST, Problem, SurfaceFit, evaluate, fit_surface
 from crankorder.settings import IdentifySettings
 
 WIDTH_CHANCE = 1e-4
@@ -142,6 +142,8 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
     allowed = HANN_CORRELATION * float(chdtri(1.0, TWO_SIDED)) * dispersion(problem, fit, f)
     width = max(float(fit.poles.damping[number]) * f, 0.5 * LEAST_DAMPING * f)
     for _ in range(MOST_WIDTHS):
+        if width >= WIDEST * f:
+            return width
         poles = fit.poles.as_tone(number, False, width_hz=width)
         if evaluate(problem, poles, fit.model).deviance > least + allowed:
             break
