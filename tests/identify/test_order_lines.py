@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from crankorder.identify.lines.line_evidence import is_steady, log_chance_of_kurtosis
-from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.order_lines import _has_fixed_frequency, order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.line_frames import PER_REV, angle_of, frames_of, wave
@@ -39,6 +41,21 @@ def test_a_line_at_many_speeds_has_no_reservation() -> None:
 def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one() -> None:
     # 60 Hz is order 3 at 1200 rpm exactly, where it is as steady as an order
     assert lines_of(lambda angle, rpm: wave(angle, 3600.0 / rpm, 1.0)) == []
+
+
+@pytest.mark.parametrize("hertz", [50.0, 60.0])
+@pytest.mark.parametrize("step_rpm", [8.0, 30.0, 120.0])
+def test_a_tone_is_told_from_an_order_where_it_has_left_the_bin(hertz: float, step_rpm: float) -> None:
+    """Of speeds close together the next ones do not tell; an order that is seen for a moment has nothing beside it."""
+    axis, speed = np.arange(0.0, 10.0, 0.0625), np.arange(1040.0, 3990.0, step_rpm)
+    tone = np.abs(axis - 60.0 * hertz / speed[:, None]) < 0.07
+    peak = round(60.0 * hertz / 2200.0 / 0.0625)
+    seen = np.flatnonzero(tone[:, peak])
+    order = np.zeros(tone.shape, dtype=bool)
+    order[seen, peak] = True
+    for marked, fixed in ((tone, True), (order, False)):
+        search = SimpleNamespace(axis=axis, speed=speed, excess=np.where(marked, 2.0, 0.5)[None])
+        assert _has_fixed_frequency(search, 0, peak, seen) is fixed
 
 
 def test_a_line_that_slips_is_seen_at_one_speed_by_the_turn_of_its_phase() -> None:

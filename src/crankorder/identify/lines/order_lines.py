@@ -40,6 +40,9 @@ SWELLING_RATIO = 400.0
 LEFT_RATIO = 2.0
 """… beside its slow waves, at most so many times the floor."""
 
+BINS_BESIDE = 4
+"""Bins by which a line of fixed frequency has left its own at the speeds beside, in slow sweeps some speeds away."""
+
 FIXED_SHARE = 0.5
 """A line of few speeds whose frequency stands out at this share of the speeds beside is one of fixed frequency."""
 
@@ -214,12 +217,12 @@ def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: NDArray
     axis, speed = search.axis, search.speed
     if not np.isfinite(speed).all():
         return False
-    beside = [s for k in seen.tolist() for s in range(k - 2, k + 3) if 0 <= s < len(speed) and s not in seen]
     found = []
-    for s in sorted(set(beside)):
+    for s in sorted(set(range(len(speed))) - set(seen.tolist())):
         nearest = min(seen.tolist(), key=lambda k: abs(k - s))
         at = round(axis[peak] * speed[nearest] / speed[s] / (axis[1] - axis[0]))
-        if abs(at - peak) > 1 and 1 <= at < len(axis) - 1:
+        away = abs(at - peak)
+        if 1 < away and (away <= BINS_BESIDE or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
             found.append(bool((search.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
     return len(found) > 0 and float(np.mean(found)) >= FIXED_SHARE
 
