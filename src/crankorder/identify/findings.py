@@ -52,8 +52,7 @@ def find(
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    in_map = numbered_as_followed(_orders_in_map(order_map, frames, settings, followed), followed)
-    in_map = with_followed(in_map, followed, order_map)
+    in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
     orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
@@ -98,7 +97,8 @@ def _orders_in_map(
 ) -> tuple[AgreedOrder, ...]:
     """Orders that stand out in the OrderMap, with what it holds of them."""
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
-    return orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
+    agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
+    return with_followed(numbered_as_followed(agreed, followed), followed, order_map)
 
 
 def _energy(shares: dict[str, Any]) -> dict[str, Any]:
