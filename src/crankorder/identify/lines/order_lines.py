@@ -222,7 +222,7 @@ def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: NDArray
         nearest = min(seen.tolist(), key=lambda k: abs(k - s))
         at = round(axis[peak] * speed[nearest] / speed[s] / (axis[1] - axis[0]))
         away = abs(at - peak)
-        if 1 < away and (away <= BINS_BESIDE or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
+        if away > 1 and (away <= BINS_BESIDE or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
             found.append(bool((search.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
     return len(found) > 0 and float(np.mean(found)) >= FIXED_SHARE
 

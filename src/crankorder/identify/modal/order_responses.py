@@ -420,7 +420,7 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
 
 
 def bent(block: Block, part: Projected, degree: int) -> Complex:
-    """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, less what the linear terms of ``part`` take."""
+    """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, less what linear terms of ``part`` take."""
     fitted = block.measured * block.weight - part.left
     bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
     return beyond(part.basis, bends)
