@@ -21,6 +21,7 @@ NAME_CHARACTERS = 60
 """Of a name from a file in a sentence; what is longer is cut."""
 
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
+_SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 
 
@@ -112,6 +113,15 @@ def is_whirl(mode: dict[str, Any]) -> bool:
 def is_undecided(mode: dict[str, Any]) -> bool:
     """True for a ``mode`` record of the findings that may be a natural frequency or something else."""
     return not is_tone(mode) and (mode.get("explained_by") == "undecided" or bool(mode.get("undecided")))
+
+
+def is_in_doubt(mode_hz: float, findings: dict[str, Any]) -> bool:
+    """True where no mode of ``findings`` at ``mode_hz`` is for certain a natural frequency."""
+    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    nearest = min(modes, key=lambda mode: abs(float(mode["frequency_hz"]) - mode_hz), default=None)
+    if nearest is None or is_undecided(nearest):
+        return True
+    return abs(float(nearest["frequency_hz"]) - mode_hz) > _SAME_MODE * mode_hz
 
 
 def unit_of(findings: dict[str, Any], record: dict[str, Any]) -> str:
