@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.identify.above_trend import (
-    MEANINGLESS,
     Seen,
     above_trend,
     evidence_beside,
@@ -31,6 +30,9 @@ Floats = NDArray[np.float64]
 FALSE_DISCOVERY_RATE = 0.05
 """Of the crossings that are called excited so many may be called so by chance (Benjamini and Hochberg 1995)."""
 
+
+SHAPE_SHARE = 0.05
+"""Share of a peak by which a fit may err in what is left without the mode: the shape of the rest is but assumed."""
 
 SAME_RESPONSE = 1e-3
 """Distance within which two numbers are one order."""
@@ -187,8 +189,9 @@ def _crossing(
 def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen | None:
     """How many times what it is without mode ``number`` of ``modal`` the fit of ``response`` is at its frequency.
 
-    With its 95 % interval; the factor and its lower end are 1 / (2 ζ) at most, beyond which hardly anything is left
-    without the mode. None where the fit does not hold the mode, or not that speed, or where its damping is not known.
+    With its 95 % interval, which leaves SHAPE_SHARE of the peak to what no noise tells; its upper end is endless where
+    nothing may be left without the mode. The factor and its lower end are 1 / (2 ζ) at most. None where the fit does
+    not hold the mode, or not that speed, or where its damping is not known.
     """
     mode = modal.modes[number]
     if mode.damping_error > KNOWN * mode.damping_ratio:
@@ -197,11 +200,15 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
     both = with_and_without(response, number, np.array([rpm]), modal)
-    low, high = (float(end[0]) for end in both.ends(half_width(float(response.freedom))))
+    sigmas = half_width(float(response.freedom))
+    size, size_error, without, without_error, least = (
+        float(one.flat[0]) for one in (both.with_mode, both.with_error, both.without, both.without_error, both.least)
+    )
+    unsure = sigmas * without_error + SHAPE_SHARE * size
+    low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
+    high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
     quality = 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
     ratio = min(float(both.ratio[0]), quality)
-    if not high < MEANINGLESS:
-        return None
     return Seen(response.channel, np.nan, rpm, ratio, min(low, quality), high)
 
 
@@ -212,8 +219,10 @@ def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
 
 
 def _fit_evidence(seen: Seen) -> str:
-    ends = f"{seen.ratio_low:.2g} to {seen.ratio_high:.2g}"
-    return f"in {seen.channel} {seen.ratio:.2g} times what it is without the mode, by the fit ({ends})"
+    what = "what it is without the mode, by the fit"
+    if not np.isfinite(seen.ratio_high):
+        return f"in {seen.channel} at least {seen.ratio_low:.2g} times {what}"
+    return f"in {seen.channel} {seen.ratio:.2g} times {what} ({seen.ratio_low:.2g} to {seen.ratio_high:.2g})"
 
 
 def _unless_excited(

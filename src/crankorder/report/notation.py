@@ -173,6 +173,14 @@ def interval_of(record: dict[str, Any], key: str) -> tuple[float, float] | None:
     return float(interval[0]), float(interval[1])
 
 
+def least_of(record: dict[str, Any], key: str) -> float | None:
+    """Lower end of the 95 % interval of ``key`` in a ``record`` of the findings where it has no upper end, or None."""
+    ends = record.get(f"{key}_ci95")
+    if not isinstance(ends, list | tuple) or len(ends) != 2 or not is_number(ends[0]) or is_number(ends[1]):
+        return None
+    return float(ends[0])
+
+
 def is_number(value: object) -> TypeGuard[float]:
     """True for a finite number ``value`` (and no bool)."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

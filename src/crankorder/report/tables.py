@@ -10,6 +10,7 @@ from crankorder.report.notation import (
     is_number,
     is_tone,
     is_undecided,
+    least_of,
     named,
     nominal_order,
     number_text,
@@ -229,6 +230,8 @@ def _times(record: dict[str, Any], key: str) -> str:
     factor = record.get(key)
     if not is_number(factor) or factor <= 0:
         return "–"
+    if (least := least_of(record, key)) is not None:
+        return f"≥ × {number_text(least, digits=2)}"
     return f"× {estimate_text(record, key) if record.get(f'{key}_ci95') else number_text(float(factor), digits=2)}"
 
 

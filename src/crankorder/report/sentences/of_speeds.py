@@ -10,6 +10,7 @@ from crankorder.report.notation import (
     interval_of,
     is_in_doubt,
     is_number,
+    least_of,
     listed,
     named,
     nominal_order,
@@ -99,10 +100,21 @@ def _peak(findings: dict[str, Any], record: dict[str, Any]) -> str:
         level = f"{number_text(float(record['amplitude']))} {unit_of(findings, record)}".strip()
         said.append(f"peak {'at least ' if record.get('at_least') else ''}{level}{where}")
     if is_number(record.get("amplification")) and record["amplification"] > 0 and "amplitude" in record:
-        ends = interval_of(record, "amplification") or (float(record["amplification"]),) * 2
-        low, high = (number_text(end, digits=2) for end in ends)
-        said.append(f"amplified {low if low == high else f'{low} to {high}'} times")
+        said.append(f"amplified {_amplified(record)} times")
     return f" ({', '.join(said)})" if said else ""
+
+
+def _amplified(record: dict[str, Any]) -> str:
+    """Amplification of a ``record``: its interval, its lower end alone where it has no upper one, else the number."""
+    ends = interval_of(record, "amplification")
+    if ends is not None:
+        return " to ".join(dict.fromkeys(number_text(end, digits=2) for end in ends))
+    least = least_of(record, "amplification")
+    return (
+        number_text(float(record["amplification"]), digits=2)
+        if least is None
+        else f"at least {number_text(least, digits=2)}"
+    )
 
 
 def free_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
