@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
+from crankorder.identify.responses import amplitude_at
 from crankorder.identify.speed_records import avoided_records, band_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
@@ -89,6 +92,48 @@ def test_the_peak_between_two_measured_speeds_is_that_of_the_fit():
     verdicts = judge([agreed(4.0, seen)], fit(*modal.modes, responses=(response,)))
     assert verdicts.avoid[0].amplitude == pytest.approx(1.575**2 * np.hypot(1.0, 50.0), rel=1e-6)
     assert verdicts.avoid[0].amplitude > seen.amplitude.max()
+
+
+def two_channels(residue: dict[str, complex], damping: float = 0.01, damping_error: float = 1e-4):
+    """Order 4 and the fit of both its channels by a mode between two tested speeds, whose rows hardly show it."""
+    between = replace(mode(105.0, damping), damping_error=damping_error)
+    modal = fit(between)
+    responses = [made_response(4.0, modal, smooth=1.0, residue=(one,), channel=name) for name, one in residue.items()]
+    rows = [[amplitude_at(one, rpm, modal) for rpm in SPEEDS_RPM] for one in responses]
+    lines = [line(4.0, row, channel=name, error=1e-3) for name, row in zip(residue, rows, strict=True)]
+    return [agreed(4.0, *lines)], fit(between, responses=tuple(responses))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_amplification_beside_a_peak_is_that_of_its_channel_and_never_below_what_makes_it_one(seed: int):
+    drawn = np.random.default_rng(seed)
+    strong, damping = drawn.uniform(0.3, 0.8), drawn.uniform(0.005, 0.01)
+    orders, modal = two_channels({"A": 0.02, "B": strong}, damping)
+    found = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
+    unit = {"A": "m/s2", "B": "m/s2"}
+    verdicts = speeds_to_avoid(found, tuple(orders), modal, speed_rpm=RANGE, unit=unit, settings=SETTINGS)
+    (item,) = verdicts.avoid
+    truth = np.hypot(1.0, strong / (2.0 * damping))
+    assert item.channel == "B" and not item.at_least
+    assert item.amplification == pytest.approx(truth, rel=1e-3)
+    low, high = item.amplification_ci95
+    assert SETTINGS.free_amplification < low < truth < high
+    (met,) = found
+    assert met.amplification is None or met.amplification_ci95[1] > 3.0, met
+
+
+def test_a_peak_that_the_fit_does_not_know_is_at_least_what_was_measured():
+    modes = [replace(mode(100.0, 1e-5), damping_error=1e-5)]
+    seen = line(4.0, resonant(4.0, SPEEDS_RPM, [mode(100.0)]))
+    response = made_response(4.0, fit(*modes), smooth=1.0, residue=(1.0,))
+    (item,) = judge([agreed(4.0, seen)], fit(*modes, responses=(response,))).avoid
+    assert item.at_least and item.amplitude == pytest.approx(seen.amplitude.max())
+    known = [replace(mode(100.0), damping_error=1e-4)]
+    response = made_response(4.0, fit(*known), smooth=1.0, residue=(1.0,))
+    (item,) = judge([agreed(4.0, seen)], fit(*known, responses=(response,))).avoid
+    assert not item.at_least
+    vague = replace(response, covariance=np.diag([0.0, 1.0]).astype(complex))
+    assert all(one.at_least for one in judge([agreed(4.0, seen)], fit(*known, responses=(vague,))).avoid)
 
 
 def test_a_mode_in_doubt_at_which_an_order_peaks_is_to_be_avoided_and_called_what_it_is():

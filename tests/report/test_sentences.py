@@ -33,6 +33,7 @@ from crankorder.report.sentences.story import (
     story_of,
     strongest_sentence,
 )
+from crankorder.report.tables import tables_of
 
 EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"
 UNTESTED = {
@@ -230,6 +231,28 @@ def test_a_mode_in_doubt_is_not_called_a_natural_frequency_where_an_order_peaks(
     met = {**full["speeds_to_avoid"][0], "mode_hz": 265.0, "orders": [2.0], "modes_hz": [265.0]}
     (said,) = avoid_sentences({**full, "speeds_to_avoid": [met]})
     assert "order 2 peaks at 265 Hz, which may be a natural frequency" in said and "excites" not in said
+
+
+def test_the_strongest_line_carries_the_doubt_of_the_mode_that_it_meets(full: Any) -> None:
+    strongest = max(full["orders"], key=lambda one: float(one["amplitude"]))
+    strongest |= {"amplitude": 50.0, "meets_hz": 265.0, "speed_rpm_at_max": 60.0 * 265.0 / strongest["order"]}
+    assert "where it meets 265 Hz, which may be a natural frequency" in " ".join(headline(full))
+    strongest |= {"meets_hz": 60.0, "speed_rpm_at_max": 60.0 * 60.0 / strongest["order"]}
+    assert "where it meets the 60 Hz natural frequency" in " ".join(headline(full))
+
+
+def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_its_bound(full: Any) -> None:
+    one = full["speeds_to_avoid"][0]
+    for nothing in (0.0, None):
+        (said,) = avoid_sentences({**full, "speeds_to_avoid": [{**one, "amplitude": nothing, "amplification": None}]})
+        assert "peak " not in said and "amplified" not in said
+        tables = dict(tables_of({**full, "speeds_to_avoid": [{**one, "amplitude": nothing}]}, limit=60))
+        assert tables["avoid"]["rows"][0][6] == "–"
+    bound = {**one, "at_least": True, "amplification_ci95": [8.0, None]}
+    (said,) = avoid_sentences({**full, "speeds_to_avoid": [bound]})
+    assert "peak at least 3.7" in said and "amplified at least 8.0 times" in said
+    (said,) = avoid_sentences({**full, "speeds_to_avoid": [{**one, "amplification_ci95": [8.0, 20.0]}]})
+    assert "amplified 8.0 to 20 times" in said
 
 
 def test_a_locked_line_that_raises_no_alarm_asks_for_no_re_run(full: Any) -> None:

@@ -9,10 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
+from crankorder.identify.above_trend import (
+    Seen,
+    above_trend,
+    evidence_beside,
+    in_range,
+    seen_all_around,
+    width_rpm,
+)
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
+from crankorder.identify.modal.order_modes import KNOWN
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, unmeasured_whirl, whirl_crossing
 from crankorder.settings import IdentifySettings
@@ -22,6 +30,9 @@ Floats = NDArray[np.float64]
 FALSE_DISCOVERY_RATE = 0.05
 """Of the crossings that are called excited so many may be called so by chance (Benjamini and Hochberg 1995)."""
 
+
+SHAPE_SHARE = 0.05
+"""Share of a peak by which a fit may err in what is left without the mode: the shape of the rest is but assumed."""
 
 SAME_RESPONSE = 1e-3
 """Distance within which two numbers are one order."""
@@ -49,8 +60,9 @@ def crossings(
 
     ``verdict`` is "excited", "not excited" (in no channel can it be twice what it would be without the mode), "not
     decided", "not measured" (no speed within the resonance), "outside the tested range" or "undecided mode".
-    ``amplification`` is the amplitude over the trend in the channel that shows it best, ``amplification_predicted``
-    that of the fit at the natural frequency.
+    ``amplification`` is the amplitude over the trend in the channel that shows it best, or that of the fit
+    (:func:`higher`): the trend tells of the speeds that were measured, in a sweep while it rings up, the fit of the
+    peak. ``amplification_predicted`` is that of the fit at the natural frequency.
 
     Parameters
     ----------
@@ -150,7 +162,12 @@ def _crossing(
     inside = in_range(rpm, speed_rpm, settings)
     fitted = [item for item in responses_to(agreed.order, modal) if item.fits]
     trends = [item for item in seen if item.ratio is not None] if inside else []
-    best = min(trends, key=lambda item: item.chance, default=None)
+    trend = min(trends, key=lambda item: item.chance, default=None)
+    by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None] if inside else []
+    best = None if trend is None else higher(trend, by_fit)
+    evidence = evidence_beside(agreed, rpm, mode, trend, tested, settings) if inside else ""
+    if best is not None and best is not trend:
+        evidence = _fit_evidence(best)
     return Crossing(
         order=agreed.order,
         mode_hz=mode.frequency_hz,
@@ -164,9 +181,48 @@ def _crossing(
         channels=tuple([item.channel for item in trends] or [line.channel for line in agreed.lines]),
         amplification=None if best is None else best.ratio,
         amplification_ci95=None if best is None else (best.ratio_low, best.ratio_high),
-        evidence=evidence_beside(agreed, rpm, mode, best, tested, settings) if inside else "",
+        evidence=evidence,
         verdict=_unless_excited(agreed, number, trends, fitted, modal, tested, inside=inside),
     )
+
+
+def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen | None:
+    """How many times what it is without mode ``number`` of ``modal`` the fit of ``response`` is at its frequency.
+
+    With its 95 % interval, which leaves SHAPE_SHARE of the peak to what no noise tells; its upper end is endless where
+    nothing may be left without the mode. The factor and its lower end are 1 / (2 ζ) at most. None where the fit does
+    not hold the mode, or not that speed, or where its damping is not known.
+    """
+    mode = modal.modes[number]
+    if mode.damping_error > KNOWN * mode.damping_ratio:
+        return None
+    rpm = 60.0 * mode.frequency_hz / response.order
+    if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+        return None
+    both = with_and_without(response, number, np.array([rpm]), modal)
+    sigmas = half_width(float(response.freedom))
+    size, size_error, without, without_error, least = (
+        float(one.flat[0]) for one in (both.with_mode, both.with_error, both.without, both.without_error, both.least)
+    )
+    unsure = sigmas * without_error + SHAPE_SHARE * size
+    low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
+    high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
+    quality = 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
+    ratio = min(float(both.ratio[0]), quality)
+    return Seen(response.channel, np.nan, rpm, ratio, min(low, quality), high)
+
+
+def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
+    """The largest of the excesses ``by_fit`` where its interval lies above that of the ``trend``; else the trend's."""
+    above = [item for item in by_fit if item.ratio_low > trend.ratio_high]
+    return max(above, key=lambda item: item.ratio_low, default=trend)
+
+
+def _fit_evidence(seen: Seen) -> str:
+    what = "what it is without the mode, by the fit"
+    if not np.isfinite(seen.ratio_high):
+        return f"in {seen.channel} at least {seen.ratio_low:.2g} times {what}"
+    return f"in {seen.channel} {seen.ratio:.2g} times {what} ({seen.ratio_low:.2g} to {seen.ratio_high:.2g})"
 
 
 def _unless_excited(
@@ -192,6 +248,8 @@ def _unless_excited(
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
         ends = [with_and_without(item, number, near, modal).ends(half_width(float(item.freedom)))[1] for item in known]
         quiet |= max(float(high.max()) for high in ends) < CLEARLY_EXCITED
+    by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
+    quiet &= all(one.ratio_low < CLEARLY_EXCITED for one in by_fit)
     if mode.undecided:
         return "undecided mode"
     if quiet:

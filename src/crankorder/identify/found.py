@@ -251,8 +251,9 @@ Verdict = Literal["excited", "not excited", "not decided", "not measured", "outs
 class Crossing:
     """Meeting of an order with a natural frequency ``mode_hz`` at ``rpm``, each with its 95 % interval.
 
-    ``amplification`` is the amplitude over the trend in the channel that shows it best, with its interval; None where
-    it was not measured; ``amplification_predicted`` that of the fit (``predicted_from`` "fit" or "damping"). ``remark``
+    ``amplification`` is the amplitude over the trend in the channel that shows it best, with its interval, or that of
+    the fit of a channel whose interval lies above it; None where it was not measured; ``amplification_predicted`` that
+    of the fit (``predicted_from`` "fit" or "damping"). ``remark``
     says what makes the natural frequency doubtful; ``chance`` that the order looks so without the mode; ``whirl``
     is the one that the order meets, where it is none that stays.
     """
@@ -284,7 +285,9 @@ class Crossing:
 class AvoidedSpeed:
     """A speed not to dwell at: where ``orders`` meet ``modes_hz`` (the costliest first), within ``rpm_range``.
 
-    ``amplitude`` is the largest there, in ``channel``, ``amplification`` how many times it is that without the mode.
+    ``amplitude`` is the largest there, in ``channel``, ``amplification`` with its 95 % interval how many times it is
+    that without the mode in the same channel; None where not known. The peak may be larger where ``at_least``: where no
+    fit knows it, the amplitude is the largest that was measured.
     """
 
     rpm: float
@@ -292,10 +295,12 @@ class AvoidedSpeed:
     orders: tuple[float, ...]
     modes_hz: tuple[float, ...]
     channel: str
-    amplitude: float
-    amplification: float
+    amplitude: float | None
+    amplification: float | None
     cost: float
     reason: str
+    amplification_ci95: tuple[float, float] | None = None
+    at_least: bool = False
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,7 @@ def _avoided(
         modes_hz=(mode_hz,),
         channel=channel,
         amplitude=size,
+        at_least=True,
         amplification=ratio,
         cost=size / max(largest.get(channel, size), size) / np.sqrt(max(1, len(largest))),
         reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from crankorder.identify.above_trend import width_rpm
-from crankorder.identify.crossings import responses_to
+from crankorder.identify.above_trend import Seen, above_trend, width_rpm
+from crankorder.identify.crossings import fitted_excess, higher, responses_to
 from crankorder.identify.found import (
     AgreedOrder,
     AvoidedSpeed,
@@ -22,9 +22,11 @@ from crankorder.identify.found import (
     SpeedVerdicts,
     UnseenBound,
 )
+from crankorder.identify.intervals import half_width
 from crankorder.identify.lone_peaks import lone_peaks
 from crankorder.identify.modal.exclusion import MATTERS
-from crankorder.identify.responses import amplitude_at, together, with_and_without
+from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.responses import held_amplitudes, together, with_and_without
 from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, met_mode
 from crankorder.settings import IdentifySettings
 
@@ -39,6 +41,9 @@ SAME_SPEED = 0.01
 
 NEAR_DAMPINGS = 8.0
 """Damping ratios on both sides of a crossing within which its amplification is looked at most closely."""
+
+PEAK_WITHIN = 2.0
+"""Factor, either way, within which a fit must know a peak at 95 % before it is stated."""
 
 Floats = NDArray[np.float64]
 
@@ -61,6 +66,14 @@ class _Limits:
     matters: float = 0.0
 
 
+@dataclass(frozen=True)
+class _Peak:
+    """Peak ``amplitude`` of an order in a channel: of the fit ``response``, or, where None, the largest measured."""
+
+    amplitude: float
+    response: OrderResponse | None = None
+
+
 def speeds_to_avoid(
     found: Sequence[Crossing],
     orders: tuple[AgreedOrder, ...],
@@ -74,7 +87,7 @@ def speeds_to_avoid(
 
     To be avoided is an excited crossing by which the order may be twice as large, and a speed at which an order towers
     over those beside it without one (:func:`lone_peaks`). What it costs is its peak amplitude
-    there (by the fit of the modes where it holds the order, else the largest that was measured near), in each channel
+    there (by the fit of the modes where that knows it, else the largest that was measured near), in each channel
     as a share of the largest amplitude that any order has in that channel, root mean square over the channels. It
     takes its half-power width, ± ζ of the speed, and the interval of its speed; crossings whose ranges overlap are one
     speed to avoid, named after the costliest, their costs added by energy.
@@ -145,9 +158,12 @@ def _cost(
     mode = _mode_of(item, modal)
     agreed = min(orders, key=lambda one: abs(one.order - item.order))
     peaks = _peaks(item, agreed, modal, mode, settings)
-    shares = {channel: peak / largest[channel] for channel, peak in peaks.items() if largest.get(channel, 0.0) > 0.0}
+    sizes = {channel: peak.amplitude for channel, peak in peaks.items()}
+    shares = {channel: size / largest[channel] for channel, size in sizes.items() if largest.get(channel, 0.0) > 0.0}
     worst = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
-    channel = max((name for name in peaks if unit[name] == unit[worst]), key=lambda name: peaks[name], default=worst)
+    channel = max((name for name in sizes if unit[name] == unit[worst]), key=lambda name: sizes[name], default=worst)
+    peak = peaks.get(channel)
+    times = _amplification(item, agreed, channel, peak, modal, settings)
     half = mode.damping_ratio * item.rpm
     what = (
         f"{item.mode_hz:.4g} Hz"
@@ -160,8 +176,10 @@ def _cost(
         orders=(item.order,),
         modes_hz=(item.mode_hz,),
         channel=channel,
-        amplitude=peaks.get(channel, 0.0),
-        amplification=item.amplification_predicted if item.amplification is None else item.amplification,
+        amplitude=None if peak is None else peak.amplitude,
+        at_least=peak is not None and peak.response is None,
+        amplification=None if times is None else times.ratio,
+        amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
         cost=float(np.sqrt(sum(share**2 for share in shares.values()) / max(1, len(largest)))),
         reason=f"order {item.order:.4g} meets {what}",
     )
@@ -169,19 +187,54 @@ def _cost(
 
 def _peaks(
     item: Crossing, agreed: AgreedOrder, modal: ModalFit, mode: Mode, settings: IdentifySettings
-) -> dict[str, float]:
-    """Peak amplitude by channel at the crossing ``item``."""
-    peaks: dict[str, float] = {}
+) -> dict[str, _Peak]:
+    """Peak by channel at the crossing ``item``: by the fit where that knows it, else the largest measured near."""
+    peaks: dict[str, _Peak] = {}
     for response in responses_to(agreed.order, modal) if item.whirl is None else ():
-        if response.fits and response.span_rpm[0] <= item.rpm <= response.span_rpm[1]:
-            peak = amplitude_at(response, item.rpm, modal)
-            peaks[response.channel] = max(peak, peaks.get(response.channel, 0.0))
+        peak = _fitted_peak(response, item.rpm, modal, mode)
+        if peak is not None and (response.channel not in peaks or peak > peaks[response.channel].amplitude):
+            peaks[response.channel] = _Peak(peak, response)
     near = width_rpm(item.rpm, mode, settings)
     for line in agreed.lines:
         here = np.abs(line.speed_rpm - item.rpm) <= near
         if line.channel not in peaks and here.any():
-            peaks[line.channel] = float(line.amplitude[here].max())
+            peaks[line.channel] = _Peak(float(line.amplitude[here].max()))
     return peaks
+
+
+def _fitted_peak(response: OrderResponse, rpm: float, modal: ModalFit, mode: Mode) -> float | None:
+    """Amplitude at ``rpm``, the peak that ``mode`` makes, by the fit ``response``; None where that does not know it."""
+    if not response.fits or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+        return None
+    if mode.damping_error > KNOWN * mode.damping_ratio:
+        return None
+    size, error = (float(one[0]) for one in held_amplitudes(response, np.array([rpm]), modal))
+    return size if half_width(float(response.freedom)) * error <= (1.0 - 1.0 / PEAK_WITHIN) * size else None
+
+
+def _amplification(
+    item: Crossing, agreed: AgreedOrder, channel: str, peak: _Peak | None, modal: ModalFit, settings: IdentifySettings
+) -> Seen | None:
+    """How many times the peak of the crossing ``item`` in ``channel`` is what it is there without the mode.
+
+    By the fit that tells the ``peak``, unless the measured amplitudes stand higher over their trend; None where nothing
+    tells it, or what does is less than makes a speed one to avoid.
+    """
+    mode = _mode_of(item, modal)
+    others = [] if item.whirl is None else [(item.rpm, mode.damping_ratio)]
+    others += [(60.0 * one.frequency_hz / agreed.order, one.damping_ratio) for one in modal.modes]
+    near = width_rpm(item.rpm, mode, settings)
+    lines = [line for line in agreed.lines if line.channel == channel]
+    trends = [one for line in lines for one in above_trend(line, item.rpm, near, others)]
+    trend = min(trends, key=lambda one: one.chance, default=None)
+    by_fit = None
+    if peak is not None and peak.response is not None:
+        by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
+    if by_fit is not None:
+        best: Seen | None = by_fit if trend is None else higher(by_fit, [trend])
+    else:
+        best = trend
+    return best if best is not None and best.ratio is not None and best.ratio >= CLEARLY_EXCITED else None
 
 
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:

@@ -21,6 +21,7 @@ NAME_CHARACTERS = 60
 """Of a name from a file in a sentence; what is longer is cut."""
 
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
+_SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 
 
@@ -114,6 +115,15 @@ def is_undecided(mode: dict[str, Any]) -> bool:
     return not is_tone(mode) and (mode.get("explained_by") == "undecided" or bool(mode.get("undecided")))
 
 
+def is_in_doubt(mode_hz: float, findings: dict[str, Any]) -> bool:
+    """True where no mode of ``findings`` at ``mode_hz`` is for certain a natural frequency."""
+    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
+    nearest = min(modes, key=lambda mode: abs(float(mode["frequency_hz"]) - mode_hz), default=None)
+    if nearest is None or is_undecided(nearest):
+        return True
+    return abs(float(nearest["frequency_hz"]) - mode_hz) > _SAME_MODE * mode_hz
+
+
 def unit_of(findings: dict[str, Any], record: dict[str, Any]) -> str:
     """Typographic unit of a ``record``: its own, else that of its channel in ``findings``; empty where unknown."""
     if record.get("unit"):
@@ -161,6 +171,14 @@ def interval_of(record: dict[str, Any], key: str) -> tuple[float, float] | None:
     if not isinstance(interval, list | tuple) or len(interval) != 2 or any(not is_number(end) for end in interval):
         return None
     return float(interval[0]), float(interval[1])
+
+
+def least_of(record: dict[str, Any], key: str) -> float | None:
+    """Lower end of the 95 % interval of ``key`` in a ``record`` of the findings where it has no upper end, or None."""
+    ends = record.get(f"{key}_ci95")
+    if not isinstance(ends, list | tuple) or len(ends) != 2 or not is_number(ends[0]) or is_number(ends[1]):
+        return None
+    return float(ends[0])
 
 
 def is_number(value: object) -> TypeGuard[float]:

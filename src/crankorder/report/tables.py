@@ -10,6 +10,7 @@ from crankorder.report.notation import (
     is_number,
     is_tone,
     is_undecided,
+    least_of,
     named,
     nominal_order,
     number_text,
@@ -75,7 +76,7 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
             order_estimate(record, findings),
             _hertz(record, "mode_hz"),
             named(record.get("channel") or "", limit=limit),
-            estimate_text(record, "amplitude", unit=unit_of(findings, record)),
+            _peak_text(record, findings),
             _times(record, "amplification"),
             named(record.get("reason") or "", limit=4 * limit),
         ]
@@ -87,6 +88,13 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
     empty = (NOTHING_RISES if all_judged(findings) else NOTHING_TOLD) if known else ""
     note = "The worst first." if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
+
+
+def _peak_text(record: dict[str, Any], findings: dict[str, Any]) -> str:
+    """Peak at a speed to avoid, with ``≥`` where it may be larger; ``"–"`` where none is known."""
+    if not is_number(record.get("amplitude")) or record["amplitude"] <= 0:
+        return "–"
+    return f"{'≥ ' * bool(record.get('at_least'))}{estimate_text(record, 'amplitude', unit=unit_of(findings, record))}"
 
 
 def _width(band: dict[str, Any]) -> float | None:
@@ -222,6 +230,8 @@ def _times(record: dict[str, Any], key: str) -> str:
     factor = record.get(key)
     if not is_number(factor) or factor <= 0:
         return "–"
+    if (least := least_of(record, key)) is not None:
+        return f"≥ × {number_text(least, digits=2)}"
     return f"× {estimate_text(record, key) if record.get(f'{key}_ci95') else number_text(float(factor), digits=2)}"
 
 

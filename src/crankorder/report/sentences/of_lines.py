@@ -9,6 +9,7 @@ from crankorder.report.notation import (
     NAME_CHARACTERS,
     estimate_text,
     frequency_text,
+    is_in_doubt,
     is_number,
     is_tone,
     listed,
@@ -117,7 +118,15 @@ def _at(findings: dict[str, Any], record: dict[str, Any]) -> str:
         return text
     text += f" at {rpm:.0f} rpm"
     mode_hz = met_mode_hz(findings, record)
-    return text if mode_hz is None else f"{text}, where it meets the {frequency_text(mode_hz)} Hz natural frequency"
+    if mode_hz is None:
+        return text
+    hertz = f"{frequency_text(mode_hz)} Hz"
+    met = (
+        f"{hertz}, which may be a natural frequency"
+        if is_in_doubt(mode_hz, findings)
+        else f"the {hertz} natural frequency"
+    )
+    return f"{text}, where it meets {met}"
 
 
 def met_mode_hz(findings: dict[str, Any], record: dict[str, Any]) -> float | None:

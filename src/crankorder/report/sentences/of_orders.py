@@ -8,6 +8,7 @@ from crankorder.report.notation import (
     estimate_text,
     frequency_text,
     interval_of,
+    is_in_doubt,
     is_number,
     listed,
     nominal_order,
@@ -30,7 +31,7 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
             square.append(name)
         if law == "keeps its size":
             steady.append(name)
-        if is_number(record.get("meets_hz")):
+        if is_number(record.get("meets_hz")) and not is_in_doubt(float(record["meets_hz"]), findings):
             met.setdefault(float(record["meets_hz"]), []).append(name)
     sentences = []
     if square:

@@ -7,8 +7,10 @@ from typing import Any
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     frequency_text,
+    interval_of,
+    is_in_doubt,
     is_number,
-    is_undecided,
+    least_of,
     listed,
     named,
     nominal_order,
@@ -17,7 +19,6 @@ from crankorder.report.notation import (
     unit_of,
 )
 
-_SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
 _TOGETHER_RPM = 30.0  # crossings closer than this share one sentence
 _JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
@@ -48,12 +49,7 @@ def avoid_sentences(findings: dict[str, Any]) -> list[str]:
 def _excites(order: float, mode_hz: float, findings: dict[str, Any]) -> str:
     """That an order excites a natural frequency, or peaks where one may be."""
     name, hertz = order_name({"order": order}, findings), frequency_text(mode_hz)
-    nearest: dict[str, Any] = min(
-        (mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))),
-        key=lambda mode: abs(float(mode["frequency_hz"]) - mode_hz),
-        default={},
-    )
-    if is_undecided(nearest) or abs(float(nearest.get("frequency_hz", 0.0)) - mode_hz) > _SAME_MODE * mode_hz:
+    if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
     return f"order {name} excites the {hertz} Hz natural frequency"
 
@@ -99,13 +95,26 @@ def is_range(value: object) -> bool:
 def _peak(findings: dict[str, Any], record: dict[str, Any]) -> str:
     """How bad it is there, in the findings' own numbers."""
     said = []
-    if is_number(record.get("amplitude")):
+    if is_number(record.get("amplitude")) and record["amplitude"] > 0:
         where = f" in {named(record['channel'], limit=NAME_CHARACTERS)}" if record.get("channel") else ""
         level = f"{number_text(float(record['amplitude']))} {unit_of(findings, record)}".strip()
-        said.append(f"peak {level}{where}")
+        said.append(f"peak {'at least ' if record.get('at_least') else ''}{level}{where}")
     if is_number(record.get("amplification")) and record["amplification"] > 0 and "amplitude" in record:
-        said.append(f"amplified {number_text(float(record['amplification']), digits=2)} times")
+        said.append(f"amplified {_amplified(record)} times")
     return f" ({', '.join(said)})" if said else ""
+
+
+def _amplified(record: dict[str, Any]) -> str:
+    """Amplification of a ``record``: its interval, its lower end alone where it has no upper one, else the number."""
+    ends = interval_of(record, "amplification")
+    if ends is not None:
+        return " to ".join(dict.fromkeys(number_text(end, digits=2) for end in ends))
+    least = least_of(record, "amplification")
+    return (
+        number_text(float(record["amplification"]), digits=2)
+        if least is None
+        else f"at least {number_text(least, digits=2)}"
+    )
 
 
 def free_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
