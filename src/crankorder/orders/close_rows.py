@@ -21,6 +21,9 @@ ALIKE_BEATS = 0.25
 SLOW_WAVES = 4
 """Waves on each side of a line, in cycles over the recording, whose power is that of the noise at it."""
 
+LEFT_RATIO = 4.0
+"""Power left over that is so many times the noise beside is of a line whose phase wanders or whose number is wrong."""
+
 DOUBT = 2.0
 """Standard errors by which the number of a line may be off."""
 
@@ -74,7 +77,7 @@ class _Fit:
 
     ``at_line`` (channels,) is the noise power at the first line, ``own`` the variance of its amplitude in noise of
     power 1, ``follows`` (lines, channels) how it changes with the numbers of all lines; ``normal`` and ``score`` tell
-    by how much these are off.
+    by how much these are off. ``left`` (channels,) is the amplitude of what no line and no noise explains.
     """
 
     amplitude: Complex
@@ -84,9 +87,10 @@ class _Fit:
     follows: Complex
     normal: Array
     score: Array
+    left: Array
 
 
-def close_rows(stretches: Sequence[Stretch], orders: Array) -> list[CloseRow]:
+def close_rows(stretches: Sequence[Stretch], orders: Array, *, wanders: bool = False) -> list[CloseRow]:
     """What the ``stretches`` of a test hold of the first of ``orders`` (lines,), the others of which are close to it.
 
     Amplitudes follow by least squares from the numbers of the lines over all frames of a stretch, whose overlap is
@@ -98,7 +102,7 @@ def close_rows(stretches: Sequence[Stretch], orders: Array) -> list[CloseRow]:
     score = sum((fit.score for fit in fits if fit is not None), np.zeros(len(orders)))
     off, error = _off(normal, score)
     doubt = np.abs(off) + DOUBT * error
-    return [_row(one, orders, fit, doubt) for one, fit in zip(stretches, fits, strict=True)]
+    return [_row(one, orders, fit, doubt, wanders) for one, fit in zip(stretches, fits, strict=True)]
 
 
 def _fit(one: Stretch, orders: Array) -> _Fit:
@@ -115,7 +119,10 @@ def _fit(one: Stretch, orders: Array) -> _Fit:
     left = data - basis @ amplitude
     freedom = float(n - count)
     power = np.maximum(np.square(np.abs(left)).sum(axis=0) / freedom, 1e-24 * np.square(np.abs(data)).mean(axis=0))
-    at_line, worth = _noise_at(one, one.phasor.T - waves @ amplitude, orders, power)
+    rest = one.phasor.T - waves @ amplitude
+    at_line, worth = _noise_at(one, rest, orders, power)
+    unexplained = np.maximum(np.square(np.abs(rest)).mean(axis=0) - LEFT_RATIO * one.beside, 0.0)
+    unexplained[np.square(np.abs(rest)).mean(axis=0) < 1e-12 * np.square(np.abs(one.phasor)).mean()] = 0.0
     # how moving each line changes what is seen, beyond its amplitude; channels by their noise
     change = slopes[:, :, None] * amplitude
     moved = change - np.einsum("fb,blc->flc", basis, np.einsum("bf,flc->blc", inverse, change))
@@ -124,7 +131,16 @@ def _fit(one: Stretch, orders: Array) -> _Fit:
     score = np.einsum("flc,fc,c->l", moved.conj(), left, weight).real
     follows = -np.einsum("f,flc->lc", inverse[0], change)
     own = float(np.square(np.abs(inverse[0])).sum())
-    return _Fit(amplitude, at_line, min(2.0 * freedom, worth), own, follows, normal, score)
+    return _Fit(
+        amplitude,
+        at_line,
+        min(2.0 * freedom, worth),
+        own,
+        follows,
+        normal,
+        score,
+        np.sqrt(unexplained) / float(one.share[0]),
+    )
 
 
 def _noise_at(one: Stretch, left: Complex, orders: Array, power: Array) -> tuple[Array, float]:
@@ -148,7 +164,7 @@ def _off(normal: Array, score: Array) -> tuple[Array, Array]:
     return np.asarray(inverse @ score), np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
 
-def _row(one: Stretch, orders: Array, fit: _Fit | None, doubt: Array) -> CloseRow:
+def _row(one: Stretch, orders: Array, fit: _Fit | None, doubt: Array, wanders: bool) -> CloseRow:
     span = float(np.ptp(one.turn))
     parted = fit is not None and float(np.abs(orders[1:] - orders[0]).min()) * span >= PARTED_BEATS
     size = np.abs(one.phasor)
@@ -169,8 +185,11 @@ def _row(one: Stretch, orders: Array, fit: _Fit | None, doubt: Array) -> CloseRo
         power = fit.own * fit.at_line
         error = np.sqrt(0.5 * power + np.square(along / DOUBT))
         own_low, own_high = amplitude_interval(np.abs(value), power, freedom)
-        low, high = np.maximum(own_low - along, 0.0), own_high + along
+        low, high = np.maximum(own_low - along, 0.0), own_high + along + fit.left
+        error = np.hypot(error, fit.left / DOUBT)
         phase_half = phase_interval_deg(np.abs(value), power + 2.0 * np.square(across / DOUBT), freedom)
+        if wanders:
+            value = np.hypot(np.abs(value), fit.left) * unit.conj()
         if not parted:
             low, high = np.zeros(len(both)), np.maximum(high, both)
             value = value * np.minimum(1.0, both / np.maximum(np.abs(value), 1e-300))

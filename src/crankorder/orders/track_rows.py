@@ -204,7 +204,10 @@ class TrackReader:
         """``made`` with the rows of ``order`` as it beats with the lines ``beating``, over whole recordings."""
         lines = np.array([order, *beating])
         found: dict[int, list[CloseRow]] = {}
-        for one in close_rows(self._stretches(lines, [other for other in others if other not in beating]), lines):
+        stretches = self._stretches(lines, [other for other in others if other not in beating])
+        step = float(np.diff(self.order_map["order"].values[:2])[0])
+        on_bin = np.abs(lines / step - np.rint(lines / step)) * step < ON_BIN
+        for one in close_rows(stretches, lines, wanders=bool(not on_bin[0] and on_bin[1:].all())):
             found.setdefault(one.row, []).append(one)
         values = {item.name: getattr(made, item.name).copy() for item in fields(OrderRows)}
         for row, parts in found.items():
