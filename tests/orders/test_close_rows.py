@@ -76,3 +76,23 @@ def test_lines_that_hardly_beat_are_not_parted():
         out += int((rows.amplitude_high[0, unparted] < sizes[1, unparted]).sum())
     assert reached > 20
     assert out <= 0.07 * reached
+
+
+def test_a_line_whose_slip_wanders_keeps_its_amplitude():
+    for seed in range(300, 305):
+        draw = np.random.default_rng(seed)
+        order, size, frames = 2.0 * (1.0 + draw.uniform(0.004, 0.015)), 10.0 ** draw.uniform(-1.0, 1.0), []
+        for number, speed in enumerate((1500.0, 2400.0)):
+            turn = 10.0 ** draw.uniform(0.0, 0.5) * np.sin(np.linspace(0.0, draw.uniform(2.0, 9.0), 5760))
+
+            def slipping(_, angle, turn=turn, order=order, size=size):
+                return size * np.cos(2.0 * np.pi * order * angle + turn)
+
+            band, shaft = steady([total(line(2.0, 1.0), slipping)], speed_rpm=speed, duration_s=12.0, rate_hz=480.0)
+            band["signal"].values[:] += 0.02 * draw.normal(size=band["signal"].shape)
+            band.attrs["recording"] = f"step {number}"
+            frames.append(order_frames(band, shaft, settings=SETTINGS))
+        reader = TrackReader(order_map(frames, settings=SETTINGS), frames=frames)
+        for told, other, wanted in ((order, 2.0, size), (2.0, order, 1.0)):
+            rows = reader.rows(told, [other])
+            assert ((rows.amplitude_low <= wanted) & (wanted <= rows.amplitude_high)).all()
