@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.scaling import power_of_two
 from crankorder.orders.angle_errors import AngleErrors
+from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.common_frames import common_frames
 from crankorder.orders.intervals import (
     amplitude_interval,
@@ -38,6 +39,9 @@ TOGETHER_BINS = 4.0
 
 LEAST_APART_BINS = 0.4
 """Lines closer than this cannot be told apart in one frame: what is read is their sum."""
+
+BEATING_BINS = 1.0
+"""Lines closer than this are parted by their beat over the whole recording: a frame holds most of both in each bin."""
 
 HANN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)
 """Correlation of white noise in bins 0, 1, 2 apart of a Hann window whose phase counts from its middle."""
@@ -181,8 +185,63 @@ class TrackReader:
         if not 0 <= nearest < len(axis):
             return OrderRows.nothing(self.order_map.sizes["channel"], len(self.map_rpm))
         if abs(axis[nearest] - order) < ON_BIN:
-            return OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
-        return self._between_bins(order / step, [other / step for other in others], nearest)
+            made = OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
+        else:
+            made = self._between_bins(order / step, [other / step for other in others], nearest)
+        beating = [one for one in others if self._beats(one - order) and abs(one - order) < BEATING_BINS * step]
+        return self._parted_by_beat(made, order, beating, others) if beating else made
+
+    def _beats(self, apart: float) -> bool:
+        """Whether lines so many orders ``apart`` are two in the longest recording."""
+        if not self._frames:
+            return False
+        spans = [float(np.ptp(item["crank_angle"].values)) for item in self._used if item.sizes["frame"]]
+        return abs(apart) * max(spans, default=0.0) > ALIKE_BEATS
+
+    def _parted_by_beat(
+        self, made: OrderRows, order: float, beating: list[float], others: Sequence[float]
+    ) -> OrderRows:
+        """``made`` with the rows of ``order`` as it beats with the lines ``beating``, over whole recordings."""
+        lines = np.array([order, *beating])
+        found: dict[int, list[CloseRow]] = {}
+        stretches = self._stretches(lines, [other for other in others if other not in beating])
+        step = float(np.diff(self.order_map["order"].values[:2])[0])
+        on_bin = np.abs(lines / step - np.rint(lines / step)) * step < ON_BIN
+        for one in close_rows(stretches, lines, wanders=bool(not on_bin[0] and on_bin[1:].all())):
+            found.setdefault(one.row, []).append(one)
+        values = {item.name: getattr(made, item.name).copy() for item in fields(OrderRows)}
+        for row, parts in found.items():
+            one, unit = joined_row(parts), self._unit[:, 0]
+            phase_known = np.isfinite(made.phase[:, row])
+            values["amplitude"][:, row] = unit * np.abs(one.value)
+            values["standard_error"][:, row] = unit * one.error
+            values["degrees_of_freedom"][:, row] = one.freedom
+            values["amplitude_low"][:, row] = unit * one.low
+            values["amplitude_high"][:, row] = unit * one.high
+            values["phase"][:, row] = np.where(phase_known, np.degrees(np.angle(one.value)), np.nan)
+            values["phase_ci95"][:, row] = np.where(phase_known, one.phase_half, np.nan)
+        return OrderRows(**values)
+
+    def _stretches(self, lines: Array, others: list[float]) -> list[Stretch]:
+        """Phasors of each recording in each row, of what is about ``lines`` (lines,) apart from ``others`` [orders]."""
+        axis = self.order_map["order"].values
+        step = float(axis[1] - axis[0])
+        centre = float(lines.mean()) / step
+        close = [other / step for other in others if LEAST_APART_BINS < abs(other / step - centre) < TOGETHER_BINS]
+        used, solve, share = self._lobe_fit(centre, close)
+        power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
+        nearest = min(round(centre), len(axis) - 1)
+        noise = share * noise_beside(power, self._beside[0][nearest][None])[..., 0]
+        kept = solve @ hann_lobe(used[:, None] - lines / step)
+        made = []
+        for item, rows in zip(self._used, self._row_of_frames, strict=True):
+            phasors = self._phasors(item, used, solve)
+            whole = np.isfinite(phasors).all(axis=0)
+            for row in np.unique(rows[whole]).tolist():
+                mine = whole & (rows == row)
+                begin, revs = item["crank_angle"].values[mine], float(item.attrs["revs_per_frame"])
+                made.append(Stretch(item, row, phasors[:, mine], begin, revs, kept, np.nan_to_num(noise[:, row])))
+        return made
 
     def _between_bins(self, place: float, others: list[float], nearest: int) -> OrderRows:
         """Rows of a line ``place`` bins up, between two bins, solved with the ``others`` (in bins) that are near."""
@@ -222,6 +281,28 @@ class TrackReader:
         Each frame is solved for the line and those ``close`` to it by generalised least squares over the bins of their
         main lobes; without frames the map's energy is taken for that of the line alone.
         """
+        used, solve, share = self._lobe_fit(place, close)
+        shape = (self.order_map.sizes["channel"], len(self.map_rpm))
+        if not self._frames:
+            squares = np.square(hann_lobe(used.astype(np.float64) - place))
+            energy = np.square(self.order_map["amplitude"].values[..., used] / self._unit[..., None]) @ squares
+            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares))
+        total, count = np.zeros(shape), np.zeros(shape)
+        for item, rows in zip(self._used, self._row_of_frames, strict=True):
+            squared = np.abs(self._phasors(item, used, solve)) ** 2
+            seen = np.isfinite(squared)
+            for channel in range(shape[0]):
+                some = seen[channel]
+                total[channel] += np.bincount(rows[some], squared[channel, some], minlength=shape[1])
+                count[channel] += np.bincount(rows[some], minlength=shape[1])
+        with np.errstate(invalid="ignore"):
+            return total / count, share
+
+    def _lobe_fit(self, place: float, close: list[float]) -> tuple[NDArray[np.int64], Array, float]:
+        """Bins (used,) about a line ``place`` bins up, their weights in its amplitude apart from lines ``close`` to it.
+
+        Last, what share of a bin's noise power that amplitude holds.
+        """
         lines = np.array([place, *close])
         middle = np.rint(lines).astype(int)
         last = self.order_map.sizes["order"] - 1
@@ -231,25 +312,14 @@ class TrackReader:
         noise = np.select([apart == k for k in range(3)], HANN_CORRELATION, 0.0)
         weighted = np.linalg.solve(noise, lobes)
         covariance = np.linalg.inv(lobes.T @ weighted)
-        solve, share = (covariance @ weighted.T)[0], float(covariance[0, 0])
-        shape = (self.order_map.sizes["channel"], len(self.map_rpm))
-        if not self._frames:
-            squares = np.square(lobes[:, 0])
-            energy = np.square(self.order_map["amplitude"].values[..., used] / self._unit[..., None]) @ squares
-            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares))
-        total, count = np.zeros(shape), np.zeros(shape)
-        for item, rows in zip(self._used, self._row_of_frames, strict=True):
-            revs = float(item.attrs["revs_per_frame"])
-            centre = item["crank_angle"].values + 0.5 * revs
-            values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
-            squared = np.abs((values @ solve) / self._unit) ** 2
-            seen = np.isfinite(squared)
-            for channel in range(shape[0]):
-                some = seen[channel]
-                total[channel] += np.bincount(rows[some], squared[channel, some], minlength=shape[1])
-                count[channel] += np.bincount(rows[some], minlength=shape[1])
-        with np.errstate(invalid="ignore"):
-            return total / count, share
+        return used, (covariance @ weighted.T)[0], float(covariance[0, 0])
+
+    def _phasors(self, item: xr.Dataset, used: NDArray[np.int64], solve: Array) -> NDArray[np.complex128]:
+        """Bins ``used`` of the frames of ``item``, turned to their middles, weighted by ``solve``."""
+        revs = float(item.attrs["revs_per_frame"])
+        centre = item["crank_angle"].values + 0.5 * revs
+        values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
+        return np.asarray((values @ solve) / self._unit)
 
 
 _ON_BIN_NAMES = (
