@@ -95,8 +95,8 @@ def close_rows(stretches: Sequence[Stretch], orders: Array, *, wanders: bool = F
 
     Amplitudes follow by least squares from the numbers of the lines over all frames of a stretch, whose overlap is
     allowed for. By how much the numbers may be off is told by all stretches together, and by each where it surely
-    says otherwise: what the line may take of its neighbours by that is part of its interval. ``wanders``: the first line
-    alone may be no exact multiple, so that power which none explains is its own.
+    says otherwise: what the line may take of its neighbours by that is part of its interval. ``wanders``: the first
+    line alone may be no exact multiple, so that power which none explains is its own.
     """
     fits = [_fit(one, orders) if len(one.turn) > len(orders) else None for one in stretches]
     normal = sum((fit.normal for fit in fits if fit is not None), np.zeros((len(orders), len(orders))))
