@@ -253,9 +253,9 @@ class Crossing:
 
     ``amplification`` is the amplitude over the trend in the channel that shows it best, with its interval, or that of
     the fit of a channel whose interval lies above it; None where it was not measured; ``amplification_predicted`` that
-    of the fit (``predicted_from`` "fit" or "damping"). ``remark``
-    says what makes the natural frequency doubtful; ``chance`` that the order looks so without the mode; ``whirl``
-    is the one that the order meets, where it is none that stays.
+    of the fit (``predicted_from`` "fit" or "damping"). ``remark`` says what makes the natural frequency doubtful;
+    ``chance`` that the order looks so without the mode; ``whirl`` is the one that the order meets, where it is none
+    that stays.
     """
 
     order: float

@@ -83,9 +83,9 @@ def modal_fit(
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
-    made = replace(
-        made, hidden=hidden_speeds(blocks, made.modes, revs_per_cycle=int(order_map.attrs["revs_per_cycle"]))
-    )
+    cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
+    hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
+    made = replace(made, hidden=hidden)
     return with_whirls(made, whirls, campbell["speed"].values)
 
 

@@ -47,6 +47,27 @@ class Passage:
     bandwidth_hz: Array
     poles: int
 
+    @property
+    def order(self) -> float:
+        """The order that passed."""
+        return float(60.0 * self.frequency_hz[0] / self.speed_rpm[0])
+
+    @cached_property
+    def time_s(self) -> Array:
+        """Times (T,) of the grid."""
+        return np.asarray(self.start_s + self.step_s * np.arange(len(self.frequency_hz)))
+
+    @cached_property
+    def ends_hz(self) -> tuple[float, float]:
+        """Lowest and highest frequency that the order passed."""
+        return float(self.frequency_hz.min()), float(self.frequency_hz.max())
+
+    @cached_property
+    def rates_rpm_per_s(self) -> tuple[float, float]:
+        """Least and largest rate of the speed; below zero where it falls."""
+        rates = np.diff(self.speed_rpm) / self.step_s
+        return float(rates.min()), float(rates.max())
+
     def response(self, growth: Complex, natural_hz: float, damping: float) -> tuple[Complex, Complex, Complex]:
         """Acceleration (K,) of a mode of unit residue behind a force ``growth`` (T,), and its slopes by ln f and ln ζ.
 
@@ -80,7 +101,7 @@ class Passage:
         natural = 2.0 * np.pi * natural_hz
         pole = natural * complex(-damping, np.sqrt(max(1.0 - damping**2, 1e-12)))
         made = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole)[0]
-        return np.asarray(made - self._through(made))
+        return np.asarray(made - _filtered(made, self._filter))
 
     def taken_from(self, other: Passage, left: Complex, natural_hz: float) -> Complex:
         """What this order's filter takes (K,) for its own of ``left`` (T',) over the passage of an ``other`` order.
@@ -88,28 +109,21 @@ class Passage:
         Both are of one recording; ``left`` is the envelope of what the other order's filter leaves of the mode
         ``natural_hz``, which rings at that frequency: only where this order is near it does the grid tell it.
         """
-        time = other.start_s + other.step_s * np.arange(len(left))
-        ratio = self.frequency_hz[0] / self.speed_rpm[0] - other.frequency_hz[0] / other.speed_rpm[0]
-        turned = left * np.exp(-2j * np.pi * 60.0 * ratio * other.angle_rev)
-        grid = self.start_s + self.step_s * np.arange(len(self.frequency_hz))
-        width = np.interp(time, grid, self.bandwidth_hz)
-        off = np.abs(np.interp(time, grid, self.frequency_hz) - natural_hz) * other.step_s
+        time = other.time_s
+        turned = left * np.exp(2j * np.pi * (other.order - self.order) * other.angle_rev)
+        off = np.abs(np.interp(time, self.time_s, self.frequency_hz) - natural_hz) * other.step_s
         turned *= np.clip((FARTHEST - off) / (FARTHEST - NEAR_ENOUGH), 0.0, 1.0)
-        through = _filtered(turned, width, other.step_s, self.poles)
+        width = np.interp(time, self.time_s, self.bandwidth_hz)
+        through = _filtered(turned, _factor(width, other.step_s, self.poles))
         rows = self.start_s + self.step_s * self.place
         return np.asarray(np.interp(rows, time, through, left=0.0, right=0.0))
 
     def smoothed(self, envelope: Complex) -> Complex:
         """``envelope`` (T, M) of the grid as the filter lets it through, at the rows (K, M)."""
-        through = self._through(envelope)
+        through = _filtered(envelope, self._filter)
         low = np.clip(np.floor(self.place).astype(np.int64), 0, len(through) - 2)
         share = (self.place - low)[:, None]
         return np.asarray((1.0 - share) * through[low] + share * through[low + 1])
-
-    def _through(self, envelope: Complex) -> Complex:
-        from scipy.linalg import cho_solve_banded
-
-        return np.asarray(cho_solve_banded((self._filter, True), envelope, check_finite=False))
 
     @cached_property
     def _filter(self) -> Array:
@@ -187,10 +201,11 @@ def _factor(bandwidth_hz: Array, step_s: float, poles: int) -> Array:
     return np.asarray(cholesky_banded(_normal_band(weight, poles), lower=True, check_finite=False))
 
 
-def _filtered(envelope: Complex, bandwidth_hz: Array, step_s: float, poles: int) -> Complex:
+def _filtered(envelope: Complex, factor: Array) -> Complex:
+    """``envelope`` (T, …) of a grid as the filter of the ``factor`` lets it through."""
     from scipy.linalg import cho_solve_banded
 
-    return np.asarray(cho_solve_banded((_factor(bandwidth_hz, step_s, poles), True), envelope, check_finite=False))
+    return np.asarray(cho_solve_banded((factor, True), envelope, check_finite=False))
 
 
 def _normal_band(weight: Array, poles: int) -> Array:

@@ -27,9 +27,6 @@ HIDES = 0.03
 NEAR = 0.03
 """Share of a speed, beside that at which an order meets a mode, at which it may be large."""
 
-LEAST_DAMPING = 1e-3
-"""Smallest damping ratio that a mode is taken to have."""
-
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
@@ -81,7 +78,7 @@ def rings_into(block: Block, other: Block, natural_hz: float, damping: float) ->
 
     ``natural_hz`` and ``damping``: of the mode.
     """
-    if not block.frequency_hz.min() < natural_hz < block.frequency_hz.max():
+    if not block.ends_hz[0] < natural_hz < block.ends_hz[1]:
         return False
     return _rings(other, block.order, natural_hz, damping, RINGS)
 
@@ -90,22 +87,23 @@ def _rings(block: Block, later: float, natural_hz: float, damping: float, share:
     """Whether more than a ``share`` of what ``block`` left of a mode still rings when the order ``later`` passes it."""
     passage = block.passage
     assert passage is not None
-    if not passage.frequency_hz.min() < natural_hz < passage.frequency_hz.max():
+    if not passage.ends_hz[0] < natural_hz < passage.ends_hz[1]:
         return False
-    steps = np.diff(passage.speed_rpm)
-    rises, falls = bool((steps > 0.0).all()), bool((steps < 0.0).all())
-    if (rises and block.order < later) or (falls and block.order > later):
+    slowest, fastest = passage.rates_rpm_per_s
+    if (slowest > 0.0 and block.order < later) or (fastest < 0.0 and block.order > later):
         return False
-    rate = float(np.abs(steps).max()) / passage.step_s / 60.0
+    rate = max(abs(slowest), abs(fastest)) / 60.0
     delay = natural_hz * abs(1.0 / later - 1.0 / block.order) / max(rate, 1e-12)
     return bool(2.0 * np.pi * damping * natural_hz * delay < -np.log(share))
 
 
-def hidden_speeds(blocks: Sequence[Block], modes: Sequence[Mode], *, revs_per_cycle: int) -> tuple[HiddenSpeeds, ...]:
+def hidden_speeds(
+    blocks: Sequence[Block], modes: Sequence[Mode], *, revs_per_cycle: int, least_damping: float
+) -> tuple[HiddenSpeeds, ...]:
     """Speeds at which orders that nobody found could meet ``modes`` that still ring from the orders of ``blocks``.
 
     Every multiple of the cycle's frequency (``revs_per_cycle`` 1 or 2) may be such an order, if it is none of
-    ``blocks``.
+    ``blocks``. No mode is taken to be damped by less than ``least_damping``.
     """
     swept = [block for block in blocks if block.passage is not None]
     if not swept:
@@ -115,7 +113,7 @@ def hidden_speeds(blocks: Sequence[Block], modes: Sequence[Mode], *, revs_per_cy
     unknown = multiples[np.abs(multiples[:, None] - have).min(axis=1) > 0.25 / revs_per_cycle]
     found: list[HiddenSpeeds] = []
     for mode in modes:
-        f, zeta = mode.frequency_hz, max(mode.damping_ratio, LEAST_DAMPING)
+        f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
         reach = mode.frequency_half_hz + NEAR * f
         for number in unknown.tolist():
             rung = [block for block in swept if _rings(block, number, f, zeta, HIDES)]
