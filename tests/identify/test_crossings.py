@@ -9,7 +9,7 @@ import pytest
 
 from crankorder.identify.crossings import amplification, crossings
 from crankorder.identify.order_trend import power_law
-from crankorder.identify.responses import amplitude_at, shapes
+from crankorder.identify.responses import held_amplitudes, shapes
 from crankorder.identify.speed_records import crossing_records
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
@@ -161,7 +161,7 @@ def test_the_residue_of_a_fit_proves_a_mode_that_too_few_speeds_beside_it_could_
     record = table([agreed(4.0, seen)], fit(mode(100.0, 0.05), responses=(response,)))[4.0, 100.0]
     # at its natural frequency the mode alone makes 0.2 / (2 · 0.05) = 2, in quadrature to 0.3
     assert amplification(truth, 0, modal) == pytest.approx(np.hypot(0.3, 2.0) / 0.3)
-    assert amplitude_at(truth, 1500.0, modal) == pytest.approx(1.5**2 * np.hypot(0.3, 2.0))
+    assert held_amplitudes(truth, np.array([1500.0]), modal)[0][0] == pytest.approx(1.5**2 * np.hypot(0.3, 2.0))
     assert record.excited and record.predicted_from == "fit"
     assert record.amplification_predicted == pytest.approx(np.hypot(0.3, 2.0) / 0.3, rel=0.05)
 

@@ -9,7 +9,7 @@ import pytest
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
-from crankorder.identify.responses import amplitude_at
+from crankorder.identify.responses import held_amplitudes
 from crankorder.identify.speed_records import avoided_records, band_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
@@ -99,7 +99,7 @@ def two_channels(residue: dict[str, complex], damping: float = 0.01, damping_err
     between = replace(mode(105.0, damping), damping_error=damping_error)
     modal = fit(between)
     responses = [made_response(4.0, modal, smooth=1.0, residue=(one,), channel=name) for name, one in residue.items()]
-    rows = [[amplitude_at(one, rpm, modal) for rpm in SPEEDS_RPM] for one in responses]
+    rows = [held_amplitudes(one, SPEEDS_RPM, modal)[0] for one in responses]
     lines = [line(4.0, row, channel=name, error=1e-3) for name, row in zip(residue, rows, strict=True)]
     return [agreed(4.0, *lines)], fit(between, responses=tuple(responses))
 

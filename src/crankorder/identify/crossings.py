@@ -9,14 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from crankorder.identify.above_trend import (
-    Seen,
-    above_trend,
-    evidence_beside,
-    in_range,
-    seen_all_around,
-    width_rpm,
-)
+from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width

@@ -63,12 +63,6 @@ def shapes(frequency_hz: Floats, modal: ModalFit) -> Complex:
     return resonance(frequency_hz, natural, damping)
 
 
-def amplitude_at(response: OrderResponse, rpm: float, modal: ModalFit) -> float:
-    """Peak amplitude of ``response`` at ``rpm`` by the fit ``modal``, in its unit, as if it were held."""
-    smooth, parts, _ = _parts(response, np.array([rpm]), modal)
-    return float(abs(smooth[0] + parts[0].sum()))
-
-
 def held_amplitudes(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Floats, Floats]:
     """Peak amplitude (G,) of ``response`` at ``rpm`` (G,) by the fit ``modal`` if each were held, and its error.
 

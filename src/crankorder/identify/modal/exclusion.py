@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
-from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, bent, with_scatter
+from crankorder.identify.modal.order_responses import MOST_DEGREE, MOST_SCATTER, Block, Projected, bent, with_scatter
 from crankorder.identify.modal.surface_fit import Poles, Problem
 
 BETWEEN_ROWS = 4
@@ -190,7 +190,7 @@ def _added(block: Block, part: Projected, speed: Array, damping: float, reach: f
     columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
     made = np.empty((len(block.channels), len(speed)))
-    bends = bent(block, part, max(len(block.law), 1))  # the law of the force may have taken it in
+    bends = bent(block, part, max(1, min(MOST_DEGREE, block.fewest_rows // 4 - 1)))  # any law may have taken it in
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)
