@@ -104,7 +104,8 @@ def test_half_orders_in_a_cylinder_pressure_are_the_gas_cycle():
 def test_half_orders_of_a_firing_engine_are_its_gas_cycle_and_of_a_motored_one_they_are_not():
     orders = [agreed(k) for k in (0.5, 1.0, 1.5, 3.0)]
     firing = texts(orders, dataclasses.replace(ENGINE, firing=True))
-    assert firing == {0.5: "gas cycle", 1.0: "engine kinematics", 1.5: "gas cycle", 3.0: "gas cycle"}
+    either = "gas cycle or engine kinematics"
+    assert firing == {0.5: "gas cycle", 1.0: either, 1.5: "gas cycle", 3.0: "gas cycle"}
     motored = texts(orders, ENGINE)
     assert motored[0.5] == motored[1.5] == "half order of the four-stroke cycle"
     assert motored[3.0] == "unexplained"

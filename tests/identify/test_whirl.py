@@ -197,7 +197,7 @@ def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_is_that_whirl() -
 
 def test_records_and_sentences_tell_the_whirl() -> None:
     causes = Causes({}, (), ())
-    (record,) = mode_records(fit(whirls=(_known(-0.12),)), causes)
+    (record,) = mode_records(fit(whirls=(_known(-0.12),)), causes, [])
     assert record["explained_by"] == "whirl" and record["reference_rpm"] == 2500.0
     assert record["speed_slope_ci95"][0] < -0.12 < record["speed_slope_ci95"][1]
     assert mode_sentences({"modes": [record]}) == ["Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."]

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.optimize import linear_sum_assignment
 
+from crankorder.report.contradictions import contradictions
 from machines.bound import KNOWN_FREQUENCY, Bound, free_for_the_oracle, lock_told, told_from_a_tone
 from machines.folder import Take
 from machines.machine import FloatArray, Machine
@@ -61,8 +62,15 @@ def judged(machine: Machine, takes: tuple[Take, ...], bound: Bound, said: Said) 
         *_speeds(machine, bound, said.findings),
         *_orders(machine, takes, bound, said.findings),
         *_modes(machine, bound, said.findings),
+        *_contradictions(said.findings),
         *(Judgement("rows", float(row.right), 1.0, row.words) for row in judged_rows(machine, takes, said.tracks)),
     )
+
+
+def _contradictions(findings: dict[str, Any]) -> list[Judgement]:
+    """A wrong statement for each pair of sentences or fields that exclude each other; else one right one."""
+    words = contradictions(findings)
+    return [Judgement("consistent", 0.0, 1.0, one) for one in words] or [Judgement("consistent", 1.0)]
 
 
 def _speeds(machine: Machine, bound: Bound, findings: dict[str, Any]) -> list[Judgement]:

@@ -15,6 +15,7 @@ MARKS = (
     "mode found",
     "mode real",
     "rows",
+    "consistent",
 )
 """Kinds whose every miss is a fault."""
 INTERVALS = ("amplitude", "phase", "frequency", "damping")

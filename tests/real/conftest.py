@@ -50,6 +50,8 @@ def analysed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
             outcome = CliRunner().invoke(main, arguments)
             assert outcome.exit_code == 0, outcome.output
             made[name, only] = Analysed(next(path.parent for path in out.glob("*/findings.json")))
+            flags = made[name, only].findings["quality"]
+            assert not [flag["detail"] for flag in flags if flag["flag"] == "contradiction"]
         return made[name, only]
 
     return run

@@ -31,6 +31,7 @@ from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
 from crankorder.quantities import QualityFlag, Severity
+from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
@@ -125,6 +126,7 @@ def _finish(
     ]
     told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
     findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
+    findings["quality"] += contradiction_flags(findings)
     groups = {**made.datasets, "shaft": _shaft_summary(results)}
     outcome.accuracy = _accuracy_text(made.datasets.get("order_map"))
     stated = {**provenance, "quality": findings["quality"]}

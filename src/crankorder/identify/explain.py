@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.explain_families import explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.growth import growth
+from crankorder.identify.lines.growth import growth, largest
 from crankorder.identify.mains_orders import ALIKE_SPEEDS, mains_orders
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
 from crankorder.identify.sidebands import sidebands
@@ -25,11 +26,17 @@ HALF_ORDER_QUANTITIES = ("pressure",)
 NOT_KNOWN = ("unexplained", "tone", "undecided")
 """Words for lines whose cause is not known."""
 
+ForcesOfCycle = dict[tuple[str, float], CycleForce]
+"""What gas and masses make of a line, by channel and AgreedOrder.order."""
+
 SIGMAS = 3.0
 """Standard errors within which an order may be another."""
 
 VAGUE = 0.125
 """Distance from a multiple, in spacings of the multiples, beyond which an order of large error is none for certain."""
+
+EITHER = "gas cycle or engine kinematics"
+"""What makes an order that gas and masses of an engine both do, as far as is known."""
 
 UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
 """Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own
@@ -83,11 +90,12 @@ def explained(
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
-    The first that the evidence supports, in this order: the gas cycle in a pressure channel; engine kinematics; a gear
-    that was stated; unbalance; the gas cycle of a firing engine; a bearing (by the records of the bearings, within
-    their intervals); a fold of something else in data sampled by crank angle; a half order of the cycle; a mesh of
-    teeth by its sidebands; a shaft harmonic; a harmonic or sideband of another line; a second shaft. What is left is
-    "unexplained". A line that slips is no multiple of the cycle, one that is locked is no race of a bearing.
+    The first that the evidence supports, in this order: the gas cycle in a pressure channel; in a firing engine gas or
+    engine kinematics, whichever its model makes far more of; engine kinematics; a gear that was stated; unbalance; the
+    gas cycle of a firing engine; a bearing (by the records of the bearings, within their intervals); a fold of
+    something else in data sampled by crank angle; a half order of the cycle; a mesh of teeth by its sidebands; a shaft
+    harmonic; a harmonic or sideband of another line; a second shaft. What is left is "unexplained". A line that slips
+    is no multiple of the cycle, one that is locked is no race of a bearing.
 
     Parameters
     ----------
@@ -101,10 +109,11 @@ def explained(
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
+    forces = _forces_of_cycle(orders, sources)
     for agreed in orders:
         for line in agreed.lines:
             cause = _first_cause(
-                agreed, line, orders, bearings, races, sources, quantity[line.channel], folds, settings
+                agreed, line, orders, bearings, races, sources, quantity[line.channel], folds, settings, forces
             )
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
     for order, (text, evidence) in mains_orders(orders, settings=settings).items():
@@ -150,6 +159,7 @@ def _first_cause(
     quantity: str,
     folds: Sequence[ShownFold],
     settings: IdentifySettings,
+    forces: ForcesOfCycle,
 ) -> Cause | None:
     """The first cause that the evidence supports for one line by itself."""
     of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
@@ -160,7 +170,8 @@ def _first_cause(
     }[agreed.lock]
     tests: list[Callable[[], Cause | None]] = [
         lambda: _gas_in_pressure(of_cycle, quantity, proof, sources.revs_per_cycle),
-        lambda: _kinematics(of_cycle, sources, proof),
+        lambda: _gas_or_masses(forces.get((line.channel, agreed.order)), proof),
+        lambda: _kinematics(of_cycle, orders, sources, proof),
         lambda: _stated_gear(agreed, sources, proof, settings),
         lambda: _first_order(of_cycle, line, sources, quantity, proof),
         lambda: _combustion(of_cycle, sources, proof),
@@ -180,10 +191,38 @@ def _gas_in_pressure(of_cycle: float | None, quantity: str, proof: str, revs_per
     return Cause("gas cycle", f"order {of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {proof}")
 
 
-def _kinematics(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
+def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: Sources) -> ForcesOfCycle:
+    """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
+    if sources.engine is None or not sources.firing:
+        return {}
+    of_cycle = [(multiple_of_cycle(agreed, sources.revs_per_cycle), agreed) for agreed in orders]
+    lines = [(number, agreed.order, line) for number, agreed in of_cycle if number is not None for line in agreed.lines]
+    made = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for number, _, line in lines])
+    return {
+        (line.channel, order): force for (_, order, line), force in zip(lines, made, strict=True) if force is not None
+    }
+
+
+def _gas_or_masses(force: CycleForce | None, proof: str) -> Cause | None:
+    """Which of a firing engine's gas and masses makes a line, or that either may."""
+    if force is None:
+        return None
+    text = {"gas": "gas cycle", "masses": "engine kinematics", "both": EITHER}[force.maker]
+    return Cause(text, f"{force.words}; {proof}")
+
+
+def _kinematics(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources: Sources, proof: str) -> Cause | None:
     if of_cycle is None or not any(abs(of_cycle - known) < 1e-6 for known in sources.engine_orders):
         return None
-    return Cause("engine kinematics", f"the engine's moving masses make order {of_cycle:g}; {proof}")
+    made = f"the engine's moving masses make order {of_cycle:g}"
+    gas = "the engine fires" if sources.firing else ""
+    if not gas and sources.revs_per_cycle == 2 and len(half := gas_half_orders(one.order for one in orders)) > 1:
+        gas = f"half orders ({', '.join(half)}) show gas torque"
+    if gas:
+        return Cause(
+            EITHER, f"{made}; {gas}, and nothing that was stated tells how much of this order it makes; {proof}"
+        )
+    return Cause("engine kinematics", f"{made}; {proof}")
 
 
 def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: IdentifySettings) -> Cause | None:
@@ -207,7 +246,7 @@ def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, quan
     if grown.law == "follows no power law":
         return Cause("unbalance", f"order 1, {proof}; no power of the speed describes how it grows")
     low, high = grown.ci95
-    grows = f"grows with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
+    grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
     least = UNBALANCE_EXPONENT.get(quantity, 2.0)
     if high < least - SLOWER:
         if sources.firing:
@@ -257,7 +296,7 @@ def _bearing(
                 break
     if not names:
         return None
-    text = "bearing " + ", ".join(dict.fromkeys(names))
+    text = "bearing " + " or ".join(dict.fromkeys(names))
     if parts:
         text += f" or {' or '.join(f'{_article(n)} {n}-fold' for n in sorted(parts))} part of that shaft"
     return Cause(text, "within the interval of the bearing's line" + ("; exactly locked" if parts else ""))

@@ -76,7 +76,7 @@ def find(
         "channels": [{"name": name, "unit": unit[name], "quantity": quantity[name]} for name in unit],
         "speed_range_rpm": list(tested),
         "orders": records,
-        "modes": mode_records(modal, causes),
+        "modes": mode_records(modal, causes, meetings),
         "crossings": meetings,
         "speeds_to_avoid": avoided_records(speeds),
         "free_bands": band_records(speeds.free),

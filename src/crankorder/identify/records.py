@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crankorder.identify.explain import Cause, Causes
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone, Whirl
+from crankorder.identify.found import AgreedOrder, Evidence, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
@@ -16,6 +16,12 @@ from crankorder.identify.lines.order_lock import is_half_order
 
 MET_SHARE = 0.05
 """An order that is largest within this share of the speed of an excited crossing is largest because of that mode."""
+
+_NOT_LOCKED: dict[Evidence, str] = {
+    "locked to the shaft": "its phase agrees from frame to frame",
+    "steady, not locked": "steady from frame to frame",
+}
+"""What a channel shows of a line, in words that leave its lock to the verdict on all channels together."""
 
 
 def order_records(
@@ -47,7 +53,7 @@ def _order_record(
     best, law = largest(line), growth(line)
     phase = float(line.phase_deg[best.at])
     said = (
-        line.evidence,
+        line.evidence if agreed.lock == "locked" else _NOT_LOCKED.get(line.evidence, line.evidence),
         f"{line.level_over_floor_db:.1f} dB over the local floor",
         agreed.reservation,
         line.reservation,
@@ -126,15 +132,19 @@ def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[Mappin
     return None if best is None else float(best["mode_hz"])
 
 
-def mode_records(modal: ModalFit, causes: Causes) -> list[dict[str, Any]]:
-    """Records of all modes, whirls and tones of ``modal``, lowest first, with their ``causes``."""
-    records = [_mode_record(mode, cause) for mode, cause in zip(modal.modes, causes.modes, strict=True)]
+def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Records of all modes, whirls and tones of ``modal``, lowest first, with their ``causes``.
+
+    ``meetings`` are the records of the crossings: whatever excites a mode reaches it.
+    """
+    records = [_mode_record(mode, cause, meetings) for mode, cause in zip(modal.modes, causes.modes, strict=True)]
     records += [_whirl_record(whirl) for whirl in modal.whirls]
     records += [_tone_record(tone, cause) for tone, cause in zip(modal.tones, causes.tones, strict=True)]
     return sorted(records, key=lambda record: float(record["frequency_hz"]))
 
 
-def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
+def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    excites = {one["order"] for one in meetings if one["excited"] and one["mode_hz"] == mode.frequency_hz}
     return {
         "frequency_hz": mode.frequency_hz,
         "frequency_hz_ci95": list(mode.frequency_ends),
@@ -143,7 +153,7 @@ def _mode_record(mode: Mode, cause: Cause) -> dict[str, Any]:
         "channels": list(mode.channels),
         "evidence": mode.evidence,
         "prominence_db": mode.prominence_db,
-        "reached_by_orders": list(mode.reached_by),
+        "reached_by_orders": sorted({*mode.reached_by, *excites}),
         "undecided": mode.undecided,
         "explained_by": cause.text,
     }

@@ -130,7 +130,7 @@ def _order_row(record: dict[str, Any], findings: dict[str, Any], limit: int) -> 
         _whole(record.get("speed_rpm_at_max")),
         estimate_text(record, "phase_deg"),
         estimate_text(record, "speed_exponent"),
-        "grows" if law.startswith("grows with speed") else named(law, limit=limit),
+        named(law.split(" with speed")[0], limit=limit),
         _hertz(record, "meets_hz"),
         speeds_text(record.get("speed_range_rpm") or ()),
     ]
@@ -166,7 +166,7 @@ def _reached(record: dict[str, Any]) -> str:
     if orders is None:
         return "–"
     numbers = sorted(nominal_order(float(order)) for order in orders if is_number(order))
-    return ", ".join(order_texts(numbers)) if numbers else "no order reaches it in the tested range"
+    return ", ".join(order_texts(numbers)) if numbers else "no order was seen to excite it"
 
 
 def _undecided(findings: dict[str, Any], limit: int) -> Table:

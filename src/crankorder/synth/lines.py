@@ -78,7 +78,7 @@ def driven_lines(scene: Scene, forces: ForceLines, speed_rpm: float, lag: Lag | 
     steady = forces.only(~forces.accelerates) if lag is None else forces
     order, force, cause = steady.order, steady.at_speed(speed_rpm), steady.cause
     if lag is not None and order.size:
-        known = dict(zip(order.tolist(), cause, strict=True))
+        known = _leading_causes(scene, steady, speed_rpm)
         order, force = lines_in_time(forces, lag, speed_rpm=speed_rpm)
         cause = tuple(known.get(value, SIDEBAND) for value in order.tolist())
     amplitude = np.zeros((len(scene.channels), 0), dtype=np.complex128)
@@ -88,6 +88,14 @@ def driven_lines(scene: Scene, forces: ForceLines, speed_rpm: float, lag: Lag | 
             response = response * scene.filter.response(order * speed_rpm / 60)
         amplitude = np.einsum("cal,al->cl", response, force)
     return OrderLines(order=order, amplitude=amplitude, cause=cause)
+
+
+def _leading_causes(scene: Scene, forces: ForceLines, speed_rpm: float) -> dict[float, str]:
+    """What makes most of each order of ``forces``, by its response alone in the channel where that is largest."""
+    response = accelerance(scene.structure, forces.order * speed_rpm / 60)
+    alone = np.abs(np.einsum("cal,al->cl", response, forces.at_speed(speed_rpm))).max(axis=0, initial=0.0)
+    by_size = np.argsort(alone, kind="stable")
+    return {float(forces.order[place]): forces.cause[place] for place in by_size}
 
 
 def fixed_lines(scene: Scene, run: Run) -> OrderLines:

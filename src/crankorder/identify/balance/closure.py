@@ -14,6 +14,7 @@ from crankorder.identify.balance.record import Split, added_words, split_record
 from crankorder.identify.balance.shaker_forces import EngineShaker, engine_shaker
 from crankorder.identify.balance.stated_paths import by_stated_paths
 from crankorder.identify.balance.transfer_path import MeasuredOrders, measured_orders
+from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
 
 ORDER_MATCH = 0.02
@@ -31,7 +32,6 @@ WEAK = 0.2
 """Relative error of a mass from which on an order left out proves nothing."""
 LIGHTEST_KG, HEAVIEST_KG = 0.1, 1e5
 """Apparent masses that a machine on its mounts may have."""
-FIRING_ORDERS = (0.5, 1.5, 2.5, 3.5)
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
 
 Closure = tuple[dict[str, Any] | None, str]
@@ -79,6 +79,8 @@ def closure(
 
 
 def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
+    if not np.isfinite(order_map["speed"].values).any():
+        raise _Refused("no shaft turned, or its speed is not known, so there is no order that a mass could make")
     reference = str(order_map.attrs.get("phase_reference", "none"))
     if reference in ("none", "mixed") or not np.isfinite(order_map["phase"].values).any():
         raise _Refused(
@@ -125,7 +127,7 @@ def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
             "the engine has gas: its torque rocks the crankcase at every order of the known forces, through a path "
             f"that is not known. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}"
         )
-    half = [f"{o.order:.1f}" for o in orders if any(abs(o.order - k) < ORDER_MATCH for k in FIRING_ORDERS)]
+    half = gas_half_orders(one.order for one in orders)
     if engine.revs_per_cycle == 2 and len(half) > 1:
         raise _Refused(
             f"half orders ({', '.join(half)}) show gas torque, which rocks the crankcase at every order of the known "

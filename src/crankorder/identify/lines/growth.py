@@ -14,7 +14,7 @@ from crankorder.identify.found import OrderLine
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, known_freedom
 from crankorder.identify.lines.changing import WIDER
 
-SpeedLaw = Literal["grows with speed^n", "keeps its size", "follows no power law"]
+SpeedLaw = Literal["grows with speed^n", "falls with speed^n", "keeps its size", "follows no power law"]
 
 FEWEST_SPEEDS = 4
 """Speeds below which no law is told from two numbers."""
@@ -136,7 +136,9 @@ def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
     if abs(exponent) <= half or abs(exponent) + half <= LEAST_EXPONENT:
         steady = fits and abs(exponent) < STEADY_EXPONENT and half < STEADY_PRECISION
         return "keeps its size" if steady else "follows no power law"
-    return "grows with speed^n" if fits or near else "follows no power law"
+    if not fits and not near:
+        return "follows no power law"
+    return "grows with speed^n" if exponent > 0.0 else "falls with speed^n"
 
 
 def _freedom(error: Floats, excess: float, freedom: Floats) -> float:

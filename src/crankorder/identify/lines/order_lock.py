@@ -31,14 +31,17 @@ def is_half_order(order: float, order_error: float) -> bool:
 def lock_of(order: float, order_error: float, freedom: float, *, revs_per_cycle: int, by_phase: bool) -> Lock:
     """Whether ``order`` is an exact multiple of 1 / ``revs_per_cycle``: "locked", "slips" or "undecided".
 
-    It slips where the 99.9 % interval leaves the multiple out. It is locked where that interval holds the multiple and
-    no order that differs from it by LEAST_SLIP or more. ``order_error`` is the standard error with ``freedom`` degrees
-    of freedom; only what was measured ``by_phase``, by the turn of the phase over a recording, can prove a lock.
+    It slips where the 99.9 % interval leaves the multiple out, and that of the half revolution too: a rotor that
+    rubs or is loose has exact half orders, though its cycle is one revolution. It is locked where that interval
+    holds the multiple and no order that differs from it by LEAST_SLIP or more. ``order_error`` is the standard
+    error with ``freedom`` degrees of freedom; only what was measured ``by_phase``, by the turn of the phase over a
+    recording, can prove a lock.
     """
     multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
     half, distance = sure_half_width(order_error, freedom), abs(order - multiple)
     if distance > half:
-        return "slips"
+        of_two = nearest_multiple(order, revs_per_cycle=2)
+        return "slips" if abs(order - of_two) > half else "undecided"
     return "locked" if by_phase and distance + half < LEAST_SLIP * multiple else "undecided"
 
 

@@ -111,7 +111,10 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
     between = names if len(orders) <= _MANY else f"{order_text(min(orders))} to {order_text(max(orders))}"
     told = _capital(listed(parts)) if len(orders) <= _FEW else f"{len(orders)} orders changed ({between})"
     only = "; no other order changed" if len(orders) <= _FEW else ""
-    return [f"{told}{only}." + (" No change of unbalance alone explains it." if {1.0, 2.0} & set(orders) else "")]
+    return [
+        f"{told}{only}."
+        + (" A change of unbalance alone does not explain all of it." if {1.0, 2.0} & set(orders) else "")
+    ]
 
 
 def _masses_cause(document: dict[str, Any]) -> str:

@@ -17,6 +17,7 @@ from crankorder.report.notation import (
 
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
 _SHOWN = 8  # orders that a sentence names
+_STEADY_CAUSES = ("unexplained", "bearing", "gear", "tooth", "teeth")  # words of causes that keep their size
 
 
 def law_sentences(findings: dict[str, Any]) -> list[str]:
@@ -29,7 +30,7 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
         law, name = str(record.get("speed_law") or ""), order_name(record, findings)
         if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or "speed_law" not in record):
             square.append(name)
-        if law == "keeps its size":
+        if law == "keeps its size" and _may_be_steady(record):
             steady.append(name)
         if is_number(record.get("meets_hz")) and not is_in_doubt(float(record["meets_hz"]), findings):
             met.setdefault(float(record["meets_hz"]), []).append(name)
@@ -48,6 +49,12 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
         more = " and others" if len(said) > _SHOWN else ""
         sentences.append(f"Natural frequencies shape orders: {', '.join(said[:_SHOWN])}{more}.")
     return [*sentences, *_half_orders(strongest, findings)]
+
+
+def _may_be_steady(record: dict[str, Any]) -> bool:
+    """Whether what explains a ``record`` does not contradict that it is rather a bearing or a gear."""
+    cause = str(record.get("explained_by") or "")
+    return not cause or cause.startswith(_STEADY_CAUSES)
 
 
 def _strongest(findings: dict[str, Any]) -> dict[float, dict[str, Any]]:

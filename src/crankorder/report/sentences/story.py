@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, TypedDict
 
-from crankorder.report.notation import NAME_CHARACTERS, is_number, named, percent_text
+from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
 from crankorder.report.sentences.of_lines import (
@@ -126,10 +126,17 @@ def energy_sentence(findings: dict[str, Any]) -> str:
     what = "the energy that is not broadband" if whole else "the energy of the lines that were found"
     judged = not whole or energy is None or energy.get("cells_judged") is not False
     but = "" if judged else " What lies between the lines could not be judged."
+    if float(fraction) == 0 and whole and not has_lines(findings):
+        return f"No order and no tone holds energy that would need a cause.{but}"
     if float(fraction) == 0:
         by = "orders and tones with a known cause" if whole else "what the tables name"
         return f"All of {what} is explained by {by}: 0 % is unexplained.{but}"
     return f"{percent_text(float(fraction))} of {what} has no known cause.{but}"
+
+
+def has_lines(findings: dict[str, Any]) -> bool:
+    """Whether ``findings`` hold an order or a tone."""
+    return bool(findings.get("orders")) or any(is_tone(mode) for mode in findings.get("modes", []))
 
 
 def _quality_sentences(findings: dict[str, Any]) -> list[str]:

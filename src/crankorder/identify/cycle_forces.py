@@ -1,0 +1,97 @@
+"""Whether the gas or the moving masses of a firing engine make an order, by the forces that its model predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.engine.definition import Engine
+from crankorder.engine.forces import crankcase_forces, crankcase_moments
+from crankorder.engine.gas import gas_torque_by_order
+from crankorder.errors import RequestError
+
+Floats = NDArray[np.float64]
+Maker = Literal["gas", "masses", "both"]
+
+DOMINATES = 5.0
+"""So many times the other: load may halve or double a stated pressure, and a structure answers forces and moments
+differently."""
+
+
+GAS_ORDERS = (0.5, 1.5, 2.5, 3.5)
+"""Two or more of these half orders tell of gas in a four-stroke engine: nothing else makes its cycle felt so."""
+
+GAS_REACH = 0.02
+"""An order this near to one of them is it."""
+
+
+@dataclass(frozen=True)
+class CycleForce:
+    """Peaks of one ``order`` at ``speed_rpm``: of the ``gas`` torque, the masses' ``torque`` (N·m) and ``force`` (N).
+
+    ``lever_m`` is the length on which the force counts as a moment: that of crank and rod, as high as an engine stands
+    above its crankshaft.
+    """
+
+    order: float
+    speed_rpm: float
+    gas: float
+    torque: float
+    force: float
+    lever_m: float
+
+    @property
+    def masses(self) -> float:
+        """Torque of the masses and their force on the lever together (N·m)."""
+        return self.torque + self.force * self.lever_m
+
+    @property
+    def maker(self) -> Maker:
+        """Which of the two makes the order, where one is more than ``DOMINATES`` times the other."""
+        if self.gas > DOMINATES * self.masses:
+            return "gas"
+        return "masses" if self.masses > DOMINATES * self.gas else "both"
+
+    @property
+    def words(self) -> str:
+        """Both, as numbers."""
+        return (
+            f"at {self.speed_rpm:.0f} rpm and order {self.order:g} the model's gas makes {self.gas:.3g} N·m, "
+            f"its masses {self.torque:.3g} N·m and {self.force:.3g} N (on {1e3 * self.lever_m:.0f} mm "
+            f"{self.force * self.lever_m:.3g} N·m)"
+        )
+
+
+def cycle_forces(engine: Engine, orders: Sequence[tuple[float, float]]) -> tuple[CycleForce | None, ...]:
+    """What gas and masses of ``engine`` make at each of ``orders``: pairs of an order and a speed [rpm].
+
+    None for all where its model tells no gas torque: without gas, or without the firing angles of several cylinders.
+    The torques act about the crankshaft, the force is the larger of those across and along the cylinder.
+    Source: gas torque T = −F x', inertia by r × F (truth sheet 2.6, 2.7 and 4.2).
+    """
+    if engine.gas is None or not orders:
+        return (None,) * len(orders)
+    highest = max(1, int(np.ceil(max(order for order, _ in orders))))
+    try:
+        _, gas = gas_torque_by_order(engine, highest)
+    except RequestError:
+        return (None,) * len(orders)
+    lever = engine.crank_radius_m + engine.rod_length_m
+    return tuple(_at(engine, order, rpm, np.abs(gas), highest, lever) for order, rpm in orders)
+
+
+def _at(engine: Engine, order: float, rpm: float, gas: Floats, highest: int, lever: float) -> CycleForce:
+    place, at = round(order * engine.revs_per_cycle), round(order)
+    whole = abs(order - at) < 1e-6
+    force = np.abs(crankcase_forces(engine, rpm, max_order=highest))[:, at].max() if whole else 0.0
+    torque = np.abs(crankcase_moments(engine, rpm, max_order=highest))[1, at] if whole else 0.0
+    return CycleForce(order, rpm, float(gas[place]), float(torque), float(force), lever)
+
+
+def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:
+    """Those of ``orders`` that are one of ``GAS_ORDERS``, in words."""
+    return tuple(f"{one:.1f}" for one in orders if any(abs(one - known) < GAS_REACH for known in GAS_ORDERS))

@@ -1,0 +1,212 @@
+"""Which statements of the findings exclude each other: of their fields, and of the sentences made from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from crankorder.quantities import QualityFlag
+from crankorder.report.notation import interval_of, is_number, is_tone, is_undecided, order_text
+from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
+from crankorder.report.sentences.story import has_lines, headline, story_of
+
+HALF = 0.5
+"""A lock is a whole multiple of this order: of the half revolution."""
+
+SAME = 1e-6
+"""Numbers within this share of each other are one: what a file rounds is no contradiction."""
+
+BESIDE = 0.01
+"""Share of a speed beyond the tested range that is as good as tested."""
+
+APART = (
+    ("Free of resonances:", "No speed of the tested range can be called free"),
+    ("A test at one speed cannot tell", "Free of resonances:"),
+    ("Avoid steady running", "Nothing that was looked for asks for action"),
+    ("Avoid steady running", "No order was seen to excite a natural frequency"),
+    ("No order stands above the noise", "is the strongest line in"),
+    ("No order stands above the noise", "found: "),
+    ("No order could be proven", "is the strongest line in"),
+    ("No recording was found faulty or suspect", "those data took no part in the averages"),
+    ("strikes of", "Nothing that was looked for asks for action"),
+)
+"""Pairs of words that no page may hold both of."""
+
+
+def contradictions(findings: dict[str, Any]) -> tuple[str, ...]:
+    """Every pair of statements of ``findings`` (as in ``data_schema/findings.json``) that cannot both be so, in words.
+
+    The fields of each record are held against one another, records against those of other lists, and the sentences of
+    the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
+    """
+    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_sentences)
+    return tuple(words for check in checks for words in check(findings))
+
+
+def contradiction_flags(findings: dict[str, Any]) -> list[QualityFlag]:
+    """A flag for each of the :func:`contradictions` of ``findings``: neither statement is to be trusted."""
+    return [
+        {"recording": "all", "flag": "contradiction", "severity": "suspect", "detail": f"{words}: trust neither"}
+        for words in contradictions(findings)
+    ]
+
+
+def _of_orders(findings: dict[str, Any]) -> Iterator[str]:
+    for record in findings.get("orders", []):
+        name = f"order {order_text(float(record['order']))} in {record.get('channel')}"
+        yield from (f"{name}: {words}" for words in _of_lock(record))
+        yield from (f"{name}: {words}" for words in _of_growth(record))
+        yield from (f"{name}: {words}" for words in _outside(record))
+
+
+def _of_lock(record: dict[str, Any]) -> Iterator[str]:
+    """Verdict on the lock against the number, the words of its evidence and what would decide it."""
+    lock, ends = record.get("lock"), interval_of(record, "order")
+    evidence = str(record.get("evidence") or "")
+    if ends is not None and lock in ("slips", "locked"):
+        holds = _multiple_within(ends)
+        if lock == "slips" and holds is not None:
+            yield f"it slips, and its interval holds {order_text(holds)}"
+        if lock == "locked" and holds is None:
+            yield "it is locked, and its interval holds no multiple of the half revolution"
+    if "not locked to the shaft" in evidence and (lock == "locked" or _says_locked(evidence)):
+        yield "it is locked and not locked to the shaft"
+    if lock in ("slips", "locked") and is_number(record.get("revs_to_decide")):
+        yield f"its lock is decided ({lock}), and more revolutions would decide it"
+    if lock == "slips" and record.get("half_order") is True:
+        yield "it slips and is a half order"
+
+
+def _says_locked(evidence: str) -> bool:
+    return any(part.strip() == "locked to the shaft" for part in evidence.split(";"))
+
+
+def _multiple_within(ends: tuple[float, float]) -> float | None:
+    """The multiple of the half revolution that an interval holds, the nearest to its middle; else None."""
+    middle = 0.5 * (ends[0] + ends[1])
+    nearest = max(1, round(middle / HALF)) * HALF
+    spare = SAME * nearest
+    return nearest if ends[0] - spare <= nearest <= ends[1] + spare else None
+
+
+def _of_growth(record: dict[str, Any]) -> Iterator[str]:
+    law, exponent = str(record.get("speed_law") or ""), record.get("speed_exponent")
+    if is_number(exponent):
+        if law.startswith("grows") and exponent < 0.0:
+            yield f"it grows with the speed, with an exponent of {exponent:.2g}"
+        if law.startswith("falls") and exponent > 0.0:
+            yield f"it falls with the speed, with an exponent of {exponent:.2g}"
+
+
+def _outside(record: dict[str, Any]) -> Iterator[str]:
+    """Values that lie outside their own interval or range."""
+    for key in ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification"):
+        ends, value = interval_of(record, key), record.get(key)
+        if ends is not None and is_number(value) and not _within(float(value), ends):
+            yield f"{key} {value:.6g} lies outside its interval ({ends[0]:.6g} to {ends[1]:.6g})"
+    for key, at in (("speed_range_rpm", "speed_rpm_at_max"), ("rpm_range", "rpm")):
+        ends, value = record.get(key), record.get(at)
+        if is_range(ends) and is_number(value) and not _within(float(value), (float(ends[0]), float(ends[1]))):
+            yield f"{at} {value:.6g} lies outside {key} ({ends[0]:.6g} to {ends[1]:.6g})"
+
+
+def _within(value: float, ends: tuple[float, float]) -> bool:
+    spare = SAME * max(abs(value), abs(ends[0]), abs(ends[1]))
+    return ends[0] - spare <= value <= ends[1] + spare
+
+
+def _of_modes(findings: dict[str, Any]) -> Iterator[str]:
+    for record in findings.get("modes", []):
+        name = f"{float(record['frequency_hz']):.5g} Hz"
+        yield from (f"{name}: {words}" for words in _outside(record))
+        if record.get("explained_by") == "mode" and record.get("undecided"):
+            yield f"{name}: a natural frequency, and not decided"
+        if record.get("explained_by") == "mode":
+            yield from (f"{name}: a natural frequency, and {words}" for words in _tones_at(record, findings))
+        if record.get("reached_by_orders") == [] and _is_excited(record, findings):
+            yield f"{name}: no order reaches it, and a crossing there is excited"
+
+
+def _tones_at(mode: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
+    """Tones that the findings name within the interval of a decided natural frequency and that are as sharp as it."""
+    ends = interval_of(mode, "frequency_hz")
+    for tone in findings.get("modes", []):
+        if ends is not None and is_tone(tone) and _within(float(tone["frequency_hz"]), ends):
+            yield f"{tone['explained_by']} at {float(tone['frequency_hz']):.5g} Hz"
+
+
+def _is_excited(mode: dict[str, Any], findings: dict[str, Any]) -> bool:
+    return any(
+        record.get("excited") and record.get("in_range") and abs(record["mode_hz"] / mode["frequency_hz"] - 1.0) < SAME
+        for record in findings.get("crossings", [])
+    )
+
+
+def _of_crossings(findings: dict[str, Any]) -> Iterator[str]:
+    speeds = [float(one) for one in findings.get("speed_range_rpm") or [] if is_number(one)]
+    known = [float(mode["frequency_hz"]) for mode in findings.get("modes", []) if not is_tone(mode)]
+    for record in findings.get("crossings", []):
+        name = f"order {order_text(float(record['order']))} with {float(record['mode_hz']):.5g} Hz"
+        verdict, excited = record.get("verdict"), record.get("excited")
+        if verdict in ("excited", "not excited") and bool(excited) != (verdict == "excited"):
+            yield f"{name}: verdict {verdict!r}, and excited is {excited}"
+        if record.get("in_range") is True and speeds and not _reaches(record, speeds):
+            yield f"{name}: in the tested range, and at {record['rpm']:.0f} rpm"
+        if excited and not any(abs(record["mode_hz"] / hz - 1.0) < SAME for hz in known):
+            yield f"{name}: excited, and no such natural frequency is listed"
+
+
+def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
+    """Whether a crossing, within its interval and the share of a speed that is as good as tested, lies in the range."""
+    low, high = interval_of(record, "rpm") or (record["rpm"], record["rpm"])
+    return bool(low <= max(speeds) * (1.0 + BESIDE) and high >= min(speeds) * (1.0 - BESIDE))
+
+
+def _of_speeds(findings: dict[str, Any]) -> Iterator[str]:
+    free, unknown = free_bands(findings), open_bands(findings)
+    avoid = [
+        (float(record["rpm_range"][0]), float(record["rpm_range"][1]))
+        for record in findings.get("speeds_to_avoid") or []
+        if is_range(record.get("rpm_range"))
+    ]
+    for low, high in free:
+        for words, others in (("to be avoided", avoid), ("not known", unknown)):
+            for other in others:
+                if min(high, other[1]) - max(low, other[0]) > SAME * high:
+                    yield f"{low:.0f} to {high:.0f} rpm: free, and {other[0]:.0f} to {other[1]:.0f} rpm {words}"
+        for record in findings.get("crossings", []):
+            if record.get("excited") and is_number(record.get("rpm")) and low < record["rpm"] < high:
+                yield f"{low:.0f} to {high:.0f} rpm: free, and an excited crossing at {record['rpm']:.0f} rpm"
+    ranks = [record["rank"] for record in findings.get("speeds_to_avoid") or [] if is_number(record.get("rank"))]
+    if ranks != sorted(ranks):
+        yield f"speeds to avoid are listed by rank, and stand as {ranks}"
+
+
+def _of_bearings(findings: dict[str, Any]) -> Iterator[str]:
+    struck = {record.get("name") for record in findings.get("bearings", []) if _is_damage(record)}
+    for record in findings.get("bearings", []):
+        name = f"{record.get('line')} of {record.get('name')}"
+        if record.get("name") in struck and "no bearing alarm" in str(record.get("verdict")):
+            yield f"{name}: no bearing alarm, and another line of it is called damage"
+        if record.get("lock") == "locked" and _is_damage(record) and record.get("seen_in") != "envelope":
+            yield f"{name}: damage, and locked to the shaft"
+        yield from (f"{name}: {words}" for words in _outside(record))
+
+
+def _is_damage(record: dict[str, Any]) -> bool:
+    return str(record.get("verdict") or "").startswith("Damage")
+
+
+def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
+    """Sentences of the page against each other and against the lists that they are made from."""
+    story = story_of(findings)
+    said = [*headline(findings), *story["what"], *story["why"], *story["how_sure"], *story["what_to_do"]]
+    text = "\n".join(said)
+    yield from (f"the page says {one!r} and {other!r}" for one, other in APART if one in text and other in text)
+    if "explained by orders and tones" in text and not has_lines(findings):
+        yield "all energy is explained by orders and tones, and none was found"
+    if "No order stands above the noise" in text and findings.get("orders"):
+        yield "no order stands above the noise, and orders are listed"
+    decided = [mode for mode in findings.get("modes", []) if not is_tone(mode) and not is_undecided(mode)]
+    if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
+        yield "natural frequencies are named, and none is decided"
