@@ -60,6 +60,9 @@ RecordingEnvelope = NewType("RecordingEnvelope", xr.Dataset)
 EnvelopeMap = NewType("EnvelopeMap", xr.Dataset)
 """Order spectra of the squared envelope of every channel, in the band that shows most, against speed."""
 
+RecordingLevels = NewType("RecordingLevels", xr.Dataset)
+"""Overall level of each channel of one recording, and what of it lies above the band looked at."""
+
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 

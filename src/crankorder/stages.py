@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.campbell.frames import frequency_frames
+from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.fft.band import band_limited
 from crankorder.flow import StagePlan
@@ -51,6 +52,7 @@ from crankorder.quantities import (
     Recording,
     RecordingCycles,
     RecordingEnvelope,
+    RecordingLevels,
     RecordingTracks,
     ShaftAngle,
     check_dataset,
@@ -71,6 +73,7 @@ AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
 AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
 AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", list[xr.Dataset])
+AllRecordingLevels = NewType("AllRecordingLevels", list[xr.Dataset])
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
@@ -83,6 +86,7 @@ SCHEMAS: dict[Any, str] = {
     OrderTracks: "order_tracks",
     RecordingEnvelope: "envelope_map",
     EnvelopeMap: "envelope_map",
+    RecordingLevels: "recording_levels",
     RecordingCycles: "cycle_average",
     CycleAverage: "cycle_average",
     OperatingShapes: "operating_shapes",
@@ -209,6 +213,15 @@ def envelope_of_recording(
 
 
 @stage
+def levels_of_recording(recording: Recording, shaft: ShaftAngle, settings: Settings) -> RecordingLevels:
+    """Overall level of ``recording`` and what lies above the band that its orders by ``shaft`` and its map show.
+
+    ``settings``: of orders and campbell, which say where that band ends.
+    """
+    return RecordingLevels(recording_levels(recording, shaft, orders=settings.orders, campbell=settings.campbell))
+
+
+@stage
 def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> EnvelopeMap:
     """Envelope spectra ``items`` of all recordings averaged at like speed (``settings`` of orders)."""
     return EnvelopeMap(envelope_map(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
@@ -233,17 +246,18 @@ def findings(
     frames: AllOrderFrames,
     envelope: EnvelopeMap,
     followed: AllRecordingTracks,
+    levels: AllRecordingLevels,
     test: TestName,
     sources: Sources,
     settings: Settings,
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``followed``: orders through each sweep. ``settings``: of identify, and of orders for the floor.
+    ``followed``: orders through each sweep; ``levels``: of each recording, with what lies above the band.
+    ``settings``: of identify, and of orders for the floor.
     """
-    return Findings(
-        find(order_map, campbell, frames, envelope, followed=followed, test=test, sources=sources, settings=settings)
-    )
+    maps = (order_map, campbell, frames, envelope)
+    return Findings(find(*maps, test=test, sources=sources, settings=settings, followed=followed, levels=levels))
 
 
 @stage
@@ -283,6 +297,7 @@ OF_RECORDING = (
     tracks_of_recording,
     cycles_of_recording,
     envelope_of_recording,
+    levels_of_recording,
 )
 OF_TEST = (map_by_order, map_by_frequency, map_of_envelopes, findings, tracks, cycles, shapes)
 
@@ -303,6 +318,7 @@ FRAMES_OF: dict[Any, Any] = {
     AllRecordingTracks: RecordingTracks,
     AllRecordingCycles: RecordingCycles,
     AllRecordingEnvelopes: RecordingEnvelope,
+    AllRecordingLevels: RecordingLevels,
 }
 """Noun of one recording that each gathered noun of a test is made of."""
 

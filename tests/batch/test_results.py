@@ -17,7 +17,14 @@ from crankorder.batch.workers import FORKS
 from crankorder.cli import main
 from crankorder.errors import SchemaError
 from crankorder.flow import StagePlan
-from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope, RecordingTracks, schema_of
+from crankorder.quantities import (
+    FrequencyFrames,
+    OrderFrames,
+    RecordingEnvelope,
+    RecordingLevels,
+    RecordingTracks,
+    schema_of,
+)
 from crankorder.settings import load_settings
 from crankorder.stages import OF_RECORDING, frames_wanted
 
@@ -117,7 +124,13 @@ def test_a_recording_gives_only_the_frames_that_are_needed():
     assert wanted("order_map") == {OrderFrames}
     assert wanted("campbell_map") == {FrequencyFrames}
     # findings are handed what was followed through sweeps
-    assert wanted("findings") == {OrderFrames, FrequencyFrames, RecordingEnvelope, RecordingTracks}
+    assert wanted("findings") == {
+        OrderFrames,
+        FrequencyFrames,
+        RecordingEnvelope,
+        RecordingLevels,
+        RecordingTracks,
+    }
 
 
 def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crankorder.report.contradictions import contradictions
 from crankorder.report.notation import (
     estimate_text,
     level_reference,
@@ -393,3 +394,34 @@ def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_s
 def test_an_unbalance_that_leads_asks_for_balancing(full: Any) -> None:
     full["orders"] = [{**full["orders"][0], "explained_by": "unbalance", "amplitude": 99.0}]
     assert any(sentence.startswith("Balance it") for sentence in story_of(full)["what_to_do"])
+
+
+def with_levels(findings: dict[str, Any], **of_z: Any) -> dict[str, Any]:
+    """``findings`` with a record of the levels of channel Z: nothing above the band but what is given."""
+    record = {"channel": "Z", "unit": "m/s2", "rms_max": 1.0, "band_hz": 500.0, "share_above": 0.001}
+    record |= dict.fromkeys(("amplitude_above", "frequency_hz_above", "order_above", "speed_rpm_above"))
+    return findings | {"levels": [record | of_z]}
+
+
+def test_a_stronger_line_above_the_band_goes_first_and_the_other_says_how_far_it_was_looked(full: Any) -> None:
+    mesh = {"amplitude_above": 12.0, "frequency_hz_above": 575.0, "order_above": 23.0, "speed_rpm_above": 1500.0}
+    full["bearings"] = []
+    said = headline(with_levels(full, **mesh))
+    assert said[0] == (
+        "The strongest line in Z lies above the band that was looked at (to 500 Hz): about 575 Hz, order 23 at "
+        "1500 rpm, about 12 m/s². The recipe gear-mesh looks there."
+    )
+    assert "is the strongest line in Z up to 500 Hz: " in said[1]
+    assert "maps-full-band" in headline(with_levels(full, **(mesh | {"order_above": 83.0})))[0]
+    assert contradictions(with_levels(full, **mesh)) == ()
+
+
+def test_a_weaker_line_above_the_band_changes_nothing(full: Any) -> None:
+    assert headline(with_levels(full, amplitude_above=1e-6, frequency_hz_above=600.0)) == headline(full)
+
+
+def test_the_share_of_energy_above_the_band_is_always_stated(full: Any) -> None:
+    said = story_of(with_levels(full))["how_sure"]
+    assert "Less than 0.5 % of the energy of any channel lies above the band looked at (to 500 Hz)." in said
+    said = story_of(with_levels(full, share_above=0.83, band_hz=None))["how_sure"]
+    assert "Energy above the band looked at: 83 % of that of Z." in said

@@ -15,6 +15,7 @@ from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.found import AgreedOrder
+from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
@@ -42,13 +43,15 @@ def find(
     sources: Sources,
     settings: Settings,
     followed: Sequence[xr.Dataset] = (),
+    levels: Sequence[xr.Dataset] = (),
 ) -> dict[str, Any]:
     """Findings of a test, in the words of ``data_schema/findings.json``.
 
     ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
     ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
-    RecordingTracks of the recordings (without variables where the speed does not sweep).
+    RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
+    RecordingLevels.
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
@@ -84,6 +87,7 @@ def find(
         "bearings": bearings,
         "lines": line_records(records, modal, causes, channels=list(unit)),
         **_energy(shares),
+        "levels": level_records(levels),
         "balance": balance,
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from crankorder.quantities import QualityFlag
-from crankorder.report.notation import interval_of, is_number, is_tone, is_undecided, order_text
+from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
 
@@ -106,7 +106,9 @@ def _outside(record: dict[str, Any]) -> Iterator[str]:
             yield f"{key} {value:.6g} lies outside its interval ({ends[0]:.6g} to {ends[1]:.6g})"
     for key, at in (("speed_range_rpm", "speed_rpm_at_max"), ("rpm_range", "rpm")):
         ends, value = record.get(key), record.get(at)
-        if is_range(ends) and is_number(value) and not _within(float(value), (float(ends[0]), float(ends[1]))):
+        if ends is None or not is_range(ends) or not is_number(value):
+            continue
+        if not _within(float(value), (float(ends[0]), float(ends[1]))):
             yield f"{at} {value:.6g} lies outside {key} ({ends[0]:.6g} to {ends[1]:.6g})"
 
 
@@ -207,6 +209,10 @@ def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
         yield "all energy is explained by orders and tones, and none was found"
     if "No order stands above the noise" in text and findings.get("orders"):
         yield "no order stands above the noise, and orders are listed"
+    for record in findings.get("levels") or []:
+        name = named(record.get("channel"), limit=NAME_CHARACTERS)
+        if f"The strongest line in {name} lies above" in text and f"is the strongest line in {name}:" in text:
+            yield f"{name}: its strongest line lies above the band, and within"
     decided = [mode for mode in findings.get("modes", []) if not is_tone(mode) and not is_undecided(mode)]
     if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
         yield "natural frequencies are named, and none is decided"

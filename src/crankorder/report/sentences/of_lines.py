@@ -20,6 +20,7 @@ from crankorder.report.notation import (
     percent_text,
     unit_of,
 )
+from crankorder.report.sentences.of_levels import above_sentence, stronger_above, up_to
 
 _MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
 _MANY = 3  # channels that a summary names one by one
@@ -31,8 +32,8 @@ def line_sentences(findings: dict[str, Any]) -> list[str]:
     """What shakes: the strongest line of each channel of ``findings``, the strongest first, then what else there is."""
     names = _channels(findings)
     if not names:
-        return [_nothing(findings)]
-    sentences = [strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY]]
+        return [*_above(findings), _nothing(findings)]
+    sentences = [*_above(findings), *(strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY])]
     if len(names) > _MANY:
         sentences.append("The tables hold the other channels.")
     orders = sorted({nominal_order(record) for record in findings.get("orders", []) if is_number(record.get("order"))})
@@ -41,6 +42,25 @@ def line_sentences(findings: dict[str, Any]) -> list[str]:
         end = " and more." if len(texts) > _SHOWN else "."
         sentences.append(f"{len(orders)} order{'s' * (len(orders) > 1)} found: {', '.join(texts[:_SHOWN])}{end}")
     return [*sentences, *_broadband(findings)]
+
+
+def _above(findings: dict[str, Any]) -> list[str]:
+    """That the strongest line of a channel lies above the band, of the channel where it is largest; else nothing."""
+    found = []
+    for record in findings.get("levels") or []:
+        channel = str(record.get("channel"))
+        own = [_strongest_order(findings, channel), strongest_tone(findings, channel)]
+        largest = max((float(one["amplitude"]) for one in own if one is not None), default=0.0)
+        if (above := stronger_above(findings, channel, largest)) is not None:
+            found.append(above)
+    units = list(dict.fromkeys(str(one.get("unit")) for one in found))
+    found.sort(key=lambda one: (units.index(str(one.get("unit"))), -float(one["amplitude_above"])))
+    return [above_sentence(findings, one) for one in found[:1]]
+
+
+def lies_above(findings: dict[str, Any]) -> bool:
+    """Whether the first of :func:`line_sentences` says that the strongest line lies above the band looked at."""
+    return bool(_above(findings))
 
 
 def nothing_proven(findings: dict[str, Any]) -> bool:
@@ -88,7 +108,9 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
     what makes it. Empty where it has none.
     """
     order, tone = _strongest_order(findings, channel), strongest_tone(findings, channel)
-    where = named(channel, limit=NAME_CHARACTERS)
+    largest = max((float(one["amplitude"]) for one in (order, tone) if one is not None), default=0.0)
+    above = stronger_above(findings, channel, largest)
+    where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else up_to(above))
     if tone is not None and (order is None or float(tone["amplitude"]) > float(order["amplitude"])):
         text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:

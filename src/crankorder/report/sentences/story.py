@@ -8,7 +8,9 @@ from typing import Any, TypedDict
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
+from crankorder.report.sentences.of_levels import share_sentences
 from crankorder.report.sentences.of_lines import (
+    lies_above,
     line_sentences,
     nothing_proven,
     strongest_sentence,
@@ -63,7 +65,8 @@ def headline(findings: dict[str, Any]) -> list[str]:
     energy = energy_sentence(findings)
     if stands_still(findings):
         return [*mode_sentences(findings)[:1], *([energy] if energy else [])]
-    lines, bearings = line_sentences(findings)[:1], bearing_sentences(findings)[:1]
+    lines = line_sentences(findings)[: 1 + lies_above(findings)]
+    bearings = bearing_sentences(findings)[:1]
     return [
         *(bearings + lines if strikes(findings) else lines + bearings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
@@ -81,7 +84,12 @@ def story_of(findings: dict[str, Any]) -> Story:
         return Story(
             what=mode_sentences(findings),
             why=tone_sentences(findings),
-            how_sure=[INTERVALS, *([energy] if energy else []), *_quality_sentences(findings)],
+            how_sure=[
+                INTERVALS,
+                *([energy] if energy else []),
+                *share_sentences(findings),
+                *_quality_sentences(findings),
+            ],
             what_to_do=[*_repeat_sentences(findings)] or [STILL_CLEAR],
         )
     return Story(
@@ -96,6 +104,7 @@ def story_of(findings: dict[str, Any]) -> Story:
         how_sure=[
             INTERVALS,
             *([energy] if energy else []),
+            *share_sentences(findings),
             *lock_sentences(findings),
             *_quality_sentences(findings),
         ],

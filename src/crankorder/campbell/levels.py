@@ -1,0 +1,148 @@
+"""Overall level of a recording, and what of it lies above the band that orders and map look at."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.campbell.sweep import frame_speeds
+from crankorder.fft.windows import window_named
+from crankorder.quantities import channel_coords
+from crankorder.settings import CampbellSettings, OrderSettings
+
+Floats = NDArray[np.float64]
+
+PIECES, LENGTH = 12, 8192
+"""Pieces of a recording that are looked at, and samples of each: a look, not an analysis, so that it costs little."""
+
+LOBE_BINS = 2
+"""Bins on each side of a peak that hold a tone's energy with a Hann window."""
+
+BLOCK = 64
+"""Bins over whose median the floor about a line is taken."""
+
+LINE_RATIO = 100.0
+"""Energy of a line over that of as many bins of the floor about it: in so few pieces noise does not reach it."""
+
+
+class Peak(NamedTuple):
+    """The strongest line above the band: peak amplitude, frequency [Hz] or NaN, order or NaN, speed [rpm] or NaN."""
+
+    amplitude: float = 0.0
+    frequency_hz: float = math.nan
+    order: float = math.nan
+    speed_rpm: float = math.nan
+
+
+def recording_levels(
+    recording: xr.Dataset, shaft: xr.Dataset, *, orders: OrderSettings, campbell: CampbellSettings
+) -> xr.Dataset:
+    """RecordingLevels: root mean square of each channel, and what lies above the band of the orders and the map.
+
+    ``recording`` is the full-band Recording, ``shaft`` its ShaftAngle. The band ends at ``orders.max_order`` times the
+    speed or ``campbell.max_frequency_hz``, whichever is higher; by crank angle without a speed at ``max_order``. Power
+    spectra of PIECES pieces spread over the recording (Hann window) tell which share of the mean square lies above it
+    (``share_above``), and the strongest line there: a peak LINE_RATIO over the floor about it, whose amplitude is
+    that of a tone, right to some per cent where its frequency does not change. Pieces with missing samples count for
+    nothing; where there is none, all is NaN.
+    """
+    signals = recording["signal"]
+    by_angle = recording.attrs["domain"] == "crank_angle"
+    n_samples = signals.shape[1]
+    length = min(LENGTH, n_samples)
+    count = PIECES if length > 2 * BLOCK else 0
+    starts = np.unique(np.linspace(0, n_samples - length, count).astype(np.int64))
+    rate, rpm = _rate_and_speeds(recording, shaft, starts, length)
+    power = _power(signals.values, starts, length)
+    bins = np.arange(power.shape[2], dtype=np.float64) * (rate / max(length, 1))
+    per_rev = bool(by_angle and not np.isfinite(rpm).any())
+    limit = _limits(rpm, orders.max_order, campbell.max_frequency_hz, per_rev=per_rev)
+    above = bins >= limit[:, None]
+    usable = np.isfinite(power).all(axis=2)
+    total = np.where(usable, power.sum(axis=2), 0.0).sum(axis=0)
+    high = np.where(usable, np.einsum("pck,pk->pc", np.nan_to_num(power), above), 0.0).sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms, share = np.sqrt(total / usable.sum(axis=0)), high / total
+    peaks = [_strongest(power[:, channel], bins, above, rpm, per_rev=per_rev) for channel in range(len(share))]
+    ends = limit[np.isfinite(limit)]
+    return _dataset(recording, rms, share, peaks, np.nan if per_rev or not ends.size else float(ends.max()))
+
+
+def _rate_and_speeds(
+    recording: xr.Dataset, shaft: xr.Dataset, starts: NDArray[np.int64], length: int
+) -> tuple[float, Floats]:
+    """Samples per second (per revolution by crank angle without a speed) and the speed of each piece, NaN unknown."""
+    if recording.attrs["domain"] == "crank_angle":
+        per_rev, speed = float(recording.attrs["samples_per_rev"]), float(recording.attrs.get("speed_rpm", math.nan))
+        known = math.isfinite(speed) and speed > 0.0
+        return per_rev * speed / 60.0 if known else per_rev, np.full(len(starts), speed if known else math.nan)
+    rate = float(recording.attrs["rate_hz"])
+    if not shaft.attrs.get("has_shaft", 1) or not shaft["time"].size or not len(starts):
+        return rate, np.full(len(starts), np.nan)
+    rpm = frame_speeds(recording, shaft, starts, length, rate).mean_rpm
+    return rate, np.where(rpm > 0.0, rpm, np.nan)
+
+
+def _limits(rpm: Floats, max_order: float, max_frequency_hz: float, *, per_rev: bool) -> Floats:
+    """Where the band ends in each piece: in Hz, or in orders where the samples are ``per_rev``."""
+    if per_rev:
+        return np.full(len(rpm), max_order)
+    return np.maximum(np.nan_to_num(max_order * rpm / 60.0), max_frequency_hz)
+
+
+def _power(signals: NDArray[np.floating], starts: NDArray[np.int64], length: int) -> Floats:
+    """Mean square (pieces, channels, bins) of the signals in each bin, without the mean of each piece."""
+    if not len(starts):
+        return np.full((0, len(signals), 1), np.nan)
+    window = window_named("hann", length).values
+    pieces = np.stack([signals[:, start : start + length] for start in starts]).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        pieces -= pieces.mean(axis=2, keepdims=True)
+        pieces *= window
+        power: Floats = np.abs(np.fft.rfft(pieces, axis=2)) ** 2
+    power *= 2.0 / (length * float(window @ window))
+    return power
+
+
+def _strongest(power: Floats, bins: Floats, above: NDArray[np.bool_], rpm: Floats, *, per_rev: bool) -> Peak:
+    """The strongest line of a channel's ``power`` (pieces, bins) where ``above`` is true."""
+    shifted = [np.roll(power, shift, axis=1) for shift in range(-LOBE_BINS, LOBE_BINS + 1)]
+    lobe = np.sum(shifted, axis=0)
+    whole = power.shape[1] // BLOCK * BLOCK
+    if not whole or not len(power):
+        return Peak()
+    floor = np.median(power[:, :whole].reshape(len(power), -1, BLOCK), axis=2) / math.log(2.0)
+    floor = np.pad(np.repeat(floor, BLOCK, axis=1), ((0, 0), (0, power.shape[1] - whole)), mode="edge")
+    inside = above & (bins > bins[LOBE_BINS]) & (bins < bins[-LOBE_BINS])
+    with np.errstate(invalid="ignore"):
+        is_line = inside & (power >= np.max(shifted, axis=0)) & (lobe > LINE_RATIO * (2 * LOBE_BINS + 1) * floor)
+    if not is_line.any():
+        return Peak()
+    piece, at = np.unravel_index(np.argmax(np.where(is_line, lobe, -1.0)), lobe.shape)
+    around = power[piece, at - LOBE_BINS : at + LOBE_BINS + 1]
+    place = float(around @ bins[at - LOBE_BINS : at + LOBE_BINS + 1] / around.sum())
+    speed = float(rpm[piece])
+    hertz, order = (math.nan, place) if per_rev else (place, 60.0 * place / speed)
+    return Peak(math.sqrt(2.0 * float(around.sum())), hertz, order, speed)
+
+
+def _dataset(recording: xr.Dataset, rms: Floats, share: Floats, peaks: list[Peak], band_hz: float) -> xr.Dataset:
+    lines = np.array(peaks, dtype=np.float64).reshape(len(rms), len(Peak._fields))
+    told = {
+        "rms": (rms, "see unit", "root mean square without the mean"),
+        "share_above": (share, "1", "share of the mean square above the band looked at"),
+        "peak_above": (lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
+        "peak_frequency": (lines[:, 1], "Hz", "its frequency"),
+        "peak_order": (lines[:, 2], "1", "its order"),
+        "peak_speed": (lines[:, 3], "min-1", "the speed there"),
+    }
+    variables = {
+        name: ("channel", values, {"units": units, "long_name": text}) for name, (values, units, text) in told.items()
+    }
+    made = xr.Dataset(variables, coords=channel_coords(recording))
+    made.attrs = {"recording": str(recording.attrs["recording"]), "band_hz": band_hz}
+    return made

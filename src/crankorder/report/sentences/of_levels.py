@@ -1,0 +1,80 @@
+"""What is said of the energy above the band that was looked at: how much, and whether the strongest line lies there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from crankorder.report.notation import (
+    NAME_CHARACTERS,
+    frequency_text,
+    is_number,
+    listed,
+    named,
+    number_text,
+    percent_text,
+    unit_of,
+)
+
+GEAR_RECIPE, GEAR_ORDER = "gear-mesh", 60.0
+"""The recipe that finds orders above those of the default, and the order to which it looks."""
+
+FULL_RECIPE = "maps-full-band"
+"""The recipe that maps all that was recorded."""
+
+_MANY = 4  # channels that a sentence names one by one
+_WORTH_SAYING = 0.005  # share of the energy below which a channel is not named
+
+
+def stronger_above(findings: dict[str, Any], channel: str, amplitude: float) -> dict[str, Any] | None:
+    """Record of the levels of ``channel`` where a line above the band is larger than ``amplitude``, else None."""
+    for record in findings.get("levels") or []:
+        above = record.get("amplitude_above")
+        if record.get("channel") == channel and is_number(above) and above > amplitude:
+            return dict(record)
+    return None
+
+
+def above_sentence(findings: dict[str, Any], record: dict[str, Any]) -> str:
+    """That the strongest line of a channel lies above the band, by its ``record`` of the levels, and what shows it."""
+    where, order, hertz = named(record["channel"], limit=NAME_CHARACTERS), None, record.get("frequency_hz_above")
+    if is_number(record.get("order_above")):
+        order = float(record["order_above"])
+    places = [f"{frequency_text(float(hertz))} Hz"] if is_number(hertz) else []
+    places += [f"order {number_text(order)}"] if order is not None else []
+    rpm = record.get("speed_rpm_above")
+    at = f" at {rpm:.0f} rpm" if is_number(rpm) else ""
+    level = f"{number_text(float(record['amplitude_above']))} {unit_of(findings, record)}".strip()
+    recipe = GEAR_RECIPE if order is not None and order <= GEAR_ORDER else FULL_RECIPE
+    return (
+        f"The strongest line in {where} lies above the band that was looked at{_band(record)}: about "
+        f"{', '.join(places)}{at}, about {level}. The recipe {recipe} looks there."
+    )
+
+
+def share_sentences(findings: dict[str, Any]) -> list[str]:
+    """Share of the energy of each channel above the band that was looked at; nothing where none was worked out."""
+    known = [record for record in findings.get("levels") or [] if is_number(record.get("share_above"))]
+    if not known:
+        return []
+    known.sort(key=lambda record: -float(record["share_above"]))
+    much = [record for record in known if float(record["share_above"]) >= _WORTH_SAYING]
+    if not much:
+        return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{_band(known[0])}."]
+    said = [f"{percent_text(float(one['share_above']))} of that of {_name(one)}" for one in much[:_MANY]]
+    more = ", less in the others" if len(known) > min(len(much), _MANY) else ""
+    return [f"Energy above the band looked at{_band(known[0])}: {listed(said)}{more}."]
+
+
+def _name(record: dict[str, Any]) -> str:
+    return named(record["channel"], limit=NAME_CHARACTERS)
+
+
+def _band(record: dict[str, Any]) -> str:
+    """``" (to 500 Hz)"``; nothing where the end is not known as a frequency."""
+    return f" (to {frequency_text(float(record['band_hz']))} Hz)" if is_number(record.get("band_hz")) else ""
+
+
+def up_to(record: dict[str, Any]) -> str:
+    """``" up to 500 Hz"``, of the band of a ``record`` of the levels."""
+    known = is_number(record.get("band_hz"))
+    return f" up to {frequency_text(float(record['band_hz']))} Hz" if known else " in the band that was looked at"
