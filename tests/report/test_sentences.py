@@ -408,8 +408,8 @@ def test_a_stronger_line_above_the_band_goes_first_and_the_other_says_how_far_it
     full["bearings"] = []
     said = headline(with_levels(full, **mesh))
     assert said[0] == (
-        "The strongest line in Z lies above the band that was looked at (to 500 Hz): about 575 Hz, order 23 at "
-        "1500 rpm, about 12 m/s². The recipe gear-mesh looks there."
+        "The strongest line in Z lies above the band that was looked at (to 500 Hz): about 575 Hz, order 23.0 at "
+        "1500 rpm, about 12.0 m/s². The recipe gear-mesh looks there."
     )
     assert "is the strongest line in Z up to 500 Hz: " in said[1]
     assert "maps-full-band" in headline(with_levels(full, **(mesh | {"order_above": 83.0})))[0]
