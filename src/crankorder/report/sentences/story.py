@@ -18,7 +18,7 @@ from crankorder.report.sentences.of_lines import (
 )
 from crankorder.report.sentences.of_modes import mode_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
-from crankorder.report.sentences.of_speeds import all_judged, avoid_sentences, free_sentences
+from crankorder.report.sentences.of_speeds import all_judged, avoid_sentences, free_sentences, swing_sentences
 
 __all__ = [
     "ALL_CLEAR", "NAME_CHARACTERS", "NOT_ASKED_FOR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",
@@ -96,6 +96,7 @@ def story_of(findings: dict[str, Any]) -> Story:
         what=line_sentences(findings),
         why=[
             *law_sentences(findings),
+            *swing_sentences(findings),
             *mode_sentences(findings),
             *tone_sentences(findings),
             *bearing_sentences(findings, with_rule=False),
