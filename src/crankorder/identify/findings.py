@@ -24,6 +24,7 @@ from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
+from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -58,6 +59,8 @@ def find(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
+    doubt = speed_doubt(_flags(order_map, campbell))
+    in_map = in_map if doubt is None else undecided_orders(in_map)
     orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
@@ -68,6 +71,7 @@ def find(
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
+    speeds = speeds if doubt is None else without_free(speeds)
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
@@ -78,6 +82,7 @@ def find(
         "test": test,
         "channels": [{"name": name, "unit": unit[name], "quantity": quantity[name]} for name in unit],
         "speed_range_rpm": list(tested),
+        "speed_doubt": doubt,
         "orders": records,
         "modes": mode_records(modal, causes, meetings),
         "crossings": meetings,

@@ -117,11 +117,11 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
             text += f"; the strongest order is {order_name(order, findings)}: {_level(findings, order)}"
             rpm = order.get("speed_rpm_at_max")
             text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-        return f"{text}.{_cause(tone) if with_cause else ''}"
+        return f"{text}.{_cause(tone, findings) if with_cause else ''}"
     if order is None:
         return ""
     text = f"Order {order_name(order, findings)} is the strongest line in {where}: {_at(findings, order)}"
-    return f"{text}.{_cause(order) if with_cause else ''}"
+    return f"{text}.{_cause(order, findings) if with_cause else ''}"
 
 
 def _tone_hz(tone: dict[str, Any]) -> str:
@@ -171,12 +171,16 @@ def met_mode_hz(findings: dict[str, Any], record: dict[str, Any]) -> float | Non
     return min(near, key=lambda mode_hz: abs(mode_hz - line_hz)) if near else None
 
 
-def _cause(record: dict[str, Any]) -> str:
-    cause = str(record.get("explained_by") or "unexplained")
+def _cause(record: dict[str, Any], findings: dict[str, Any]) -> str:
+    cause, in_doubt = str(record.get("explained_by") or "unexplained"), bool(findings.get("speed_doubt"))
     if cause == "unexplained":
         return " Its cause is not known."
     if cause == "tone":
+        if in_doubt:
+            return " Whether it follows the shaft is not decided, for the speed is in doubt."
         return " The tone does not follow the shaft: it has a source of its own."
+    if in_doubt:
+        return f" Cause, if the speed is right: {named(cause, limit=2 * NAME_CHARACTERS)}."
     return f" Cause: {named(cause, limit=2 * NAME_CHARACTERS)}."
 
 

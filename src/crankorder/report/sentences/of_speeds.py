@@ -141,6 +141,15 @@ def _bands(findings: dict[str, Any], key: str) -> list[dict[str, Any]]:
     ]
 
 
+def doubt_sentences(findings: dict[str, Any]) -> list[str]:
+    """That the speed is in doubt, and why; nothing where it is not."""
+    doubt = findings.get("speed_doubt")
+    if not doubt:
+        return []
+    reason = named(doubt, limit=4 * NAME_CHARACTERS)
+    return [f"The speed, read from the vibration, is in doubt, and with it every order, cause and crossing: {reason}."]
+
+
 def swing_sentences(findings: dict[str, Any]) -> list[str]:
     """How unevenly the shaft turns: the orders of the recording whose speed swings most; nothing where none is told."""
     records = [one for one in findings.get("speed_swing") or [] if float(one["speed_rpm"]) > 0.0]
