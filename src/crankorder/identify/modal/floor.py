@@ -121,7 +121,9 @@ def quiet_floor(
         return None
     psd[~(psd > 0.0)] = np.nan
     whole = _mean(psd, worth)[0]
-    moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
+    # a line that leaves its bins within a recording is none of the settled cells, but it leaks all the same
+    every = campbell["psd"].values[..., used][:, known].astype(np.float64)
+    moving = _order_mask(psd, every, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
         if len(speed) > 2 and abs(speed - rpm).min() < 0.01 * rpm:
@@ -171,13 +173,17 @@ def _independent(campbell: xr.Dataset) -> Array:
 
 def _order_mask(
     psd: Array,
+    every: Array,
     frequency: Array,
     speed: Array,
     orders: tuple[tuple[float, float], ...],
     campbell: xr.Dataset,
     seen: Sight,
 ) -> NDArray[np.bool_]:
-    """Cells (channels, speeds, frequencies) that lines of ``orders`` cover, skirts included."""
+    """Cells (channels, speeds, frequencies) of ``psd`` that lines of ``orders`` cover, skirts included.
+
+    ``every`` is the density with start transients.
+    """
     mask = np.zeros(psd.shape, dtype=bool)
     step = float(frequency[1] - frequency[0])
     level = _level(psd)
@@ -193,7 +199,7 @@ def _order_mask(
             mask[:, k, away <= MASKED_BINS * seen.bin_hz + 0.5 * step] = True
             near, reached = away <= seen.bin_hz, away < SKIRT_BINS * seen.bin_hz
             if near.any():
-                height = np.fmax.reduce(psd[:, k, near], axis=1)[:, None]
+                height = np.fmax.reduce(every[:, k, near], axis=1)[:, None]
                 leak = height * np.interp(away[reached] / seen.bin_hz, *skirt)
                 mask[:, k, reached] |= leak > LEAK * level[:, k, reached]
     return mask

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.order_proof import PROOF_CHANCE, OrderPole, Proof, named
+from crankorder.identify.modal.order_proof import FELT, PROOF_CHANCE, SIDE_BY_SIDE, OrderPole, Proof, named
 from crankorder.identify.modal.order_responses import (
     MOST_DEGREE,
     Block,
@@ -52,9 +52,6 @@ CLEARLY = 3.0
 MATTERS = 0.03
 """Share of an order's largest amplitude below which no row tells of a pole alone."""
 
-FELT = 0.05
-"""Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
-
 FELT_ERROR = 0.01
 """Share of an order's amplitude that counts as a standard error where a pole's gain is foretold: less is not felt."""
 
@@ -90,9 +87,6 @@ SETTLED = 0.05
 
 MODEL_SHARE = 0.1
 """Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
-
-SIDE_BY_SIDE = 0.03
-"""Share of a frequency within which the next pole is a neighbour."""
 
 STEPS = 12
 """Steps of a fit at most."""
@@ -437,8 +431,7 @@ def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
     damping = tried.damping[near]
     if block.passage is None:
         return np.asarray(damping)
-    rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
-    return np.asarray(np.maximum(damping, 0.5 * np.sqrt(rate) / tried.frequency_hz[near]))
+    return np.asarray(np.maximum(damping, block.passage.blurred_hz / tried.frequency_hz[near]))
 
 
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
