@@ -21,6 +21,7 @@ from crankorder.identify.lines.lock_through_modes import with_locks_through_mode
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
@@ -55,7 +56,8 @@ def find(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
-    orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
+    reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
+    orders = with_track_rows(in_map, reader, settings=settings.orders)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )

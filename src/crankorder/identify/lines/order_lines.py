@@ -34,7 +34,9 @@ SWELLS = "it swells and fades slowly: two lines closer than a recording can tell
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
 
-UNRESOLVED = "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
+UNRESOLVED = (
+    "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
+)
 """What is said of a peak that no rule names and beside which all that is named is weaker."""
 
 SWELLING_RATIO = 400.0
@@ -126,7 +128,8 @@ def _stronger(
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
             line = _line(search, channel, peak, seen, UNPROVEN, UNRESOLVED)
             # two lines in one bin may be nothing, or twice what it holds
-            made.append(replace(line, ends=line.amplitude[:, None] * np.array([0.0, 2.0])))
+            ends = line.amplitude[:, None] * np.array([0.0, 2.0])
+            made.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
     return made
 
 

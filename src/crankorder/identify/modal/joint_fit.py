@@ -74,7 +74,7 @@ def modal_fit(
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks, extra) for item in fitted]
     known = _own_modes(fitted)
-    blocks, proofs, extra, covariance = settled(blocks, known, extra)
+    blocks, proofs, extra, covariance, swings = settled(blocks, known, extra)
     found = ModalFit((), (), np.zeros((0, 0)))
     kept = NO_POLES
     if floor is not None:
@@ -85,7 +85,7 @@ def modal_fit(
     made = _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
     cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
-    made = replace(made, hidden=hidden)
+    made = replace(made, hidden=hidden, swings=swings)
     return with_whirls(made, whirls, campbell["speed"].values)
 
 

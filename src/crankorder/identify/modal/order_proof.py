@@ -127,7 +127,9 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArr
         return np.ones(len(block.channels), dtype=np.bool_)
     f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
     away = np.abs(block.frequency_hz / f - 1.0)
-    reach = max(WITHIN * zeta, block.passage.blurred_hz / f, float(np.sort(away)[FEWEST_BESIDE - 1 : FEWEST_BESIDE].sum()))
+    reach = max(
+        WITHIN * zeta, block.passage.blurred_hz / f, float(np.sort(away)[FEWEST_BESIDE - 1 : FEWEST_BESIDE].sum())
+    )
     near = away <= reach
     weight = block.weight[:, near]
     used = weight > 0.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.identify.found import Swing
 from crankorder.identify.modal.order_proof import FELT, PROOF_CHANCE, SIDE_BY_SIDE, OrderPole, Proof, named
 from crankorder.identify.modal.order_responses import (
     MOST_DEGREE,
@@ -21,7 +22,7 @@ from crankorder.identify.modal.order_responses import (
     with_scatter,
 )
 from crankorder.identify.modal.pole_errors import order_pole_covariance
-from crankorder.identify.modal.ringing import without_ringing
+from crankorder.identify.modal.ringing import swings_of, without_ringing
 from crankorder.identify.modal.scatter import LEAST_SCATTER
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
@@ -159,11 +160,11 @@ def poles_of_orders(
 
 def settled(
     blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]
-) -> tuple[tuple[Block, ...], tuple[Proof, ...], tuple[OrderPole, ...], Array]:
-    """``blocks``, proofs of the ``known`` poles, the ``found`` ones moved once more behind them, and their covariance.
+) -> tuple[tuple[Block, ...], tuple[Proof, ...], tuple[OrderPole, ...], Array, tuple[Swing, ...]]:
+    """``blocks``, proofs of the ``known`` poles, the ``found`` ones moved once more behind them, covariance, swings.
 
     The covariance (2 M, 2 M) is that of (f_1, ζ_1, f_2, …), lowest first. Channels share what an order's force varies
-    by: their residuals are as alike as they are seen to be.
+    by: their residuals are as alike as they are seen to be. Of sweeps, poles that no order shows are left out.
     """
     free = NO_POLES
     for item in found:
@@ -172,9 +173,14 @@ def settled(
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
+    shown = [item for item in every[len(known) :] if item.proof.orders]
+    if len(shown) < len(found) and any(block.passage is not None for block in blocks):
+        # what none shows took a part of what the others ring on with
+        return settled(state.blocks, known, shown)
     proofs = tuple(item.proof for item in every[: len(known)])
+    swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
-    return state.blocks, proofs, tuple(every[len(known) :]), covariance
+    return state.blocks, proofs, tuple(every[len(known) :]), covariance, swings
 
 
 def _independent_share(part: Projected) -> float:
