@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
+from crankorder.identify.lines.angle_sidebands import sideband_of
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
@@ -140,7 +141,7 @@ def orders_agreed(
     if source == "stated":
         told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
         test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
-    agreed = [_named(one, test) for one in found]
+    agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
     agreed.sort(key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
 
@@ -355,6 +356,17 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
             reasons.append(IN_SWEEP)
     reasons += sorted({line.reservation for line in lines if line.reservation})
     return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons))
+
+
+def _unless_sideband(one: AgreedOrder, test: _Test, frames: Sequence[xr.Dataset]) -> AgreedOrder:
+    """``one``, undecided where it slips but errors of the crank angle (in ``frames``) may have made it."""
+    if one.lock != "slips":
+        return one
+    carrier = sideband_of(one.lines, test.order_map, frames)
+    if carrier is None:
+        return one
+    why = f"no larger than what errors of the crank angle make of order {carrier:g}"
+    return replace(one, lock="undecided", reservation="; ".join(filter(None, (one.reservation, why))))
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:

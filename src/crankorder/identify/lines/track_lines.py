@@ -47,7 +47,7 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
 
 
 def _read(line: OrderLine, rows: OrderRows, channel: int, worth: Floats, reader: TrackReader) -> OrderLine:
-    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing or it is no one line."""
+    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none."""
     if line.reservation == UNRESOLVED:
         return line
     amplitude, error = rows.amplitude[channel], rows.standard_error[channel]

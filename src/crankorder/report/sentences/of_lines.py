@@ -107,7 +107,8 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
 
 def _unresolved(findings: dict[str, Any], order: dict[str, Any], where: str) -> str:
     """What is said where something stronger than all orders that are told was not resolved."""
-    text = f"What is strongest in {where} was not resolved: near order {order_name(order, findings)}, {_at(findings, order)}"
+    near = order_name(order, findings)
+    text = f"What is strongest in {where} was not resolved: near order {near}, {_at(findings, order)}"
     rest = [one for one in findings["orders"] if UNRESOLVED not in str(one.get("evidence", ""))]
     told = _strongest_order({"orders": rest}, str(order["channel"]))
     if told is not None:
