@@ -59,7 +59,9 @@ def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles)
     for block in blocks:
         if block.passage is None or block.as_read is None:
             continue
-        along = replace(block, passage=replace(block.passage, place=np.arange(len(block.passage.time_s))))
+        along = replace(
+            block, passage=replace(block.passage, place=np.arange(len(block.passage.time_s), dtype=np.float64))
+        )
         others = [
             (other, part)
             for other, part in zip(blocks, parts, strict=True)
