@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made.floors import Made, campbell_of
 
 from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.search import search
+from made.floors import Made, campbell_of
 
 
 def _made(speeds: tuple[float, ...], amplitude: float) -> Made:

@@ -107,8 +107,9 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
 
 def _unresolved(findings: dict[str, Any], order: dict[str, Any], where: str) -> str:
     """What is said where something stronger than all orders that are told was not resolved."""
-    near = order_name(order, findings)
-    text = f"What is strongest in {where} was not resolved: near order {near}, {_at(findings, order)}"
+    near, rpm = order_name(order, findings), order.get("speed_rpm_at_max")
+    text = f"What is strongest in {where} was not resolved: near order {near}, {_level(findings, order)}"
+    text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
     rest = [one for one in findings["orders"] if UNRESOLVED not in str(one.get("evidence", ""))]
     told = _strongest_order({"orders": rest}, str(order["channel"]))
     if told is not None:
