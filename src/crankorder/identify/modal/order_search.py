@@ -158,12 +158,25 @@ def poles_of_orders(
     return state.blocks, tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
 
 
-def settled(
-    blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]
-) -> tuple[tuple[Block, ...], tuple[Proof, ...], tuple[OrderPole, ...], Array, tuple[Swing, ...]]:
-    """``blocks``, proofs of the ``known`` poles, the ``found`` ones moved once more behind them, covariance, swings.
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """``blocks`` with their laws and scatter; ``proofs`` of the known poles; the poles ``found``, lowest first.
 
-    The covariance (2 M, 2 M) is that of (f_1, ζ_1, f_2, …), lowest first. Channels share what an order's force varies
+    ``covariance`` (2 M, 2 M) is that of (f_1, ζ_1, f_2, …) of the latter, ``swings`` what modes that ring on leave in
+    the tracks of sweeps.
+    """
+
+    blocks: tuple[Block, ...]
+    proofs: tuple[Proof, ...]
+    found: tuple[OrderPole, ...]
+    covariance: Array
+    swings: tuple[Swing, ...]
+
+
+def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]) -> Settled:
+    """``blocks`` behind the ``known`` poles and the ``found`` ones, which are moved once more behind those.
+
+    Channels share what an order's force varies
     by: their residuals are as alike as they are seen to be. Of sweeps, poles that no order shows are left out.
     """
     free = NO_POLES
@@ -180,7 +193,7 @@ def settled(
     proofs = tuple(item.proof for item in every[: len(known)])
     swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
-    return state.blocks, proofs, tuple(every[len(known) :]), covariance, swings
+    return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance, swings)
 
 
 def _independent_share(part: Projected) -> float:
