@@ -13,11 +13,13 @@ from scipy.optimize import brentq
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.angle_sidebands import sideband_of
+from crankorder.identify.lines.lengths import longest_frame
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
 from crankorder.identify.lines.speed_proof import PROVEN_SPEED_ERROR, STATED_SPEED_ERROR, proves_speed, speed_source
+from crankorder.identify.lines.swept_company import NEAREST_BINS
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
 from crankorder.settings import IdentifySettings
@@ -36,6 +38,12 @@ MOST_MODE_TURNS = 4.0
 
 IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
 """What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
+
+BEATS_OF_A_PAIR = 3.0
+"""Two lines that a recording holds fewer beats of are read as one that swells."""
+
+UNPARTED = "too short to part a locked line from another beside it, which together would look like this"
+"""What is said of a line that would slip, if it is one."""
 
 PARTED_IN_SWEEP = "one of several lines within a quarter order, told apart as they were followed through the sweep"
 
@@ -345,6 +353,9 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.freedom))
         reasons.append(IN_SWEEP)
+    if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
+        lock = "undecided"
+        reasons.append(UNPARTED)
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
@@ -356,6 +367,20 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
             reasons.append(IN_SWEEP)
     reasons += sorted({line.reservation for line in lines if line.reservation})
     return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons))
+
+
+def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
+    """Whether a locked line, ``off`` orders away, and another one beyond would be read as the one that was ``found``.
+
+    In a sweep where no frame in which close lines are looked for parts them; at held speeds where what was found swells
+    and fades and the longest recording holds less than some beats of the two.
+    """
+    if found.number.parted_rev > 0.0 or not test.recordings:
+        return False
+    spans = [float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings if len(item.centre_rev)]
+    if found.number.swept:
+        return off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < NEAREST_BINS
+    return SWELLS in found.reservation and off * max(spans, default=0.0) < BEATS_OF_A_PAIR
 
 
 def _unless_sideband(one: AgreedOrder, test: _Test, frames: Sequence[xr.Dataset]) -> AgreedOrder:
