@@ -176,12 +176,17 @@ def _wandering(angle, seed: int):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_no_rule_names_is_kept_where_it_is_stronger_than_all_that_is_named_and_else_not(seed: int) -> None:
+def test_what_no_rule_names_is_kept_in_a_sweep_where_it_is_stronger_than_all_that_is_named(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     speeds = np.arange(900.0, 1200.0, 50.0)
 
     def signal(size: float):
         return lambda angle, rpm: wave(angle, 4.0, 3.0) + size * (rpm < 1000.0) * _wandering(angle, seed)
 
+    steps = lines_of(signal(12.0), speeds=speeds)
+    assert [line.order for line in steps] == pytest.approx([4.0], abs=0.01)
+    monkeypatch.setattr("crankorder.identify.lines.order_lines._is_swept", lambda search: True)
     weak, strong = (lines_of(signal(size), speeds=speeds) for size in (1.0, 12.0))
     assert [line.order for line in weak] == pytest.approx([4.0], abs=0.01)
     assert [line.order for line in strong] == pytest.approx([4.0, 7.25], abs=0.1)

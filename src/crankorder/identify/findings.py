@@ -65,13 +65,12 @@ def find(
     causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
     tested = _tested_rpm(order_map, campbell)
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
-    meetings = crossing_records(found)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
-    records = order_records(orders, causes, meetings, modal, unit=unit)
+    records = order_records(orders, causes, crossing_records(found), modal, unit=unit)
     findings = {
         "schema_version": SCHEMA_VERSION,
         "test": test,
@@ -79,7 +78,7 @@ def find(
         "speed_range_rpm": list(tested),
         "orders": records,
         "modes": mode_records(modal, causes),
-        "crossings": meetings,
+        "crossings": crossing_records(found),
         "speeds_to_avoid": avoided_records(speeds),
         "free_bands": band_records(speeds.free),
         "open_bands": band_records(speeds.open),

@@ -118,8 +118,9 @@ def _stronger(
     No rule tells what they are, but nothing weaker may pass for the strongest beside them: they stand far over the
     floor, and not at the same frequency at the speeds beside.
     """
-    if len(search.speed) < 2:
-        return []
+    if len(search.speed) < 2 or not _is_swept(search):
+        return []  # at speeds that are held the rules tell lines
+    refused = [one for one in refused if one[0] < len(search.axis) - NEIGHBOUR_BINS]  # there skirts of others end
     largest = max((float(line.amplitude.max()) for line in named), default=0.0)
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
     made = []

@@ -77,19 +77,16 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     rows: dict[float, int] = {}
     ends: list[float] = []
     shown: list[str] = []
-    located: set[float] = set()
-    passed: set[float] = set()
-    rung_by: set[float] = set()
+    located, passed, rung_by = set[float](), set[float](), set[float]()
     beside: dict[str, list[Block]] = {}
     for block in blocks:
         if block.passage is not None:
             beside.setdefault(block.recording, []).append(block)
     for block, part in zip(blocks, projected, strict=True):
         shows = residue_chances(block, part, number) <= PROOF_CHANCE
+        if shows.any():
+            shows &= _explains(block, part, poles, number)
         if block.scatter > MOST_SCATTER or not shows.any():
-            continue
-        shows &= _explains(block, part, poles, number)
-        if not shows.any():
             continue
         shown += [name for name, yes in zip(block.channels, shows, strict=True) if yes]
         rows[block.order] = max(_rows_within(block, f, zeta), rows.get(block.order, 0))
