@@ -22,6 +22,7 @@ from crankorder.identify.lines.lock_through_modes import with_locks_through_mode
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
@@ -61,7 +62,8 @@ def find(
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
     doubt = speed_doubt(_flags(order_map, campbell))
     in_map = in_map if doubt is None else undecided_orders(in_map)
-    orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
+    reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
+    orders = with_track_rows(in_map, reader, settings=settings.orders)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
@@ -69,13 +71,13 @@ def find(
     causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
     tested = _tested_rpm(order_map, campbell)
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
-    meetings = crossing_records(found)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     speeds = speeds if doubt is None else without_free(speeds)
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     findings = {
         "schema_version": SCHEMA_VERSION,

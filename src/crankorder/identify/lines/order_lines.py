@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -33,6 +33,11 @@ LEAST_BINS = 0.01
 SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
+
+UNRESOLVED = (
+    "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
+)
+"""What is said of a peak that no rule names and beside which all that is named is weaker."""
 
 SWELLING_RATIO = 400.0
 """A line that swells and fades must stand 26 dB over its floor: then a resonance would leave more than noise …"""
@@ -92,12 +97,41 @@ def order_lines(
     needed = min(n_speeds, max(settings.min_speeds, round(settings.min_speed_fraction * n_speeds)))
     lines = []
     for channel in range(len(over.excess)):
-        for peak in _peaks(over.excess[channel], search.axis):
+        named, refused = [], []
+        for peak in _peaks(over.excess[channel], search.axis).tolist():
             seen = np.flatnonzero(over.excess[channel, :, peak] > 1.0)
-            line = _line_at(search, channel, int(peak), seen, needed)
-            if line is not None:
-                lines.append(line)
+            line = _line_at(search, channel, peak, seen, needed)
+            if line is None:
+                refused.append((peak, seen))
+            else:
+                named.append(line)
+        named += _stronger(search, channel, refused, named)
+        lines += sorted(named, key=lambda line: line.order)
     return lines
+
+
+def _stronger(
+    search: _Search, channel: int, refused: list[tuple[int, NDArray[np.int64]]], named: list[OrderLine]
+) -> list[OrderLine]:
+    """Lines, with a reservation, of ``refused`` peaks (bin, speeds) above all that is ``named`` in the channel.
+
+    No rule tells what they are, but nothing weaker may pass for the strongest beside them: they stand far over the
+    floor, and not at the same frequency at the speeds beside.
+    """
+    if len(search.speed) < 2 or not _is_swept(search):
+        return []  # at speeds that are held the rules tell lines
+    refused = [one for one in refused if one[0] < len(search.axis) - NEIGHBOUR_BINS]  # there skirts of others end
+    largest = max((float(line.amplitude.max()) for line in named), default=0.0)
+    amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
+    made = []
+    for peak, seen in refused:
+        far = float(search.ratio[channel, seen, peak].max()) > SWELLING_RATIO
+        if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
+            line = _line(search, channel, peak, seen, UNPROVEN, UNRESOLVED)
+            # two lines in one bin may be nothing, or twice what it holds
+            ends = line.amplitude[:, None] * np.array([0.0, 2.0])
+            made.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
+    return made
 
 
 def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.identify.lines.order_lines import UNRESOLVED
 from crankorder.report.fixed_lines import fixed_tones, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -120,8 +121,22 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
         return f"{text}.{_cause(tone, findings) if with_cause else ''}"
     if order is None:
         return ""
+    if UNRESOLVED in str(order.get("evidence", "")):
+        return _unresolved(findings, order, where)
     text = f"Order {order_name(order, findings)} is the strongest line in {where}: {_at(findings, order)}"
     return f"{text}.{_cause(order, findings) if with_cause else ''}"
+
+
+def _unresolved(findings: dict[str, Any], order: dict[str, Any], where: str) -> str:
+    """What is said where something stronger than all orders that are told was not resolved."""
+    near, rpm = order_name(order, findings), order.get("speed_rpm_at_max")
+    text = f"What is strongest in {where} was not resolved: near order {near}, {_level(findings, order)}"
+    text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
+    rest = [one for one in findings["orders"] if UNRESOLVED not in str(one.get("evidence", ""))]
+    told = _strongest_order({"orders": rest}, str(order["channel"]))
+    if told is not None:
+        text += f"; of the orders that are told {order_name(told, findings)} is the strongest: {_level(findings, told)}"
+    return f"{text}."
 
 
 def _tone_hz(tone: dict[str, Any]) -> str:
