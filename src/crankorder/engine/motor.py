@@ -58,14 +58,15 @@ class Motor(BaseModel):
 class MotorLine:
     """A line at ``mains`` times the supply frequency plus ``turns`` times the speed of the crank.
 
-    ``name`` says what it is; ``of`` is the line beside which it stands, "" where it is no
-    sideband.
+    ``name`` says what it is; ``of`` is the line beside which it stands and ``side`` where, "below" or "above";
+    both are "" where it is no sideband.
     """
 
     name: str
     mains: int
     turns: float
     of: str = ""
+    side: str = ""
 
     def order_at(self, supply_hz: float, rpm: float) -> float:
         """Order of the crank at a supply of ``supply_hz`` and a speed of ``rpm``."""
@@ -94,13 +95,17 @@ def motor_lines(motor: Motor) -> tuple[MotorLine, ...]:
         turns = motor.poles * ratio
         for name, mains, own in ((SHAFT, 0, ratio), (TWICE_MAINS, 2, 0.0)):
             made += [
-                MotorLine(f"pole-pass sideband of {name}", mains - 2, own + turns, name),
-                MotorLine(f"pole-pass sideband of {name}", mains + 2, own - turns, name),
+                MotorLine(f"pole-pass sideband of {name}", mains - 2, own + turns, name, "below"),
+                MotorLine(f"pole-pass sideband of {name}", mains + 2, own - turns, name, "above"),
             ]
     for name, count in ((BAR_PASS, motor.rotor_bars), (SLOT_PASS, motor.stator_slots)):
         if count is None:
             continue
         made.append(MotorLine(name, 0, count * ratio))
         if motor.supply_hz is not None:
-            made += [MotorLine(f"sideband of {name} at twice mains", side, count * ratio, name) for side in (-2, 2)]
+            text = f"sideband of {name} at twice mains"
+            made += [
+                MotorLine(text, -2, count * ratio, name, "below"),
+                MotorLine(text, 2, count * ratio, name, "above"),
+            ]
     return tuple(made)

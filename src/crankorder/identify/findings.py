@@ -21,6 +21,8 @@ from crankorder.identify.lines.lock_through_modes import with_locks_through_mode
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.motor_record import motor_record
+from crankorder.identify.motors import LineSeen, MotorFound, held_of, mains_seen, motor_found
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
@@ -60,7 +62,10 @@ def find(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
+    motor, known = _electric(order_map, frames, sources, settings)
+    causes = explained(
+        in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known
+    )
     tested = _tested_rpm(order_map, campbell)
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
@@ -82,6 +87,7 @@ def find(
         "free_bands": band_records(speeds.free),
         "open_bands": band_records(speeds.open),
         "bearings": bearings,
+        **({} if motor is None else {"motor": motor_record(motor)}),
         "lines": line_records(records, modal, causes, channels=list(unit)),
         **_energy(shares),
         "balance": balance,
@@ -99,6 +105,17 @@ def _orders_in_map(
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
     agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
     return with_followed(numbered_as_followed(agreed, followed), followed, order_map)
+
+
+def _electric(
+    order_map: xr.Dataset, frames: Sequence[xr.Dataset], sources: Sources, settings: Settings
+) -> tuple[MotorFound | None, tuple[LineSeen, ...]]:
+    """The motor as it was found, if one is stated, and its lines; else mains that several speeds show."""
+    held = held_of(frames, order_map)
+    if sources.motor is None:
+        return None, mains_seen(held, settings=settings.identify)
+    found = motor_found(sources.motor, held, order_map, settings=settings.identify)
+    return found, found.seen or mains_seen(held, settings=settings.identify)
 
 
 def _energy(shares: dict[str, Any]) -> dict[str, Any]:
