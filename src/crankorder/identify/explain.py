@@ -150,7 +150,7 @@ def _electric(
     }
     sure: set[float] = set()
     for agreed in orders:
-        item = named_by(known, agreed, speed_bin_rpm=SPEED_BIN_SHARE * max(_speeds_of(agreed), default=0.0))
+        item = named_by(known, agreed)
         if item is not None:
             text = " or ".join([words_of(item), *(other for other in item.also if not other.startswith("order "))])
             told[agreed.order] = Cause(text, f"{item.hertz:.6g} Hz at {item.held.rpm:.5g} rpm, where it was expected")
@@ -162,14 +162,6 @@ def _electric(
             other = None if key[1] in sure else of_cycle[key[1]]
             made[key] = _with_electric(cause, told[key[1]], other, key[1] in sure)
     return made
-
-
-SPEED_BIN_SHARE = 0.005
-"""Share of the speed within which a recording runs at a speed at which a line was seen."""
-
-
-def _speeds_of(agreed: AgreedOrder) -> list[float]:
-    return [float(rpm) for line in agreed.lines for rpm in line.speed_rpm if np.isfinite(rpm)]
 
 
 def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:

@@ -31,6 +31,10 @@ def motor_record(found: MotorFound) -> dict[str, Any]:
             for one in found.speeds
         ],
         "lines": _lines(found.seen),
+        "not_seen": [
+            {"name": f"motor, {name}", "channel": channel, "from_amplitude": limit}
+            for name, channel, limit in found.least
+        ],
     }
 
 

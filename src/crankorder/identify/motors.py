@@ -12,7 +12,16 @@ import xarray as xr
 from crankorder.engine.motor import USUAL_SLIP, Motor, MotorLine, motor_lines
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95, half_width
-from crankorder.identify.known_lines import APART_CYCLES, Held, Place, Sighting, found_near, held_recordings, sightings
+from crankorder.identify.known_lines import (
+    APART_CYCLES,
+    SEEN_SIGMAS,
+    Held,
+    Place,
+    Sighting,
+    found_near,
+    held_recordings,
+    sightings,
+)
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
 from crankorder.identify.mains import mains_words
@@ -27,8 +36,8 @@ LEAST_SPEEDS = 2
 MOVED_CYCLES = 3.0
 """Cycles per recording by which an order of the shaft would have moved between these, where the line has not."""
 
-MEASURED_FREELY = 0.02
-"""Hz by which the supply may have wandered since it was measured in another recording."""
+SAME_SPEED = 0.003
+"""Share of a speed within which a recording runs at a speed at which an order was seen."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +74,8 @@ class LineSeen:
 class MotorFound:
     """A stated ``motor`` as the recordings show it: supply in Hz with its half width, measured or as stated.
 
-    ``speeds`` are those of the recordings; ``misfit`` says, where it is not empty, why no line is named.
+    ``speeds`` are those of the recordings; ``misfit`` says, where it is not empty, why no line is named. ``least`` are
+    lines that are not there: name, channel, and the amplitude from which they would have been seen.
     """
 
     motor: Motor
@@ -75,6 +85,7 @@ class MotorFound:
     speeds: tuple[MotorSpeed, ...]
     seen: tuple[LineSeen, ...]
     misfit: str = ""
+    least: tuple[tuple[str, str, float], ...] = ()
 
 
 def held_of(frames: Sequence[xr.Dataset], order_map: xr.Dataset) -> list[Held]:
@@ -145,7 +156,32 @@ def motor_found(motor: Motor, held: Sequence[Held], order_map: xr.Dataset, *, se
     if speeds and not good:
         return replace(made, speeds=speeds, misfit=_misfit(motor, speeds, supply))
     chosen, with_f = [held[k] for k in good], [own[k] for k in good]
-    return replace(made, speeds=speeds, seen=_all_seen(motor, chosen, with_f, stated, bool(told)))
+    seen = _all_seen(motor, chosen, with_f, stated, bool(told))
+    least = () if stated or not told else _least(motor, chosen, with_f, seen)
+    return replace(made, speeds=speeds, seen=seen, least=least)
+
+
+def _least(
+    motor: Motor, held: Sequence[Held], supplies: Sequence[float], seen: Sequence[LineSeen]
+) -> tuple[tuple[str, str, float], ...]:
+    """Pole-pass sidebands that no recording shows: name, channel, and what they would have been seen from.
+
+    Only where every recording parts them from what they stand beside and from the orders of the shaft.
+    """
+    shown = {item.line.name for item in seen}
+    limits: dict[tuple[str, str], list[float]] = {}
+    for one, supply in zip(held, supplies, strict=True):
+        lines = motor_lines(motor)
+        places: list[Place] = [(line.mains * supply, line.turns) for line in lines]
+        found = sightings(one, places)
+        for number, (line, sighting) in enumerate(zip(lines, found, strict=True)):
+            if not line.name.startswith("pole-pass") or line.name in shown or sighting is None:
+                continue
+            if _also(one, number, lines, places, found):
+                continue
+            for channel, error in zip(one.channels, sighting.error, strict=True):
+                limits.setdefault((line.name, channel), []).append(SEEN_SIGMAS * float(error))
+    return tuple((name, channel, max(values)) for (name, channel), values in limits.items())
 
 
 def _supply(motor: Motor, held: Held, settings: IdentifySettings) -> tuple[float, float] | None:
@@ -226,6 +262,7 @@ def _also(
         line.name
         for other, line in enumerate(lines)
         if other != number
+        and line.of != lines[number].name
         and found[other] is not None
         and abs(held.order_of(places[other]) - order) * held.span_rev < APART_CYCLES
     ]
@@ -236,28 +273,40 @@ def _also(
     return tuple(dict.fromkeys(names))
 
 
-def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder, *, speed_bin_rpm: float) -> LineSeen | None:
+def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
     """The one of ``seen`` that an order which was found is: at its order, in a recording at its speeds.
 
-    Of several, which only lines of a large error have, the one whose amplitude is most like it.
+    Of several, which only lines of a large error have, the one whose amplitudes at the speeds are most like its own.
     """
-    speed = np.concatenate([line.speed_rpm for line in agreed.lines])
-    if not np.isfinite(speed).all():
-        return None
-    reach = half_width(agreed.degrees_of_freedom) * agreed.order_error
-    size = max(float(line.amplitude.max()) for line in agreed.lines)
-    best: tuple[float, LineSeen] | None = None
+    unlike: dict[tuple[str, int, float], list[tuple[float, LineSeen]]] = {}
     for item in seen:
-        if not speed.min() - speed_bin_rpm <= item.held.rpm <= speed.max() + speed_bin_rpm:
+        size = _size_at(agreed, item.held.rpm)
+        if size is None or not _is_at(item, agreed):
             continue
-        near = max(reach, APART_CYCLES / item.held.span_rev)
-        if agreed.lock == "locked" or abs(item.sighting.order - agreed.order) > near:
-            if not (agreed.lock == "locked" and _stands_on(item, agreed.order)):
-                continue
-        unlike = abs(np.log(max(float(item.sighting.amplitude.max()), 1e-300) / max(size, 1e-300)))
-        if best is None or unlike < best[0]:
-            best = unlike, item
-    return None if best is None else best[1]
+        away = abs(float(np.log(max(float(item.sighting.amplitude.max()), 1e-300) / max(size, 1e-300))))
+        unlike.setdefault((item.line.name, item.line.mains, item.line.turns), []).append((away, item))
+    if not unlike:
+        return None
+    best = min(unlike.values(), key=lambda found: float(np.mean([away for away, _ in found])))
+    return max((item for _, item in best), key=lambda item: float(item.sighting.amplitude.max()))
+
+
+def _size_at(agreed: AgreedOrder, rpm: float) -> float | None:
+    """Largest amplitude of an order at the speed ``rpm``; None where it was not seen there."""
+    at = [
+        float(size)
+        for line in agreed.lines
+        for speed, size in zip(line.speed_rpm, line.amplitude, strict=True)
+        if abs(speed - rpm) <= SAME_SPEED * rpm
+    ]
+    return max(at, default=None)
+
+
+def _is_at(item: LineSeen, agreed: AgreedOrder) -> bool:
+    if agreed.lock == "locked":
+        return _stands_on(item, agreed.order)
+    reach = half_width(agreed.degrees_of_freedom) * agreed.order_error
+    return abs(item.sighting.order - agreed.order) <= max(reach, APART_CYCLES / item.held.span_rev)
 
 
 def _stands_on(item: LineSeen, order: float) -> bool:

@@ -15,6 +15,7 @@ from crankorder.report.sentences.of_lines import (
     tone_sentences,
 )
 from crankorder.report.sentences.of_modes import mode_sentences
+from crankorder.report.sentences.of_motor import motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from crankorder.report.sentences.of_speeds import all_judged, avoid_sentences, free_sentences
 
@@ -90,6 +91,7 @@ def story_of(findings: dict[str, Any]) -> Story:
             *law_sentences(findings),
             *mode_sentences(findings),
             *tone_sentences(findings),
+            *motor_sentences(findings),
             *bearing_sentences(findings, with_rule=False),
             *balance_sentences(findings),
         ],
