@@ -16,9 +16,21 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-CLASSES = ("motor", "motor, several loads", "stray mains", "stray mains, run-up", "beside", "none", "tone", "drive")
-"""A motor at one load or several; strays of the mains at one speed or many; beside an order of the shaft; no mains at
-all; a tone that is not mains; a motor on a converter whose field turns with the shaft."""
+CLASSES = (
+    "motor",
+    "motor, several loads",
+    "stray mains",
+    "stray mains, run-up",
+    "stray mains, steps",
+    "stray mains, near speeds",
+    "beside",
+    "synchronous",
+    "none",
+    "tone",
+    "drive",
+)
+"""A motor at one load or several; strays of the mains at one speed, many, or some that differ little; beside an order of
+the shaft, and on one; no mains at all; a tone that is not mains; a motor on a converter, whose field turns as it does."""
 
 CONDITIONS = ("healthy", "broken bar", "static eccentricity", "dynamic eccentricity")
 RATE_HZ = 8192.0
@@ -29,7 +41,7 @@ class Line:
     """A sinusoid: ``size`` is its peak over the noise's rms; its frequency is ``hz`` plus ``order`` turns of the shaft.
 
     ``cause``: "mains" (``multiple`` times it), "shaft" (``multiple``), "tone", "bar pass", "bar pass sideband", "pole pass
-    sideband of 1x" or "pole pass sideband of 2f".
+    sideband of 1x" or "pole pass sideband of 2f". ``side``: below (-1) or above (1) what it is a sideband of.
     """
 
     cause: str
@@ -37,6 +49,7 @@ class Line:
     hz: float = 0.0
     order: float = 0.0
     multiple: int = 1
+    side: int = 0
 
     def at(self, rpm: float) -> float:
         """Frequency in Hz at a speed of ``rpm``."""
@@ -128,7 +141,7 @@ def _motor_lines(rig: MotorRig, chance: np.random.Generator) -> list[Line]:
         lines.append(Line("bar pass", size, order=float(bars)))
         for side in (-2.0, 2.0):
             share = float(chance.uniform(0.3, 0.7))
-            lines.append(Line("bar pass sideband", share * size, order=float(bars), hz=side * f))
+            lines.append(Line("bar pass sideband", share * size, order=float(bars), hz=side * f, side=int(np.sign(side))))
     return lines
 
 
@@ -142,7 +155,8 @@ def _with_pole_pass(rig: MotorRig, lines: list[Line], slip: float, share: float)
         if cracked or eccentric:
             name = "pole pass sideband of 1x" if cracked else "pole pass sideband of 2f"
             made += [
-                Line(name, 0.3 * share * line.size, hz=line.hz + side * pole_pass, order=line.order) for side in (-1, 1)
+                Line(name, 0.3 * share * line.size, hz=line.hz + side * pole_pass, order=line.order, side=side)
+                for side in (-1, 1)
             ]
     return tuple(made)
 
@@ -166,22 +180,31 @@ def _other(rig: MotorRig, chance: np.random.Generator) -> MotorRig:
         rpm = 60.0 * multiple * f / order * (1.0 + float(chance.choice([-1, 1])) * float(chance.uniform(0.003, 0.015)))
         lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
     elif rig.class_name == "tone":
-        away = float(chance.choice([-1, 1])) * float(chance.uniform(0.012, 0.2))
-        base = f * int(chance.integers(1, 3)) * (1.0 + away)
-        other = 60.0 if rig.supply_hz == 50.0 else 50.0
-        if abs(base / other - round(base / other)) * other < 0.012 * base:
-            base *= 1.0 + 0.03 * float(np.sign(away))
+        base = f
+        while any(abs(base - k * mains) < 0.012 * k * mains for mains in (50.0, 60.0) for k in (1, 2, 3, 4)):
+            away = float(chance.choice([-1, 1])) * float(chance.uniform(0.012, 0.2))
+            base = f * int(chance.integers(1, 3)) * (1.0 + away)
         lines.append(Line("tone", float(chance.uniform(0.3, 2.0)), hz=base))
+    elif rig.class_name == "synchronous":  # a generator on the grid: an order of the shaft is mains, and nothing parts them
+        multiple, order = int(chance.integers(1, 3)), int(chance.integers(1, 4))
+        rpm = 60.0 * multiple * f / order
+        lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
     elif rig.class_name.startswith("stray"):
         for multiple in ((1,), (2,), (1, 2), (1, 2, 3))[int(chance.integers(0, 4))]:
             lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
-    own = tuple(lines)
-    if rig.class_name == "stray mains, run-up":
-        top = rpm * float(chance.uniform(1.4, 2.0))
-        if chance.random() < 0.5:
-            return replace(rig, takes=(Take((rpm, top), 60.0, own),))
-        return replace(rig, takes=tuple(Take((float(n), float(n)), 15.0, own) for n in np.linspace(rpm, top, 8)))
-    return replace(rig, takes=(Take((rpm, rpm), float(chance.uniform(20.0, 60.0)), own),))
+    return replace(rig, takes=_takes(rig, rpm, tuple(lines), chance))
+
+
+def _takes(rig: MotorRig, rpm: float, lines: tuple[Line, ...], chance: np.random.Generator) -> tuple[Take, ...]:
+    """One recording at ``rpm``, a run-up from there, steps, or speeds that differ by a few percent."""
+    top = rpm * float(chance.uniform(1.4, 2.0))
+    if rig.class_name.endswith("run-up"):
+        return (Take((rpm, top), 60.0, lines),)
+    if rig.class_name.endswith("steps"):
+        return tuple(Take((float(n), float(n)), 15.0, lines) for n in np.linspace(rpm, top, 8))
+    if rig.class_name.endswith("near speeds"):
+        return tuple(Take((rpm * share, rpm * share), 25.0, lines) for share in (1.0, 1.013, 1.027))
+    return (Take((rpm, rpm), float(chance.uniform(20.0, 60.0)), lines),)
 
 
 def samples(rig: MotorRig, take: Take, number: int) -> tuple[Floats, Floats]:

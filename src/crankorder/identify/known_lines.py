@@ -19,10 +19,11 @@ LOBE_BINS = 2.0
 APART_CYCLES = 1.3
 """Two lines that beat less often within the recording are one: a fit of both would trade one for the other."""
 
-SEEN_SIGMAS = 5.0
-"""Amplitude over its error along one axis from which a line is there: noise makes one in a quarter of a million."""
+SEEN_SIGMAS = 7.0
+"""Amplitude over its error along one axis from which a line is there: as the error comes from some 24 places beside it,
+noise makes one in ten million, (1 + 49 / 2 / 24)^-24."""
 
-BESIDE_CYCLES = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
+BESIDE_CYCLES = tuple(range(2, 14))
 """Where the noise beside a line is looked at, on both sides, in cycles per recording."""
 
 GRID_CYCLES = 0.25

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.engine.motor import USUAL_SLIP, Motor, MotorLine, motor_lines
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.known_lines import (
     APART_CYCLES,
@@ -313,6 +313,27 @@ def _stands_on(item: LineSeen, order: float) -> bool:
     """Whether a locked ``order`` is that of ``item``: a whole one of the rotor, or where both are said."""
     exact = item.line.mains == 0 and not item.line.of
     return (exact or bool(item.also)) and abs(item.sighting.order - order) * item.held.span_rev < APART_CYCLES
+
+
+def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
+    """``modal`` without modes that are undecided and stand where one of the ``known`` lines does: these explain them.
+
+    Only where no order's response was fitted through the modes: there each of them takes part in what is said.
+    """
+    if modal.responses or not known:
+        return modal
+    kept = [
+        number
+        for number, mode in enumerate(modal.modes)
+        if not mode.undecided or not any(_within(mode.frequency_ends, item.hertz) for item in known)
+    ]
+    at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
+    covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
+    return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
+
+
+def _within(ends: tuple[float, float], hertz: float) -> bool:
+    return ends[0] - SAME_HZ <= hertz <= ends[1] + SAME_HZ
 
 
 def words_of(item: LineSeen) -> str:

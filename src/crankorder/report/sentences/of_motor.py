@@ -68,7 +68,8 @@ def _sides(name: str, lines: list[dict[str, Any]], motor: dict[str, Any], findin
     beside = name.removeprefix("motor, pole-pass sideband of ")
     own = [line for line in lines if line["name"] == name]
     if own:
-        top = max(own, key=lambda line: float(line["amplitude"]))
+        alone = [line for line in own if not line.get("or")] or own
+        top = max(alone, key=lambda line: float(line["amplitude"]))
         pair = sorted(
             (line for line in own if line["channel"] == top["channel"]), key=lambda line: float(line["frequency_hz"])
         )
