@@ -93,14 +93,14 @@ def _made_up(rig: MotorRig, text: str, hertz: float, half: float, rpm: float | N
     """Whether one of the causes that ``text`` names is there."""
     truths = _truths(rig, hertz, half, rpm)
     names = {words_of(line) for line in truths if words_of(line)}
-    named = [part for part in text.split(" or ")]
+    named = text.split(" or ")
     shaft = any(line.cause == "shaft" for line in truths)
     good = bool(names & set(named)) or (shaft and any(_is_shaft(part) for part in named))
     return Verdict("nothing made up", good, f"{rig.class_name} {rig.seed}: {text} at {hertz:.3f} Hz")
 
 
 def _is_shaft(text: str) -> bool:
-    return text in ("unbalance", "shaft harmonic") or text.startswith("order ")
+    return text in ("unbalance", "shaft harmonic", "order") or text.startswith("order ")
 
 
 def _named(rig: MotorRig, line: Line, said: list[tuple[str, float, float, float | None]]) -> Verdict:

@@ -1,8 +1,8 @@
 """Records of machines on the mains with drawn physics: induction motors, strays of the mains, tones that are neither.
 
-Sources: A. H. Bonnett and G. C. Soukup (1992), IEEE Transactions on Industry Applications 28, p. 921 (rotor cage faults);
-W. T. Thomson and A. Barbour (1998), IEEE Transactions on Energy Conversion 13, p. 347 (eccentricity); ISO 20958 (lines of
-induction motors). Slip and its frequencies follow from the two field speeds alone and are reckoned here anew.
+Sources: A. H. Bonnett and G. C. Soukup (1992), IEEE Transactions on Industry Applications 28, p. 921 (rotor cages);
+W. T. Thomson and A. Barbour (1998), IEEE Transactions on Energy Conversion 13, p. 347 (eccentricity); ISO 20958 (lines
+of induction motors). Slip and its frequencies follow from the two field speeds alone and are reckoned here anew.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ CLASSES = (
     "tone",
     "drive",
 )
-"""A motor at one load or several; strays of the mains at one speed, many, or some that differ little; beside an order of
-the shaft, and on one; no mains at all; a tone that is not mains; a motor on a converter, whose field turns as it does."""
+"""A motor at one load or several; strays of the mains at one speed, many, or some that differ little; beside an order
+of the shaft, and on one; no mains at all; a tone that is not mains; a motor on a converter, of no fixed supply."""
 
 CONDITIONS = ("healthy", "broken bar", "static eccentricity", "dynamic eccentricity")
 RATE_HZ = 8192.0
@@ -40,8 +40,8 @@ RATE_HZ = 8192.0
 class Line:
     """A sinusoid: ``size`` is its peak over the noise's rms; its frequency is ``hz`` plus ``order`` turns of the shaft.
 
-    ``cause``: "mains" (``multiple`` times it), "shaft" (``multiple``), "tone", "bar pass", "bar pass sideband", "pole pass
-    sideband of 1x" or "pole pass sideband of 2f". ``side``: below (-1) or above (1) what it is a sideband of.
+    ``cause``: "mains" (``multiple`` times it), "shaft" (``multiple``), "tone", "bar pass", "bar pass sideband",
+    "pole pass sideband of 1x" or "pole pass sideband of 2f". ``side``: below (-1) or above (1) what it is a sideband of.
     """
 
     cause: str
@@ -69,8 +69,8 @@ class Take:
 class MotorRig:
     """A machine near the mains of ``supply_hz`` (nominal), which are off by the share ``grid``.
 
-    ``poles`` and ``rotor_bars`` are those of its motor, ``slip`` those of its ``takes``, as a share of the synchronous speed;
-    0 poles: no motor. ``stated``: whether the manifest names the motor.
+    ``poles`` and ``rotor_bars`` are those of its motor, ``slips`` those of its ``takes``, as shares of the synchronous
+    speed; 0 poles: no motor. ``stated``: whether the manifest names the motor.
     """
 
     seed: int
@@ -141,12 +141,14 @@ def _motor_lines(rig: MotorRig, chance: np.random.Generator) -> list[Line]:
         lines.append(Line("bar pass", size, order=float(bars)))
         for side in (-2.0, 2.0):
             share = float(chance.uniform(0.3, 0.7))
-            lines.append(Line("bar pass sideband", share * size, order=float(bars), hz=side * f, side=int(np.sign(side))))
+            lines.append(
+                Line("bar pass sideband", share * size, order=float(bars), hz=side * f, side=int(np.sign(side)))
+            )
     return lines
 
 
 def _with_pole_pass(rig: MotorRig, lines: list[Line], slip: float, share: float) -> tuple[Line, ...]:
-    """``lines`` with what the slip makes of them: the pole pass is the poles times the rotor's lag, 2 x slip x supply."""
+    """``lines`` with what the slip makes of them: the pole pass is poles times the rotor's lag, 2 x slip x supply."""
     pole_pass = 2.0 * slip * rig.mains_hz
     made = list(lines)
     for line in lines:
@@ -185,7 +187,7 @@ def _other(rig: MotorRig, chance: np.random.Generator) -> MotorRig:
             away = float(chance.choice([-1, 1])) * float(chance.uniform(0.012, 0.2))
             base = f * int(chance.integers(1, 3)) * (1.0 + away)
         lines.append(Line("tone", float(chance.uniform(0.3, 2.0)), hz=base))
-    elif rig.class_name == "synchronous":  # a generator on the grid: an order of the shaft is mains, and nothing parts them
+    elif rig.class_name == "synchronous":  # a generator on the grid: an order of the shaft is mains
         multiple, order = int(chance.integers(1, 3)), int(chance.integers(1, 4))
         rpm = 60.0 * multiple * f / order
         lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
@@ -208,7 +210,7 @@ def _takes(rig: MotorRig, rpm: float, lines: tuple[Line, ...], chance: np.random
 
 
 def samples(rig: MotorRig, take: Take, number: int) -> tuple[Floats, Floats]:
-    """Acceleration (samples,) of a ``take``, the ``number``-th of ``rig``, its noise of rms 1, and crank angle in revolutions."""
+    """Acceleration (samples,) of the ``take`` that is ``number`` of ``rig``, in noise of rms 1; crank angle in rev."""
     chance = np.random.default_rng([rig.seed, 11, number])
     time_s = np.arange(round(take.duration_s * RATE_HZ)) / RATE_HZ
     first, last = (rpm / 60.0 for rpm in take.rpm)
@@ -216,7 +218,9 @@ def samples(rig: MotorRig, take: Take, number: int) -> tuple[Floats, Floats]:
     signal = chance.standard_normal(len(time_s))
     if rig.colour:
         spectrum = np.fft.rfft(chance.standard_normal(len(time_s)))
-        coloured = np.fft.irfft(spectrum / np.hypot(1.0, np.fft.rfftfreq(len(time_s), 1.0 / RATE_HZ) / 200.0), len(time_s))
+        coloured = np.fft.irfft(
+            spectrum / np.hypot(1.0, np.fft.rfftfreq(len(time_s), 1.0 / RATE_HZ) / 200.0), len(time_s)
+        )
         signal = np.sqrt(1.0 - rig.colour**2) * signal + rig.colour * coloured / coloured.std()
     for line in take.lines:
         signal += line.size * np.cos(2.0 * np.pi * (line.hz * time_s + line.order * angle + chance.random()))

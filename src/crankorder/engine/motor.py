@@ -1,4 +1,4 @@
-"""Frequencies at which an induction motor makes itself heard, from its supply, its poles, its rotor's bars and its speed.
+"""Frequencies at which an induction motor makes itself heard, from its supply, poles, rotor bars and speed.
 
 Sources: ISO 20958:2013 (electrical signature analysis of induction motors); A. H. Bonnett and G. C. Soukup (1992),
 IEEE Transactions on Industry Applications 28, p. 921.

@@ -144,9 +144,7 @@ def _electric(
     exact = [order for order, multiple in of_cycle.items() if multiple is not None]
     told = {
         order: Cause(text, evidence)
-        for order, (text, evidence) in mains_orders(
-            orders, tones_hz=tones_hz, exact=exact, settings=settings
-        ).items()
+        for order, (text, evidence) in mains_orders(orders, tones_hz=tones_hz, exact=exact, settings=settings).items()
     }
     sure: set[float] = set()
     for agreed in orders:

@@ -22,7 +22,15 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.motor_record import motor_record
-from crankorder.identify.motors import LineSeen, MotorFound, held_of, mains_seen, motor_found, without_known
+from crankorder.identify.motors import (
+    LineSeen,
+    MotorFound,
+    held_of,
+    mains_seen,
+    motor_found,
+    with_mains_tones,
+    without_known,
+)
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
@@ -58,6 +66,7 @@ def find(
     fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
     motor, known = _electric(order_map, frames, sources, settings)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
+    modal = with_mains_tones(modal, known, in_map)
     orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
     bearings = bearing_records(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked

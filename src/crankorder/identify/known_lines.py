@@ -1,4 +1,4 @@
-"""Lines whose frequencies are known beforehand, in the frames of recordings at held speeds: how large they are there."""
+"""Lines of known frequency in the frames of recordings at held speeds: how large they are there."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A line at ``order`` in one recording: peak ``amplitude`` (channels,) and its standard ``error`` along one axis."""
+    """A line at ``order`` of a recording: peak ``amplitude`` (channels,), and its standard ``error`` along one axis."""
 
     order: float
     amplitude: Floats
@@ -235,8 +235,8 @@ def _data(held: Held, bins: NDArray[np.int64]) -> Complex:
 def _waves(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Complex:
     """What lines of amplitude 1 at ``places`` are in each frame and bin: (frames x bins, places).
 
-    A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²), and
-    turns from frame to frame with its own phase less that of the bin.
+    A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²),
+    and turns from frame to frame with its own phase less that of the bin.
     """
     axis = held.axis[bins]
     made = np.empty((len(held.turn) * len(axis), len(places)), dtype=np.complex128)

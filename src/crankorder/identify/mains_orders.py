@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Fixed:
-    """Lines of one speed: frequencies, errors in Hz, and whether each is an order of the shaft for all that is known."""
+    """Lines of one speed: frequencies and errors in Hz, and whether each is ``exact``, an order for all that is known."""
 
     hertz: Floats
     error_hz: Floats
@@ -112,4 +112,6 @@ def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     if not np.isfinite(speed).all() or speed.max() > ALIKE_SPEEDS * speed.min():
         return None
     rpm = float(speed.mean())
-    return agreed.order * rpm / 60.0, float(np.hypot(agreed.order_error * rpm, agreed.order * np.ptp(speed) / 4.0)) / 60.0
+    return agreed.order * rpm / 60.0, float(
+        np.hypot(agreed.order_error * rpm, agreed.order * np.ptp(speed) / 4.0)
+    ) / 60.0

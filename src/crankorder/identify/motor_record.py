@@ -51,15 +51,18 @@ def _lines(seen: Sequence[LineSeen]) -> list[dict[str, Any]]:
             count[key] = count.get(key, 0) + 1
             if key in largest and largest[key][0] >= size:
                 continue
-            largest[key] = size, {
-                "name": words_of(item),
-                "side": item.line.side,
-                "channel": channel,
-                "frequency_hz": item.hertz,
-                "order": item.sighting.order,
-                "speed_rpm": item.held.rpm,
-                "amplitude": size,
-                "amplitude_ci95": [max(0.0, size - Z95 * error), size + Z95 * error],
-                "or": list(item.also),
-            }
+            largest[key] = (
+                size,
+                {
+                    "name": words_of(item),
+                    "side": item.line.side,
+                    "channel": channel,
+                    "frequency_hz": item.hertz,
+                    "order": item.sighting.order,
+                    "speed_rpm": item.held.rpm,
+                    "amplitude": size,
+                    "amplitude_ci95": [max(0.0, size - Z95 * error), size + Z95 * error],
+                    "or": list(item.also),
+                },
+            )
     return [record | {"n_recordings": count[key]} for key, (_, record) in largest.items()]

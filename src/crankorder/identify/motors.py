@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.engine.motor import USUAL_SLIP, Motor, MotorLine, motor_lines
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.known_lines import (
     APART_CYCLES,
@@ -24,7 +24,7 @@ from crankorder.identify.known_lines import (
 )
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
-from crankorder.identify.mains import mains_words
+from crankorder.identify.mains import ALONE, mains_words
 from crankorder.settings import IdentifySettings
 
 SAME_HZ = 0.1
@@ -32,6 +32,9 @@ SAME_HZ = 0.1
 
 LEAST_SPEEDS = 2
 """Recordings that must show a line of the mains where nothing but its frequency says what it is."""
+
+MOST_MULTIPLES = 6
+"""Multiples of the mains that are looked for where the first or the second is there: rectifiers make the sixth."""
 
 MOVED_CYCLES = 3.0
 """Cycles per recording by which an order of the shaft would have moved between these, where the line has not."""
@@ -102,25 +105,33 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
     ``settings``: the mains frequencies and how far they wander.
     """
     made: list[LineSeen] = []
-    for multiple in (1, 2):
-        for mains in settings.mains_hz:
-            reach = settings.mains_tolerance_hz * np.sqrt(multiple)
-            found = [
-                (one, near[0])
-                for one in held
-                if (near := found_near(one, multiple * mains - reach, multiple * mains + reach, [])) is not None
-            ]
-            middle = float(np.median([hertz for _, hertz in found])) if found else 0.0
-            found = [(one, hertz) for one, hertz in found if abs(hertz - middle) <= multiple * SAME_HZ]
-            if len(found) < LEAST_SPEEDS or not any(_moves(a[0], b[0], middle) for a, b in combinations(found, 2)):
-                continue
+    for mains in settings.mains_hz:
+        base = None
+        for multiple in range(1, MOST_MULTIPLES + 1):
+            middle, reach = multiple * mains, settings.mains_tolerance_hz * float(np.sqrt(multiple))
+            if multiple > ALONE:
+                if base is None:
+                    break
+                middle, reach = multiple * base, SAME_HZ
+            found = _one_frequency(held, middle - reach, middle + reach, multiple * SAME_HZ)
             line = MotorLine(mains_words(multiple), multiple, 0.0)
+            if found:
+                base = float(np.median([hertz for _, hertz in found])) / multiple
             made += [
                 LineSeen(line, one, hertz, sighting)
                 for one, hertz in found
                 if (sighting := sightings(one, [(hertz, 0.0)])[0]) is not None
             ]
     return tuple(made)
+
+
+def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
+    """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move."""
+    found = [(one, near[0]) for one in held if (near := found_near(one, low_hz, high_hz, [])) is not None]
+    middle = float(np.median([hertz for _, hertz in found])) if found else 0.0
+    found = [(one, hertz) for one, hertz in found if abs(hertz - middle) <= same_hz]
+    moves = any(_moves(a[0], b[0], middle) for a, b in combinations(found, 2))
+    return found if len(found) >= LEAST_SPEEDS and moves else []
 
 
 def _moves(one: Held, other: Held, hertz: float) -> bool:
@@ -330,6 +341,49 @@ def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
     at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
     covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
     return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
+
+
+def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequence[AgreedOrder]) -> ModalFit:
+    """``modal`` with the mains among the ``known`` lines as tones, where no tone of it and none of the ``orders`` is.
+
+    A tone there that may be an order at the speeds of the test is none: where the shaft's orders moved it has stayed.
+    """
+    tones = list(modal.tones)
+    fixed: dict[int, list[LineSeen]] = {}
+    for item in known:
+        if item.line.turns == 0.0 and not item.also:
+            fixed.setdefault(item.line.mains, []).append(item)
+    held_by_orders = {named.line.mains for one in orders if (named := named_by(known, one)) and not named.line.turns}
+    for mains, items in fixed.items():
+        hertz = float(np.median([item.hertz for item in items]))
+        near = [
+            number
+            for number, tone in enumerate(tones)
+            if abs(tone.frequency_hz - hertz) <= max(SAME_HZ, Z95 * tone.frequency_error_hz)
+        ]
+        words = f"{len(items)} recordings hold it at {mains} times one mains frequency"
+        for number in near:
+            if tones[number].kind == "order" and len(items) >= LEAST_SPEEDS:
+                tones[number] = replace(tones[number], kind="mains", evidence=words)
+        if not near and mains not in held_by_orders:
+            tones.append(_as_tone(hertz, items, words))
+    return replace(modal, tones=tuple(sorted(tones, key=lambda tone: tone.frequency_hz)))
+
+
+def _as_tone(hertz: float, items: Sequence[LineSeen], words: str) -> Tone:
+    """A tone at ``hertz``, as large as the recordings of ``items`` hold it together."""
+    size = np.array([item.sighting.amplitude for item in items])
+    error = np.array([item.sighting.error for item in items])
+    mean, own = np.sqrt(np.mean(size**2, axis=0)), np.sqrt(np.mean(error**2, axis=0) / len(items))
+    spread = size.std(axis=0) / np.sqrt(max(len(items) - 1, 1))
+    seconds = min(float(np.ptp(item.held.time_s)) for item in items)
+    wander = max(float(np.std([item.hertz for item in items])), 0.05 / max(seconds, 1.0))
+    amplitude = {
+        name: (float(mean[k]), float(np.hypot(own[k], spread[k])))
+        for k, name in enumerate(items[0].held.channels)
+        if mean[k] > Z95 * own[k]
+    }
+    return Tone(hertz, wander, "mains", amplitude, words)
 
 
 def _within(ends: tuple[float, float], hertz: float) -> bool:

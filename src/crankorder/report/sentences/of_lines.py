@@ -99,7 +99,9 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
         text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:
             hertz = hertz_of_order(order, findings)
-            called = f"order is {order_name(order, findings)}" if hertz is None else f"other line {_called(hertz, order)}"
+            called = (
+                f"order is {order_name(order, findings)}" if hertz is None else f"other line {_called(hertz, order)}"
+            )
             text += f"; the strongest {called}: {_level(findings, order)}"
             rpm = order.get("speed_rpm_at_max")
             text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""

@@ -30,8 +30,8 @@ def motor_sentences(findings: dict[str, Any]) -> list[str]:
     own = [line for line in _strongest(lines) if line["name"] not in _SPEAKS_FOR]
     if own:
         said = [
-            f"{_hz(line)} ({named(line['name'], limit=NAME_CHARACTERS).removeprefix('motor, ')}, {_level(findings, line)}"
-            f" in {named(line.get('channel', ''), limit=NAME_CHARACTERS)})"
+            f"{_hz(line)} ({named(line['name'], limit=NAME_CHARACTERS).removeprefix('motor, ')}, "
+            f"{_level(findings, line)} in {named(line.get('channel', ''), limit=NAME_CHARACTERS)})"
             for line in own
         ]
         sentences.append(f"Of the motor and its supply: {listed(said)}.")
@@ -44,7 +44,11 @@ def _slip(motor: dict[str, Any]) -> list[str]:
     speeds = [one for one in motor.get("speeds") or [] if one.get("fits")]
     if not speeds:
         return []
-    by = "as measured by its own lines" if motor.get("supply_measured") else "as stated: no line of the mains measures it"
+    by = (
+        "as measured by its own lines"
+        if motor.get("supply_measured")
+        else "as stated: no line of the mains measures it"
+    )
     slow, fast = (pick(speeds, key=lambda one: float(one["slip"])) for pick in (max, min))
     text = f"The motor ({motor['poles']} poles at {float(motor['supply_hz']):.5g} Hz, {by}) slips by {_slip_text(fast)}"
     if slow is not fast:

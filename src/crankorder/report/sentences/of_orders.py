@@ -115,8 +115,8 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
     if loose:
         are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
         sentences.append(
-            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells whether "
-            f"{it} the shaft."
+            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
+            f"whether {it} the shaft."
         )
     if open_:
         which = "they are" if len(open_) > 1 else "it is"
