@@ -41,7 +41,7 @@ class Line:
     """A sinusoid: ``size`` is its peak over the noise's rms; its frequency is ``hz`` plus ``order`` turns of the shaft.
 
     ``cause``: "mains" (``multiple`` times it), "shaft" (``multiple``), "tone", "bar pass", "bar pass sideband",
-    "pole pass sideband of 1x" or "pole pass sideband of 2f". ``side``: below (-1) or above (1) what it is a sideband of.
+    "pole pass sideband of 1x" or "pole pass sideband of 2f". ``side``: -1 below its carrier, 1 above.
     """
 
     cause: str

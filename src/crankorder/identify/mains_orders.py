@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Fixed:
-    """Lines of one speed: frequencies and errors in Hz, and whether each is ``exact``, an order for all that is known."""
+    """Lines of one speed: frequencies and errors in Hz, and whether each may be an ``exact`` order of the shaft."""
 
     hertz: Floats
     error_hz: Floats

@@ -100,7 +100,7 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
         if order is not None:
             hertz = hertz_of_order(order, findings)
             called = (
-                f"order is {order_name(order, findings)}" if hertz is None else f"other line {_called(hertz, order)}"
+                f"order is {order_name(order, findings)}" if hertz is None else f"other line is {_called(hertz, order)}"
             )
             text += f"; the strongest {called}: {_level(findings, order)}"
             rpm = order.get("speed_rpm_at_max")
