@@ -14,7 +14,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
@@ -79,12 +79,9 @@ def find(
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
-    balance, no_balance = closure(
-        order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
-    )
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     records = order_records(orders, causes, meetings, modal, unit=unit)
-    findings = {
+    return {
         "schema_version": SCHEMA_VERSION,
         "test": test,
         "channels": [{"name": name, "unit": unit[name], "quantity": quantity[name]} for name in unit],
@@ -99,12 +96,19 @@ def find(
         **({} if motor is None else {"motor": motor_record(motor)}),
         "lines": line_records(records, modal, causes, channels=list(unit)),
         **_energy(shares),
-        "balance": balance,
+        **_balance(order_map, orders, modal, sources),
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
     }
-    return findings if balance is not None else findings | {"balance_reason": no_balance}
+
+
+def _balance(
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources
+) -> dict[str, Any]:
+    """The residual unbalance, or why it is not known, as the findings hold it."""
+    made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
+    return {"balance": made} if made is not None else {"balance": None, "balance_reason": reason}
 
 
 def _orders_in_map(

@@ -23,7 +23,7 @@ def nearest_multiple(
 
 
 def mains_words(multiple: int) -> str:
-    """What a line at so many times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
+    """What a line at ``multiple`` times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
     return {1: "mains", 2: "twice mains"}.get(multiple, f"{multiple} x mains")
 
 

@@ -285,7 +285,7 @@ def _also(
 
 
 def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
-    """The one of ``seen`` that an order which was found is: at its order, in a recording at its speeds.
+    """The one of ``seen`` that the order ``agreed`` is: at its order, in a recording at its speeds.
 
     Of several, which only lines of a large error have, the one whose amplitudes at the speeds are most like its own.
     """
@@ -391,6 +391,6 @@ def _within(ends: tuple[float, float], hertz: float) -> bool:
 
 
 def words_of(item: LineSeen) -> str:
-    """What a line that was found is called."""
+    """What the line ``item`` is called."""
     name = item.line.name
     return name if item.line.turns == 0.0 and not item.line.of else f"motor, {name}"
