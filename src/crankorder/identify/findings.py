@@ -14,7 +14,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
@@ -79,7 +79,6 @@ def find(
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
-    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -89,18 +88,22 @@ def find(
         "orders": records,
         "modes": mode_records(modal, causes),
         "crossings": meetings,
-        "speeds_to_avoid": avoided_records(speeds),
-        "free_bands": band_records(speeds.free),
-        "open_bands": band_records(speeds.open),
+        **_by_speed(speeds),
         "bearings": bearings,
         **({} if motor is None else {"motor": motor_record(motor)}),
         "lines": line_records(records, modal, causes, channels=list(unit)),
-        **_energy(shares),
+        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)),
         **_balance(order_map, orders, modal, sources),
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
     }
+
+
+def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
+    """What is said of the speeds, as the findings hold it."""
+    avoid, free, left = avoided_records(speeds), band_records(speeds.free), band_records(speeds.open)
+    return {"speeds_to_avoid": avoid, "free_bands": free, "open_bands": left}
 
 
 def _balance(
