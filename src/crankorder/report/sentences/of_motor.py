@@ -44,11 +44,7 @@ def _slip(motor: dict[str, Any]) -> list[str]:
     speeds = [one for one in motor.get("speeds") or [] if one.get("fits")]
     if not speeds:
         return []
-    by = (
-        "as measured by its own lines"
-        if motor.get("supply_measured")
-        else "as stated: no line of the mains measures it"
-    )
+    by = "as its own lines measure" if motor.get("supply_measured") else "as stated: no line of the mains measures it"
     slow, fast = (pick(speeds, key=lambda one: float(one["slip"])) for pick in (max, min))
     text = f"The motor ({motor['poles']} poles at {float(motor['supply_hz']):.5g} Hz, {by}) slips by {_slip_text(fast)}"
     if slow is not fast:
