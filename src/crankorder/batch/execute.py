@@ -256,6 +256,7 @@ def _sources(plan: TestPlan) -> Sources:
         engine=engine,
         paths=plan.manifest.transfer_paths,
         added=plan.manifest.added_masses,
+        motor=plan.manifest.motor,
     )
 
 

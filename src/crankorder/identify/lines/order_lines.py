@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
@@ -47,6 +48,9 @@ LEFT_RATIO = 2.0
 
 BINS_BESIDE = 4
 """Bins by which a line of fixed frequency has left its own at the speeds beside, in slow sweeps some speeds away."""
+
+WEAK_CHANCE = 1e-3
+"""Chance of noise at a speed below which a line that all speeds together show is seen there."""
 
 FIXED_SHARE = 0.5
 """A line of few speeds whose frequency stands out at this share of the speeds beside is one of fixed frequency."""
@@ -137,7 +141,10 @@ def _stronger(
 def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, reservation = search.false_alarm_probability, ""
-    if len(seen) < needed:
+    together = _seen_together(search, channel, peak) if len(seen) < needed else seen
+    if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
+        seen = together
+    elif len(seen) < needed:
         if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
             return None
         chance /= search.excess[0].size
@@ -158,6 +165,26 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
     if evidence == "steady, not locked" and len(search.speed) == 1:
         reservation = "; ".join(filter(None, (reservation, ONE_SPEED)))
     return _line(search, channel, peak, seen, evidence, reservation)
+
+
+def _seen_together(search: _Search, channel: int, peak: int) -> NDArray[np.int64]:
+    """Speeds at which a line stands that all of them together show, though each alone does not; none where noise would.
+
+    The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map.
+    """
+    n = search.order_map["n_independent"].values
+    chances = np.array(
+        [
+            noise_chance(
+                float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak])
+            )
+            for s in range(len(search.speed))
+        ]
+    )
+    joined = float(chdtrc(2.0 * len(chances), -2.0 * np.sum(np.log(np.maximum(chances, 1e-300)))))
+    cells = search.excess.shape[0] * search.excess.shape[2]
+    shown = cells * joined < search.false_alarm_probability
+    return np.flatnonzero(chances < WEAK_CHANCE) if shown else np.zeros(0, dtype=np.int64)
 
 
 def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> bool:

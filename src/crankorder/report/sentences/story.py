@@ -17,6 +17,7 @@ from crankorder.report.sentences.of_lines import (
     tone_sentences,
 )
 from crankorder.report.sentences.of_modes import mode_sentences
+from crankorder.report.sentences.of_motor import motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from crankorder.report.sentences.of_speeds import (
     all_judged,
@@ -106,6 +107,7 @@ def story_of(findings: dict[str, Any]) -> Story:
             *swing_sentences(findings),
             *mode_sentences(findings),
             *tone_sentences(findings),
+            *motor_sentences(findings),
             *bearing_sentences(findings, with_rule=False),
             *balance_sentences(findings),
         ],
