@@ -67,24 +67,20 @@ def find(
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    in_map = _orders_in_map(order_map, frames, settings, followed)
-    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
+    flags = _flags(order_map, campbell)
+    doubt = speed_doubt(flags)
     motor, known = _electric(order_map, frames, sources, settings)
-    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = with_mains_tones(modal, known, in_map)
-    doubt = speed_doubt(_flags(order_map, campbell))
+    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
     orders = with_track_rows(in_map, reader, settings=settings.orders)
-    bearings = bearing_records(
-        orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
-    )
+    turns = sources.revs_per_cycle
+    bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(
-        in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known
-    )
-    tested = _tested_rpm(order_map, campbell)
-    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
+    given = (in_map, modal, bearings)
+    causes = explained(*given, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
+    tested, gears = _tested_rpm(order_map, campbell), [order for _, order in sources.gears]
+    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=gears)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     speeds = speeds if doubt is None else without_free(speeds)
     meetings = crossing_records(found)
@@ -107,7 +103,7 @@ def find(
         **_balance(order_map, orders, modal, sources),
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
-        "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
+        "quality": flags + fold_flags(order_map, settings=settings, folds=folds),
     }
 
 
@@ -123,6 +119,21 @@ def _balance(
     """The residual unbalance, or why it is not known, as the findings hold it."""
     made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
     return {"balance": made} if made is not None else {"balance": None, "balance_reason": reason}
+
+
+def _orders_and_modes(
+    order_map: xr.Dataset,
+    campbell: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    followed: Sequence[xr.Dataset],
+    known: Sequence[LineSeen],
+    settings: Settings,
+) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    """Orders as the map and the modes that they cross tell them, and the modes without the ``known`` electric lines."""
+    in_map = _orders_in_map(order_map, frames, settings, followed)
+    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
+    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
+    return in_map, with_mains_tones(modal, known, in_map)
 
 
 def _orders_in_map(

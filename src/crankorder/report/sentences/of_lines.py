@@ -66,7 +66,7 @@ def _above(findings: dict[str, Any]) -> list[str]:
 
 
 def lies_above(findings: dict[str, Any]) -> bool:
-    """Whether the first of :func:`line_sentences` says that the strongest line lies above the band looked at."""
+    """Whether the first of :func:`line_sentences` of ``findings`` says that the strongest line is above the band."""
     return bool(_above(findings))
 
 

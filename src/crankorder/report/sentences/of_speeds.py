@@ -142,7 +142,7 @@ def _bands(findings: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def doubt_sentences(findings: dict[str, Any]) -> list[str]:
-    """That the speed is in doubt, and why; nothing where it is not."""
+    """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
     doubt = findings.get("speed_doubt")
     if not doubt:
         return []
@@ -151,7 +151,7 @@ def doubt_sentences(findings: dict[str, Any]) -> list[str]:
 
 
 def swing_sentences(findings: dict[str, Any]) -> list[str]:
-    """How unevenly the shaft turns: the orders of the recording whose speed swings most; nothing where none is told."""
+    """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     records = [one for one in findings.get("speed_swing") or [] if float(one["speed_rpm"]) > 0.0]
     if not records:
         return []
