@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.special import fdtrc, gammaincc
 
+from crankorder.orders.envelope_lines import middles
+
 Array = NDArray[np.float64]
 
 TEETH, SLOW_TEETH = 3, 6
@@ -96,7 +98,7 @@ def comb_chances(
 def _over_skirts(ratio: Array) -> Array:
     """``ratio`` (rows, orders) over the median of the bins about each where that is higher: on a skirt no line is."""
     pieces = ratio.shape[1] // SKIRT_BINS
-    middle = np.median(ratio[:, : pieces * SKIRT_BINS].reshape(len(ratio), pieces, SKIRT_BINS), axis=2)
+    middle = middles(ratio[:, : pieces * SKIRT_BINS].reshape(len(ratio), pieces, SKIRT_BINS))
     high = np.repeat(np.maximum(middle, 1.0), SKIRT_BINS, axis=1)
     rest = ratio.shape[1] - high.shape[1]
     made: Array = ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge")

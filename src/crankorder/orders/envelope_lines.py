@@ -57,6 +57,14 @@ def off_mains(order: NDArray[np.float64], *, speed_hz: float, cell: float) -> ND
     return made
 
 
+def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Medians of the last axis of ``pieces``; of such short ones, many at a time, a sort is the fastest way."""
+    ordered = np.sort(pieces, axis=-1)
+    half = ordered.shape[-1] // 2
+    made: NDArray[np.floating] = ordered[..., half]
+    return made if ordered.shape[-1] % 2 else (ordered[..., half - 1] + made) / 2
+
+
 def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_independent: float) -> NDArray[np.float64]:
     """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
 
@@ -68,7 +76,7 @@ def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_indepen
     count = max(power.shape[1] // width, 1)
     pieces = power[:, : count * width].reshape(len(power), count, -1)
     shape = max(n_independent, 1.0)
-    middle = np.median(pieces, axis=2) * shape / float(gammaincinv(shape, 0.5))
+    middle = middles(pieces) * shape / float(gammaincinv(shape, 0.5))
     at = (np.arange(count) + 0.5) * pieces.shape[2]
     bins = np.arange(power.shape[1])
     made: NDArray[np.float64] = np.stack([np.interp(bins, at, row) for row in middle])
