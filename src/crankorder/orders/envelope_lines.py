@@ -12,6 +12,9 @@ FLOOR_WORTH = 0.4
 """Independent powers per cell of resolution that a floor of medians is worth: of a Hann window two thirds are, and a
 median is worth 0.6 of their mean."""
 
+CYCLE_CELLS = 1.5
+"""Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
+
 LOCKED_BINS = 2.0
 """Cells of resolution beside a multiple of the cycle's order that take no part in the choice of the band."""
 
@@ -55,6 +58,22 @@ def off_mains(order: NDArray[np.float64], *, speed_hz: float, cell: float) -> ND
         beside = np.abs(order - spacing * np.maximum(np.round(order / spacing), 1.0))
         made &= beside > MAINS_CELLS * cell + MAINS_SHARE * order
     return made
+
+
+def free_of_others(
+    order: NDArray[np.float64], *, revs_per_cycle: int, speed_hz: float, cell: float
+) -> NDArray[np.bool_]:
+    """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
+
+    ``revs_per_cycle`` of the engine, one or two; ``cell``: resolution in orders.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
+
+
+def floor_worth(step: float, cell: float) -> float:
+    """Independent bins that the floor of a spectrum is worth, with bins ``step`` apart and a resolution of ``cell``."""
+    return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
 
 
 def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:
