@@ -103,7 +103,7 @@ def _nearest(item: xr.Dataset, like: xr.Dataset) -> NDArray[np.int64]:
     away = np.zeros((like.sizes["band"], item.sizes["band"]))
     for end in ("look_band_low", "look_band_high"):
         away += np.abs(like[end].values[0][:, None] - item[end].values[0])
-    return np.argmin(away, axis=1)
+    return np.asarray(np.argmin(away, axis=1), dtype=np.int64)
 
 
 def _averaged(group: list[xr.Dataset], like: xr.Dataset) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
