@@ -97,8 +97,8 @@ class Spectra(NamedTuple):
 class Choice(NamedTuple):
     """The band chosen for a channel: power of its envelope's lines and the floor beneath (orders,), and its mean.
 
-    ``looks``: power over the local floor, and that floor's root, in every band at the bins where strikes are looked for
-    (bands, looks); ``share`` of the frames that were used.
+    ``looks`` (3, bands, looks): in every band, at the bins where strikes are looked for, the power over the skirts of
+    other lines, that over the local floor, and the root of this floor; ``share`` of the frames that were used.
     """
 
     band: Band
@@ -106,7 +106,7 @@ class Choice(NamedTuple):
     floor: NDArray[np.float64]
     mean_square: float
     share: float
-    looks: tuple[NDArray[np.float32], NDArray[np.float32]]
+    looks: NDArray[np.float32]
 
 
 def recording_envelope(
@@ -253,8 +253,8 @@ def _choose(
     bins = looked_at(combs, step=float(frames.order[1]), n_orders=frames.n_orders)
     if not screened.used:
         missing = np.full(frames.n_orders, np.nan)
-        nothing = np.full((len(bands), len(bins)), np.nan, dtype=np.float32)
-        return Choice(bands[0], missing, missing, math.nan, 0.0, (nothing, nothing))
+        nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
+        return Choice(bands[0], missing, missing, math.nan, 0.0, nothing)
     share = screened.used / sum(len(one.begins) for one in stretches)
     n_independent = frames.n_independent * share
     floor = line_floor(screened.power, frames.order, n_independent)
@@ -266,7 +266,7 @@ def _choose(
     if best is None:
         best = best_band(np.where(free, height, 0.0).max(axis=1))
     exact = _spectra(blocks, (bands[best],), stretches, frames, turn, level=1)
-    looks = seen.astype(np.float32), (floor[:, bins] ** 0.25).astype(np.float32)
+    looks = np.stack([seen, height[:, bins], floor[:, bins] ** 0.25]).astype(np.float32)
     floor = line_floor(exact.power, frames.order, n_independent)
     return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), share, looks)
 
@@ -374,8 +374,7 @@ def _dataset(
         "revs_per_frame": (("speed",), np.array([frames.revs]), {"units": "1"}),
     }
     if combs:
-        ratio, floor = zip(*(one.looks for one in chosen), strict=True)
-        variables |= looks_of(combs, bands, order=frames.order, ratio=ratio, floor=floor)
+        variables |= looks_of(combs, bands, order=frames.order, looks=np.stack([one.looks for one in chosen]))
     made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), frames.order))
     made.attrs = _attrs(recording, shaft, settings) | {"bands_tried": len(bands), "analysed_s": sum(seconds)}
     return made

@@ -6,7 +6,6 @@ found from all recordings of a test together: many weak ones show in sum what no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,32 +21,30 @@ Array = NDArray[np.float64]
 WIDER_SHARE = 0.9
 """Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
 
+_UNITS = {"ratio": "1", "level": "1", "floor": "see unit"}
+"""Units of what is kept of a spectrum: power over the skirts of other lines, that over the floor, root of the floor."""
+
 _OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
 
 
 def looks_of(
-    combs: tuple[Comb, ...],
-    bands: tuple[Band, ...],
-    *,
-    order: Array,
-    ratio: Sequence[NDArray[np.float32]],
-    floor: Sequence[NDArray[np.float32]],
+    combs: tuple[Comb, ...], bands: tuple[Band, ...], *, order: Array, looks: NDArray[np.float32]
 ) -> dict[str, Any]:
-    """Variables of a RecordingEnvelope: for each channel ``ratio`` and ``floor`` (bands, looks) where lines may be.
+    """Variables of a RecordingEnvelope: what each of ``bands`` shows where lines of ``combs`` may be.
 
-    They are the power over the local floor, and the root of that floor's own line, of the squared envelope of each of
-    ``bands``; ``order`` (orders,) is that of a whole spectrum.
+    ``looks`` (channel, 3, bands, looks): the power over the skirts of other lines, that over the local floor, and the
+    root of this floor; ``order`` (orders,) is that of a whole spectrum.
     """
     bins = looked_at(combs, step=float(order[1]), n_orders=len(order))
-    hertz = {"units": "Hz"}
-    see = {"units": "see unit", "long_name": "what noise alone has there"}
-    return comb_variables(combs) | {
+    made = comb_variables(combs) | {
         "look": (("look",), order[bins], {"units": "1", "long_name": "order of the envelope"}),
-        "look_ratio": (("channel", "speed", "band", "look"), np.array(ratio)[:, None], {"units": "1"}),
-        "look_floor": (("channel", "speed", "band", "look"), np.array(floor)[:, None], see),
-        "look_band_low": (("speed", "band"), np.array([[band.low_hz for band in bands]]), hertz),
-        "look_band_high": (("speed", "band"), np.array([[band.high_hz for band in bands]]), hertz),
+        "look_band_low": (("speed", "band"), np.array([[band.low_hz for band in bands]]), {"units": "Hz"}),
+        "look_band_high": (("speed", "band"), np.array([[band.high_hz for band in bands]]), {"units": "Hz"}),
     }
+    for number, (name, units) in enumerate(_UNITS.items()):
+        dims = ("channel", "speed", "band", "look")
+        made[f"look_{name}"] = (dims, looks[:, number][:, None], {"units": units})
+    return made
 
 
 def comb_variables(combs: tuple[Comb, ...]) -> dict[str, Any]:
@@ -75,19 +72,12 @@ def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
     if not combs or any(not _alike(item, items[0]) for item in items):
         return {}
     like = max(items, key=lambda item: item.sizes["band"])
-    pairs = [_averaged(group, like) for group in groups]
-    ratio, floor = (np.stack(values, axis=1) for values in zip(*pairs, strict=True))
-    chosen = _bands_of(ratio, groups, combs, items[0])
-    sizes = {"units": "1", "long_name": "power over the local floor in the comb's band"}
-    made = comb_variables(combs) | {
-        "look": (("look",), items[0]["look"].values, dict(items[0]["look"].attrs)),
-        "comb_ratio": (("comb", "channel", "speed", "look"), np.stack([ratio[:, :, at] for at in chosen]), sizes),
-        "comb_floor": (
-            ("comb", "channel", "speed", "look"),
-            np.stack([floor[:, :, at] for at in chosen]),
-            dict(items[0]["look_floor"].attrs),
-        ),
-    }
+    kept = np.stack([_averaged(group, like) for group in groups], axis=2)
+    chosen = _bands_of(kept[0], groups, combs, items[0])
+    made = comb_variables(combs) | {"look": (("look",), items[0]["look"].values, dict(items[0]["look"].attrs))}
+    for number, (name, units) in enumerate(_UNITS.items()):
+        values = np.stack([kept[number][:, :, at] for at in chosen])
+        made[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
     for end in ("low", "high"):
         edges = np.array([group[0][f"look_band_{end}"].values[0, _nearest(group[0], like)] for group in groups])
         made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, {"units": "Hz"})
@@ -106,17 +96,15 @@ def _nearest(item: xr.Dataset, like: xr.Dataset) -> NDArray[np.int64]:
     return np.asarray(np.argmin(away, axis=1), dtype=np.int64)
 
 
-def _averaged(group: list[xr.Dataset], like: xr.Dataset) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Mean ratio and floor (channel, band, look) of the recordings of a ``group``, as often as each counts."""
-    total, made = 0.0, [0.0, 0.0]
+def _averaged(group: list[xr.Dataset], like: xr.Dataset) -> NDArray[np.float32]:
+    """Means (3, channel, band, look) of what is kept of the recordings of a ``group``, as often as each counts."""
+    total, made = 0.0, 0.0
     for item in group:
         count = np.nan_to_num(item["n_independent"].values[:, 0])[:, None, None]
         at = _nearest(item, like)
-        for k, name in enumerate(("look_ratio", "look_floor")):
-            made[k] = made[k] + count * np.nan_to_num(item[name].values[:, 0][:, at])
+        made = made + count * np.nan_to_num(np.stack([item[f"look_{name}"].values[:, 0][:, at] for name in _UNITS]))
         total = total + count
-    ratio, floor = (np.asarray(sums / np.maximum(total, 1e-9), dtype=np.float32) for sums in made)
-    return ratio, floor
+    return np.asarray(made / np.maximum(total, 1e-9), dtype=np.float32)
 
 
 def _bands_of(

@@ -67,10 +67,10 @@ class Ranking:
         return tuple(one for one in self.candidates[1:] if first.level_db - one.level_db < clear)
 
 
-def ranking(ratios: list[Array], step: float, free: NDArray[np.bool_], places: list[Place]) -> Ranking:
-    """Ranking of the ``places`` of one bearing, each by its own of ``ratios``: (orders,), in the band that serves it.
+def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Place]) -> Ranking:
+    """Ranking of the ``places`` of one bearing by ``ratio`` (orders,), power over the floor in bins ``step`` apart.
 
-    A ratio is the power over the floor in bins ``step`` apart.
+    It is that of one band, in which one of them was found: in the best of many bands noise lifts each of the others.
 
     The level of a part is the mean of those of its first harmonics, three of a race or a rolling element and the third
     to the sixth of a cage, each at the place that suits it best. Half of that of an inner race or a rolling element is
@@ -80,21 +80,17 @@ def ranking(ratios: list[Array], step: float, free: NDArray[np.bool_], places: l
     off the multiples of the cage's order speaks against the cage, for the element comes and goes with it. Bins that are
     not ``free`` do not count.
     """
-    levels = [np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, HIGHEST_DB) for ratio in ratios]
-    levels = [np.where(free, level, np.nan) for level in levels]
+    level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, HIGHEST_DB)
+    level = np.where(free, level, np.nan)
     found = []
-    for place, level in zip(places, levels, strict=True):
+    for place in places:
         trials, mean = _course(level, step, place)
         if place.line != "N*fs" and np.isfinite(mean).any():
             best = int(np.nanargmax(mean))
             found.append(Candidate(place, float(trials[best]), float(mean[best])))
     for at, one in enumerate(found):
         if one.place.line == "FTF":
-            balls = [
-                _off_cage(level, step, place, one.order)
-                for place, level in zip(places, levels, strict=True)
-                if place.line == "BSF"
-            ]
+            balls = [_off_cage(level, step, place, one.order) for place in places if place.line == "BSF"]
             found[at] = replace(one, level_db=max(one.level_db - 2.0 * max(balls, default=0.0), 0.0))
     return Ranking(tuple(sorted(found, key=lambda one: -one.level_db)))
 

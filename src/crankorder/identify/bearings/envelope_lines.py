@@ -52,11 +52,13 @@ HARMONIC_LEVEL = 1e-3
 class Look(NamedTuple):
     """Power ratios and amplitudes (channel, speed, order) in one band, the ends of which in Hz are ``band_hz``.
 
-    Those are (speed, 2), NaN where the band is that of the spectrum that is drawn, channel by channel. Bins that tell
-    nothing of the strikes that are looked for there are 0.
+    ``ratio`` is the power over the floor or, where they are higher, over the skirts of other lines, ``raw`` that over
+    the floor alone; 0 in bins that tell nothing of the strikes that are looked for there. The ends are (speed, 2), NaN
+    where the band is that of the spectrum that is drawn, channel by channel.
     """
 
     ratio: NDArray[np.float64]
+    raw: NDArray[np.float64]
     amplitude: NDArray[np.float64]
     band_hz: NDArray[np.float64]
 
@@ -81,7 +83,7 @@ class Spectra:
             return self.looks[place.comb]
         rows = over_skirts(self.ratio.reshape(-1, len(self.order)))
         drawn = np.broadcast_to(np.nan, (len(self.speed_rpm), 2))
-        return Look(rows.reshape(self.ratio.shape), self.amplitude, drawn)
+        return Look(rows.reshape(self.ratio.shape), self.ratio, self.amplitude, drawn)
 
     @property
     def floor_worth(self) -> NDArray[np.float64]:
@@ -172,11 +174,12 @@ def _looks_in(envelope: xr.Dataset) -> dict[Comb, Look]:
     bins = np.round(envelope["look"].values / order[1]).astype(np.int64)
     made = {}
     for number, comb in enumerate(combs_in(envelope)):
-        ratio, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(2))
+        ratio, raw, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(3))
         ratio[:, :, bins] = envelope["comb_ratio"].values[number]
-        amplitude[:, :, bins] = ratio[:, :, bins] ** 0.25 * envelope["comb_floor"].values[number]
+        raw[:, :, bins] = envelope["comb_level"].values[number]
+        amplitude[:, :, bins] = raw[:, :, bins] ** 0.25 * envelope["comb_floor"].values[number]
         ends = [envelope[f"comb_band_{end}"].values[number] for end in ("low", "high")]
-        made[comb] = Look(ratio, amplitude, np.stack(ends, axis=1))
+        made[comb] = Look(ratio, raw, amplitude, np.stack(ends, axis=1))
     return made
 
 
@@ -242,8 +245,7 @@ def _line(
     size = float(look.amplitude[channel, speed, peak])
     multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
     own = [other for other in places if other.name == place.name]
-    ratios = [spectra.serving(other).ratio for other in own]
-    shown = [ratio[channel, speed] if seen.any() else spectra.mean(ratio)[0] for ratio in ratios]
+    shown = look.raw[channel, speed] if seen.any() else spectra.mean(look.raw)[0]
     return EnvelopeLine(
         place=place,
         order=order,
