@@ -212,8 +212,8 @@ def _in(one: Judged, k: int) -> bool:
 def main() -> None:
     """Judge the records and publish."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--damaged", type=int, default=480)
-    parser.add_argument("--sound", type=int, default=600)
+    parser.add_argument("--damaged", type=int, default=320)
+    parser.add_argument("--sound", type=int, default=400)
     parser.add_argument("--seed", type=int, default=410_000)
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()

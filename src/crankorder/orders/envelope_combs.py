@@ -94,7 +94,14 @@ def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> NDArray
     return np.flatnonzero(seen)
 
 
-def look_nats(ratio: NDArray[np.floating], bins: NDArray[np.int64], *, count: float, floor_worth: float) -> Array:
+def look_nats(
+    ratio: NDArray[np.floating],
+    bins: NDArray[np.int64],
+    *,
+    count: float,
+    floor_worth: float,
+    free: NDArray[np.bool_],
+) -> Array:
     """Minus the logarithm of the chance (rows, looks) that noise makes a line of so high a ``ratio`` (rows, looks).
 
     The highest of each bin and its neighbours counts; each chance has a limit. The chance falls as the ratio grows, so
@@ -105,10 +112,11 @@ def look_nats(ratio: NDArray[np.floating], bins: NDArray[np.int64], *, count: fl
     ratio : power over the local floor at the ``bins`` (looks,), which increase
     count : independent spectra that it is the mean of
     floor_worth : independent bins that its floor is worth
+    free : (looks,), bins off the multiples of the cycle's order: no other counts, nor as a neighbour
     """
     log_ratio, nats = _table(max(count, 1e-3), floor_worth)
     own = np.interp(np.log(np.maximum(ratio, 1.0)), log_ratio, nats)
-    own *= np.minimum(ratio, 1.0)
+    own *= np.where(free, np.minimum(ratio, 1.0), 0.0)
     beside = np.diff(bins) == 1
     high = own.copy()
     high[:, 1:] = np.maximum(high[:, 1:], np.where(beside, own[:, :-1], 0.0))
@@ -138,11 +146,10 @@ def comb_nats(nats: Array, bins: NDArray[np.int64], comb: Comb, *, step: float, 
     step : orders from one bin of the spectra to the next
     free : (looks,), bins off the multiples of the cycle's order: no other counts
     """
-    counted = np.where(free, nats, 0.0)
     trials = comb.trials(step) / step
-    sets = _sets(counted, bins, free, comb, trials, spacing=0.0)
+    sets = _sets(nats, bins, free, comb, trials, spacing=0.0)
     if comb.spacing:
-        sets += _sets(counted, bins, free, comb, trials, spacing=comb.spacing / step)
+        sets += _sets(nats, bins, free, comb, trials, spacing=comb.spacing / step)
     made: Array = np.maximum(np.max(sets, axis=0) - np.log(len(sets)), 0.0)
     return made
 

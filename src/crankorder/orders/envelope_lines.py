@@ -65,7 +65,7 @@ def free_of_others(
 ) -> NDArray[np.bool_]:
     """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
 
-    ``revs_per_cycle`` of the engine, one or two; ``cell``: resolution in orders.
+    ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
     """
     beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
     return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)

@@ -152,8 +152,16 @@ def served(
     worth: float,
     free: NDArray[np.bool_],
 ) -> Array:
-    """Nats (combs, bands) of the best trial of each comb in each row of ``ratio`` (bands, looks)."""
-    nats = look_nats(ratio, bins, count=count, floor_worth=worth)
+    """Nats (combs, bands) of the best trial of each of ``combs`` in each row of ``ratio`` (bands, looks).
+
+    Parameters
+    ----------
+    ratio : power over the floor at the ``bins`` (looks,) of spectra with bins ``step`` orders apart
+    count : independent spectra that each is the mean of
+    worth : independent bins that its floor is worth
+    free : (orders,), bins off the multiples of the cycle's order and of mains
+    """
+    nats = look_nats(ratio, bins, count=count, floor_worth=worth, free=free[bins])
     return np.array(
         [comb_nats(nats, bins, comb, step=step, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
     )

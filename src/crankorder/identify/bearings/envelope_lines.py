@@ -270,7 +270,7 @@ def line_chances(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Chances (channel, speed, bins of ``span``) and, in the mean of all, (bins of ``span``) of noise anywhere.
 
-    They are those of a line's first harmonics together: two tones beat at one frequency, strikes have harmonics. All
+    That is of so high a line at ``place`` as ``spectra`` show in the band that serves it. They are those of a line's first harmonics together: two tones beat at one frequency, strikes have harmonics. All
     ``bins`` of all places and all bands count as trials, as far as these are independent.
     """
     if span.stop <= span.start:
@@ -304,7 +304,7 @@ def _comb_chances(
     """Chances (bins of ``span``) of the harmonics in ``ratio`` (orders,) whose first is nearest to each bin."""
     step, comb = float(spectra.order[1]), place.comb
     looks = looked_at((comb,), step=step, n_orders=len(ratio))
-    nats = look_nats(ratio[None, looks], looks, count=count, floor_worth=worth)
+    nats = look_nats(ratio[None, looks], looks, count=count, floor_worth=worth, free=free[looks])
     chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks])[0])
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
     made = np.ones(span.stop - span.start)
