@@ -270,8 +270,9 @@ def line_chances(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Chances (channel, speed, bins of ``span``) and, in the mean of all, (bins of ``span``) of noise anywhere.
 
-    That is of so high a line at ``place`` as ``spectra`` show in the band that serves it. They are those of a line's first harmonics together: two tones beat at one frequency, strikes have harmonics. All
-    ``bins`` of all places and all bands count as trials, as far as these are independent.
+    That is of so high a line at ``place`` as ``spectra`` show in the band that serves it. They are those of a line's
+    first harmonics together: two tones beat at one frequency, strikes have harmonics. All ``bins`` of all places and
+    all bands count as trials, as far as these are independent.
     """
     if span.stop <= span.start:
         return np.zeros((*spectra.count.shape, 0)), np.zeros(0)
