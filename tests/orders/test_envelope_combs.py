@@ -68,13 +68,14 @@ def test_medians_by_a_sort_are_medians():
 
 
 def rung(orders_at_hz: list[tuple[float, float]], *, size: float, seed: int, speed_rpm: float) -> xr.Dataset:
-    """RecordingEnvelope of strikes at each order that ring at its own frequency, in noise of 1."""
+    """RecordingEnvelope of strikes at each order, about a percent unsteady, that ring at its own frequency."""
     rate, n = 25_600.0, 128_000
     time = np.arange(n) / rate
     chance = np.random.default_rng(seed)
     signal = chance.standard_normal(n)
     for order, hertz in orders_at_hz:
-        turns = (order * time * speed_rpm / 60.0 + chance.random()) % 1.0
+        wander = 5e-4 * np.cumsum(chance.standard_normal(n))
+        turns = (order * time * speed_rpm / 60.0 + chance.random() + wander) % 1.0
         since = turns / order * 60.0 / speed_rpm
         signal += size * np.exp(-800.0 * since) * np.cos(2.0 * np.pi * hertz * since)
     combs = (Comb(3.15, 3.25), Comb(5.35, 5.45))
@@ -84,7 +85,7 @@ def rung(orders_at_hz: list[tuple[float, float]], *, size: float, seed: int, spe
 
 def test_two_trains_of_strikes_are_each_seen_in_their_own_band():
     both = [(3.2, 3000.0), (5.4, 10_000.0)]
-    items = [rung(both, size=2.0, seed=k, speed_rpm=rpm) for k, rpm in enumerate((1200.0, 1500.0, 1800.0))]
+    items = [rung(both, size=0.8, seed=k, speed_rpm=rpm) for k, rpm in enumerate((1200.0, 1500.0, 1800.0))]
     made = envelope_map(items, speed_bin_rpm=25.0)
     check_dataset(items[0], "envelope_map")
     check_dataset(made, "envelope_map")
@@ -94,7 +95,7 @@ def test_two_trains_of_strikes_are_each_seen_in_their_own_band():
         assert (high > hertz).all()
         assert (high - low < 7000.0).all()
         near = np.argmin(np.abs(made["look"].values - order))
-        assert made["comb_ratio"].values[comb, 0, :, near - 1 : near + 2].max() > 10.0
+        assert made["comb_ratio"].values[comb, 0, :, near - 1 : near + 2].max() > 5.0
 
 
 def test_a_map_of_recordings_without_combs_holds_none():
