@@ -36,7 +36,7 @@ def changing_recordings(shaft: xr.Dataset) -> list[int]:
 
 
 def shown_recordings(shaft: xr.Dataset) -> list[int]:
-    """Numbers of the recordings of ``shaft`` that are drawn: with changing speed, else all with pulses of an encoder."""
+    """Numbers of the recordings of ``shaft`` that are drawn: their speed changes, else all with pulses."""
     numbers = changing_recordings(shaft)
     if numbers or "speed_trace" not in shaft or "n_pulses" not in shaft:
         return numbers
