@@ -147,6 +147,8 @@ def _bands_and_pieces(
 ) -> tuple[tuple[Band, ...], list[tuple[float, float]], str]:
     """Bands to try, crank angles [rev] from and to which, and why there are none of either."""
     speed = shaft["speed"].values
+    if not recording["signal"].shape[1]:
+        return (), [], "no bearing is named, so no strikes are looked for"
     if recording.attrs["domain"] != "time":
         return (), [], "recorded by crank angle: a resonance stays at no order"
     if not len(speed) or not np.isfinite(speed).all() or not float(speed.max()) > 0.0:
