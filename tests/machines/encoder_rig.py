@@ -1,4 +1,4 @@
-"""Records of machines behind drawn encoders: eccentric, oval, uneven and jittering ones, beside what they may be taken for.
+"""Records of machines behind drawn encoders, eccentric, oval, uneven and jittering, beside what they may be taken for.
 
 An encoder whose disc is set off shows the angle x + e(x), e = eccentricity * sin(2 pi x + phase) of the true angle x
 (and twice a turn where its bore is oval). What is told for true beside it: a shaft that really swings within the turn,
