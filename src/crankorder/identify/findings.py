@@ -11,6 +11,7 @@ import xarray as xr
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
+from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
@@ -63,7 +64,8 @@ def find(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
+    known = {"sources": sources, "quantity": quantity, "settings": asked, "folds": folds}
+    causes = explained(in_map, modal, bearings, **known, of_encoder=encoder_sidebands(in_map, order_map, frames))
     tested = _tested_rpm(order_map, campbell)
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
