@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-HARMONICS = (1, 2)
-"""Swings of the angle per turn that are looked for: eccentricity and ovality."""
+HARMONICS = (1, 2, 3, 4, 5, 6)
+"""Swings of the angle per turn that are looked for: eccentricity, ovality, and lines that are uneven."""
 
 TURN_POINTS = 64
 """Points of a turn at which the modulation is sampled."""

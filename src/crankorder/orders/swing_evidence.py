@@ -21,7 +21,7 @@ LARGEST_REV = 2.0 / 360.0
 """No encoder is off by more than that: beyond, it is another line."""
 
 USUAL_REV = 0.15 / 360.0
-"""Errors of mounted encoders, as the standard deviation of each part of E_k, before anything is measured."""
+"""Errors of mounted encoders, as the standard deviation of each part of E_1, before anything is measured."""
 
 RELATIVE_ERROR = 0.03
 """Share of a sideband by which it may be off without being a line of its own: what is of second order."""
@@ -40,6 +40,9 @@ LEAST_REVS = 8
 
 ROUNDS = 3
 """Times that E_k is told from what the last one left."""
+
+LIKELY = 3.0
+"""Standard errors from which an E_k is taken out on trial."""
 
 RADII, PHASES = 48, 32
 """Grid of E_k over which the odds are summed."""
@@ -125,28 +128,32 @@ def swings_of(rows: Rows, *, may_prove: Sequence[int] = HARMONICS) -> tuple[Swin
     found: dict[int, Swing] = {}
     for _ in range(ROUNDS):
         for harmonic in HARMONICS:
-            others = {k: size for k, size in taken.items() if k != harmonic}
-            swing = _swing(rows, harmonic, others, taken.get(harmonic, 0j))
-            swing = swing if harmonic in may_prove else replace(swing, proved=False)
-            found[harmonic] = swing
+            swing = _swing(rows, harmonic, taken)
+            found[harmonic] = swing if harmonic in may_prove else replace(swing, proved=False)
             taken.pop(harmonic, None)
-            if swing.proved:
+            # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
+            if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= _largest(harmonic):
                 taken[harmonic] = swing.size
         if not taken:
             break
     return tuple(found[k] for k in HARMONICS)
 
 
-def _swing(rows: Rows, harmonic: int, others: dict[int, complex], known: complex) -> Swing:
-    """E_k of one ``harmonic`` where ``others`` are taken out; told from what ``known`` of it leaves."""
-    out = others | ({harmonic: known} if known else {})
-    value = in_true_angle(rows.value, bins_per_order=2, swings=out) if out else rows.value
-    sums = _sums(value, rows.value, rows.noise, harmonic)
+def _largest(harmonic: int) -> float:
+    """Largest error [rev] of an encoder at a ``harmonic``: what is mounted or bored errs less the finer it is."""
+    return LARGEST_REV / harmonic**2
+
+
+def _swing(rows: Rows, harmonic: int, taken: dict[int, complex]) -> Swing:
+    """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out."""
+    value = in_true_angle(rows.value, bins_per_order=2, swings=taken) if taken else rows.value
+    known = taken.get(harmonic, 0j)
+    sums = _sums(value, rows.noise, harmonic)
     # sidebands as measured: what was taken out already is put back into the targets to first order
     sums = _put_back(sums, known)
-    grid = _grid()
+    grid = _grid(harmonic)
     gain = _gains(sums, grid)
-    total = gain.sum(axis=1) + _prior(grid)
+    total = gain.sum(axis=1) + _prior(grid, harmonic)
     best = int(np.argmax(total))
     size, error, weights = _refined(sums, complex(grid[best]))
     gain_here = _gains(sums, np.array([size]))[0]
@@ -160,11 +167,11 @@ def _swing(rows: Rows, harmonic: int, others: dict[int, complex], known: complex
     bound = float(np.abs(grid[order[min(int(np.searchsorted(reach, 0.95)), len(order) - 1)]]))
     shown = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
     carriers = tuple(sorted(set(shown), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
-    proved = proof > PROOF and len(carriers) > 1 and abs(size) > 3.0 * error and abs(size) < LARGEST_REV
+    proved = proof > PROOF and len(carriers) > 1 and abs(size) > 3.0 * error and abs(size) < _largest(harmonic)
     return Swing(harmonic, size, error, bound, bool(proved), chance, carriers)
 
 
-def _sums(value: Complex, raw: Complex, noise: Floats, harmonic: int) -> _Sums:
+def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
     """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for."""
     n = value.shape[1]
     step = 2 * harmonic
@@ -185,7 +192,7 @@ def _sums(value: Complex, raw: Complex, noise: Floats, harmonic: int) -> _Sums:
         return np.asarray((weight * product).sum(axis=0))
 
     below, above = total(np.abs(u) ** 2), total(np.abs(v) ** 2)
-    kept = (below + above) * LARGEST_REV**2 > 10.0
+    kept = (below + above) * _largest(harmonic) ** 2 > 10.0
     carrier = np.where(below > above, np.abs(order - harmonic), order + harmonic)
     sums = (below, above, total(u * v.conj()), total(u.conj() * seen), total(v.conj() * seen), total(np.abs(seen) ** 2))
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
@@ -212,15 +219,15 @@ def _product(sums: _Sums, size: complex | Complex) -> Complex:
     return np.asarray(np.conj(size) * sums.low + size * sums.high)
 
 
-def _grid() -> Complex:
-    """E_k over which odds are weighed: even in the logarithm of the size and in the phase."""
-    radius = np.geomspace(1e-4 / 360.0, LARGEST_REV, RADII)
+def _grid(harmonic: int) -> Complex:
+    """E_k of a ``harmonic`` over which odds are weighed: even in the logarithm of the size and in the phase."""
+    radius = np.geomspace(2e-4, 1.0, RADII) * _largest(harmonic)
     phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
     return np.asarray((radius[:, None] * np.exp(1j * phase)).ravel())
 
 
-def _prior(grid: Complex) -> Floats:
-    return np.asarray(-0.5 * np.square(np.abs(grid) / USUAL_REV))
+def _prior(grid: Complex, harmonic: int) -> Floats:
+    return np.asarray(-0.5 * np.square(np.abs(grid) / (USUAL_REV / harmonic**2)))
 
 
 def _gains(sums: _Sums, grid: Complex) -> Floats:

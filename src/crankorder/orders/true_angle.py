@@ -30,6 +30,7 @@ LINES_PER_HARMONIC = 8.0
 WHOLE = 1e-6
 
 NAMES = {1: "eccentricity", 2: "ovality"}
+"""What makes a swing so often per turn; the others are of uneven lines."""
 
 
 @dataclass(frozen=True)
@@ -125,17 +126,19 @@ def swing_flags(swings: Swings) -> list[QualityFlag]:
 
 def _flag(recording: str, swing: Swing) -> QualityFlag:
     size, half = 360.0 * abs(swing.size), 360.0 * 1.959964 * swing.error_rev
+    name = NAMES.get(swing.harmonic, f"uneven lines ({swing.harmonic} per turn)")
     carriers = ", ".join(f"{order:g}" for order in swing.carriers[:6])
     # the angle shown less the true one as a sine, as a calibration states it
     phase = (np.degrees(np.angle(swing.size)) + 90.0 + 180.0) % 360.0 - 180.0
     detail = (
-        f"{NAMES[swing.harmonic]} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
+        f"{name} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
         f"{size + half:.3g}°) at {phase:.0f}°: orders {carriers} have sidebands {swing.harmonic} beside them that are "
         f"their order times one and the same error of the angle (chance {swing.chance:.1g}). They are no machine part "
         "and are taken out of orders and tracks; what may be left is in the intervals. The recipe calibrated-encoder "
         "takes it out of the angle itself"
     )
-    return {"recording": recording, "flag": f"encoder_{NAMES[swing.harmonic]}", "severity": "info", "detail": detail}
+    flag = f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}"
+    return {"recording": recording, "flag": flag, "severity": "info", "detail": detail}
 
 
 def _taken(own: Sequence[Swing]) -> dict[int, complex]:
