@@ -47,9 +47,10 @@ class Encoder:
 class EncoderRig:
     """A machine of one ``seed``: ``orders`` (order, complex amplitude by channel at 1000 rpm, exponent of speed).
 
-    ``modes`` (Hz, damping ratio, gain by channel), none where the shaft swings, for lines of its own would come by them; ``speeds_rpm`` of steady recordings, or the ends of a run-up where
-    ``sweep_s`` is over 0. ``swing`` (order, degrees at the slowest speed, phase): a true one, which falls with speed².
-    ``mesh`` (teeth, amplitude and phase modulation): of a gear whose wheel is set off.
+    ``modes`` (Hz, damping ratio, gain by channel), none where the shaft swings, for they would make lines of that;
+    ``speeds_rpm`` of steady recordings, or the ends of a run-up where ``sweep_s`` is over 0. ``swing`` (order, degrees
+    at the slowest speed, phase): a true one, which falls with speed². ``mesh`` (teeth, amplitude and phase modulation):
+    of a gear whose wheel is set off.
     """
 
     seed: int
@@ -114,9 +115,8 @@ def draw_rig(seed: int, kind: str | None = None, *, eccentricity: float | None =
     swing = None
     if kind == "swing":
         swing = (int(chance.integers(1, 5)), float(chance.uniform(0.1, 1.5)), float(chance.uniform(0.0, 6.28)))
-    modes = (
-        () if sweep or kind == "swing" else tuple(_mode(chance, channels) for _ in range(int(chance.integers(0, 4))))
-    )
+    free = () if sweep or kind == "swing" else range(int(chance.integers(0, 4)))
+    modes = tuple(_mode(chance, channels) for _ in free)
     pulses = int(chance.choice([1, 2, 36, 60, 120, 360, 720], p=[0.05, 0.05, 0.15, 0.2, 0.2, 0.2, 0.15]))
     encoder = Encoder(
         pulses,

@@ -20,8 +20,9 @@ from crankorder.orders.angle_swing import HARMONICS, Swing, in_true_angle
 LARGEST_REV = 2.0 / 360.0
 """No encoder is off by more than that: beyond, it is another line."""
 
-USUAL_REV = 0.15 / 360.0
-"""Errors of mounted encoders, as the standard deviation of each part of E_1, before anything is measured."""
+USUAL_REV = 0.25 / 360.0
+"""Errors of mounted encoders, as the standard deviation of each part of E_1, before anything is measured: a disc of
+12 mm radius that is set off by 0.05 mm."""
 
 RELATIVE_ERROR = 0.03
 """Share of a sideband by which it may be off without being a line of its own: what is of second order."""
