@@ -218,8 +218,8 @@ class _Course:
 def _signal(rig: EncoderRig, course: _Course, chance: np.random.Generator) -> Floats:
     """Samples (channel, sample): the lines in the true angle, through the modes, with white noise."""
     n = round(rig.duration_s * rig.rate_hz)
-    before = n // 4 if rig.modes else 0
-    time_s = np.arange(-before, n) / rig.rate_hz
+    before = n // 2 if rig.modes else 0  # what begins and ends beside the recording has died away
+    time_s = np.arange(-before, n + before) / rig.rate_hz
     mean = course.mean(time_s)
     angle = mean + course.swing(mean)
     total = np.zeros((rig.channels, len(time_s)))

@@ -64,8 +64,16 @@ def find(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
-    known = {"sources": sources, "quantity": quantity, "settings": asked, "folds": folds}
-    causes = explained(in_map, modal, bearings, **known, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    causes = explained(
+        in_map,
+        modal,
+        bearings,
+        sources=sources,
+        quantity=quantity,
+        settings=asked,
+        folds=folds,
+        of_encoder=encoder_sidebands(in_map, order_map, frames),
+    )
     tested = _tested_rpm(order_map, campbell)
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)

@@ -102,15 +102,15 @@ def _mirrored(swings: dict[int, complex], order: Floats, shift: int) -> Complex:
 def given_by_neighbours(amplitude: Floats, *, bins_per_order: int, left_rev: dict[int, float]) -> Floats:
     """Largest amplitude (…, orders) that swings of the angle of up to ``left_rev`` by harmonic give to each order.
 
-    ``amplitude`` (…, orders) is what the orders have, the axis as of :func:`in_true_angle`; the two sides are joined
-    by the root of their squares, what the line itself loses is added.
+    ``amplitude`` (…, orders) is what the orders have, the axis as of :func:`in_true_angle`. The two sides may add
+    up, harmonics and what the line itself loses are joined by the root of their squares.
     """
     n = amplitude.shape[-1]
     turned = np.nan_to_num(amplitude) * (np.pi * np.arange(n) / bins_per_order)
     total = np.zeros(amplitude.shape)
     for harmonic, size in left_rev.items():
         step = harmonic * bins_per_order
-        total += np.square(size * _moved(turned, step)) + np.square(size * _moved(turned, -step))
+        total += np.square(size * (_moved(turned, step) + _moved(turned, -step)))
         total += np.square(np.square(size * turned) / np.maximum(np.nan_to_num(amplitude), 1e-300))
     return np.asarray(np.sqrt(total))
 

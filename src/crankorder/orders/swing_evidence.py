@@ -45,8 +45,14 @@ ROUNDS = 3
 LIKELY = 3.0
 """Standard errors from which an E_k is taken out on trial."""
 
-RADII, PHASES = 48, 32
-"""Grid of E_k over which the odds are summed."""
+RADII, PHASES = 72, 40
+"""Grid of E_k over which the odds are summed …"""
+
+GRID_SLACK = 0.1
+"""… and the share of E_k by which its points are apart, about."""
+
+SLACKS = (0.15, 0.1, 0.06, *(RELATIVE_ERROR,) * 9)
+"""Shares of a sideband by which it may be off, step by step, while E_k is refined."""
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -153,7 +159,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex]) -> Swing:
     # sidebands as measured: what was taken out already is put back into the targets to first order
     sums = _put_back(sums, known)
     grid = _grid(harmonic)
-    gain = _gains(sums, grid)
+    gain = _gains(sums, grid, slack=GRID_SLACK)
     total = gain.sum(axis=1) + _prior(grid, harmonic)
     best = int(np.argmax(total))
     size, error, weights = _refined(sums, complex(grid[best]))
@@ -189,15 +195,15 @@ def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
     weight[:, 0] = 0.0
     u, v = -1j * np.pi * u, -1j * np.pi * v
 
-    def total(product: NDArray[np.generic]) -> NDArray[np.generic]:
+    def total(product: Complex) -> Complex:
         return np.asarray((weight * product).sum(axis=0))
 
-    below, above = total(np.abs(u) ** 2), total(np.abs(v) ** 2)
+    below, above, own = (np.asarray((weight * np.abs(one) ** 2).sum(axis=0)) for one in (u, v, seen))
     kept = (below + above) * _largest(harmonic) ** 2 > 10.0
     carrier = np.where(below > above, np.abs(order - harmonic), order + harmonic)
-    sums = (below, above, total(u * v.conj()), total(u.conj() * seen), total(v.conj() * seen), total(np.abs(seen) ** 2))
+    both, low, high = (total(one)[kept] for one in (u * v.conj(), u.conj() * seen, v.conj() * seen))
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
-    return _Sums(*(one[kept] for one in (*sums, count, carrier)))  # type: ignore[arg-type]
+    return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
 
 
 def _put_back(sums: _Sums, known: complex) -> _Sums:
@@ -231,15 +237,15 @@ def _prior(grid: Complex, harmonic: int) -> Floats:
     return np.asarray(-0.5 * np.square(np.abs(grid) / (USUAL_REV / harmonic**2)))
 
 
-def _gains(sums: _Sums, grid: Complex) -> Floats:
-    """Logarithm of the odds (grid, targets) of each E_k against an angle without error."""
+def _gains(sums: _Sums, grid: Complex, *, slack: float = RELATIVE_ERROR) -> Floats:
+    """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
     size = grid[:, None]
     power = np.maximum(_power(sums, size), 1e-300)
     ratio = _product(sums, size) / power
     rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
     spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
     # beside the rows' own noise, what is of second order and how coarse the grid is
-    variance = spread / power + RELATIVE_ERROR**2
+    variance = spread / power + slack**2
 
     def odds(off: Complex) -> Floats:
         square = np.abs(off) ** 2
@@ -254,20 +260,20 @@ def _refined(sums: _Sums, start: complex) -> tuple[complex, float, Floats]:
     """E_k by least squares over the targets that are sidebands, from ``start``; its standard error; their weights."""
     size, error = start, np.inf
     weights = np.zeros(len(sums.own))
-    for _ in range(12):
+    for slack in SLACKS:
         power = np.maximum(_power(sums, size), 1e-300)
         ratio = _product(sums, size) / power
         rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
         spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
         square = np.abs(ratio - 1.0) ** 2
-        variance = spread / power + RELATIVE_ERROR**2
+        variance = spread / power + slack**2
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
         weights = alone / (alone + 1.0 / (2.0 * np.pi * (square + variance) * DECADES))
-        share = weights / (spread + RELATIVE_ERROR**2 * power)
+        share = weights / (spread + slack**2 * power)
         a = float(np.sum(share * (sums.below + sums.above)))
         b = complex(np.sum(share * sums.both))
         c = complex(np.sum(share * (sums.low + sums.high.conj())))
-        # a E + 2 conj(b)/... : minimise sum |y - E u - conj(E) v|²
+        # normal equations of |y - E u - conj(E) v|² in the real and imaginary part of E
         matrix = np.array([[a + 2.0 * b.real, -2.0 * b.imag], [-2.0 * b.imag, a - 2.0 * b.real]])
         if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 1e-12 * a * a:
             return size, np.inf, weights

@@ -167,10 +167,9 @@ def _brought_back(
 
 def _given(amplitude: NDArray[np.float64], order: NDArray[np.float64], left: dict[int, float]) -> NDArray[np.float64]:
     """Largest amplitude (channel, order, frame) that swings of up to ``left`` give to each, by its neighbours."""
-    share = np.zeros((len(order), len(order)))
+    square = np.zeros(amplitude.shape)
     for harmonic, size in left.items():
-        for sign in (1.0, -1.0):
-            beside = np.abs(np.abs(order[:, None] - sign * order) - harmonic) < WHOLE
-            share += np.where(beside, np.square(np.pi * order * size), 0.0)
-    square = np.einsum("os,csf->cof", share, np.square(np.nan_to_num(amplitude)))
+        beside = np.abs(np.abs(np.subtract.outer(order, np.concatenate([order, -order]))) - harmonic) < WHOLE
+        share = np.pi * size * order * (beside[:, : len(order)] | beside[:, len(order) :])
+        square += np.square(np.einsum("os,csf->cof", share, np.nan_to_num(amplitude)))
     return np.asarray(np.sqrt(square))
