@@ -19,7 +19,7 @@ from crankorder.identify.sources import Sources
 from crankorder.stages import TestResult, analyse_recording, analyse_test
 from machines.encoder_rig import Encoder, EncoderRig, draw_rig, quiet, write_rig
 
-RIGS = 120
+RIGS = int(os.environ.get("ENCODERS_RIGS", "120"))
 FEW_LINES = 16
 """Fewer pulses per turn show no eccentricity: what moves between them is another matter."""
 NEAR = 0.05

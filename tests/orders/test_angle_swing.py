@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from crankorder.orders.angle_swing import given_by_neighbours, in_true_angle
-from crankorder.orders.swing_evidence import Rows, swings_of
+from crankorder.orders.swing_evidence import Rows, rows_of, swings_of
 
 PER_ORDER = 8
 
@@ -51,6 +52,24 @@ def rows(spectra: list[np.ndarray], noise: float, rng: np.random.Generator) -> R
     grid = np.stack([one[:: PER_ORDER // 2] for one in spectra])
     scatter = np.sqrt(0.5) * noise * (rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape))
     return Rows(grid + scatter, np.full(grid.shape, noise**2))
+
+
+def frames_of(spectrum: np.ndarray, swept: int) -> xr.Dataset:
+    """OrderFrames of 16 revolutions with ``spectrum`` (channels, frames, orders)."""
+    attrs = {"revs_per_frame": 16, "swept": swept}
+    return xr.Dataset({"spectrum": (("channel", "frame", "order"), spectrum)}, attrs=attrs)
+
+
+@pytest.mark.parametrize("swept", [0, 1])
+def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
+    rng = np.random.default_rng(4)
+    spectrum = rng.standard_normal((2, 6, 320)) + 1j * rng.standard_normal((2, 6, 320))
+    spectrum[:, 3:, 200:] = np.nan
+    spectrum[1, :, 240:] = np.nan
+    found = rows_of([frames_of(spectrum, swept)])
+    assert found is not None and found.value.shape[1] == 40
+    assert np.median(found.noise[:, 4:20]) == pytest.approx(2.0 / (1 if swept else 3), rel=0.3)
+    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found))
 
 
 def phases(rng: np.random.Generator, orders: list[float]) -> dict[float, complex]:

@@ -97,24 +97,36 @@ def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
         n = between.shape[2] // _per_half(half) + 1
         grid = np.asarray(spectrum[..., : n * half : half], dtype=np.complex128)
         power = np.square(np.abs(between.reshape(*between.shape[:2], -1, _per_half(half))))
-        noise = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=3) / np.log(2.0) if power.size else None
-        if noise is None:
+        if not power.size:
             continue
+        noise = _median(power)
         n = min(grid.shape[2], noise.shape[2])
         grid, noise = grid[..., :n], noise[..., :n]
         if not item.attrs.get("swept", 0):
-            kept = np.isfinite(grid.real)
-            count = np.maximum(kept.sum(axis=1, keepdims=True), 1)
-            noise = np.nanmean(np.where(kept, noise, np.nan), axis=1, keepdims=True) * np.minimum(2.0 / count, 1.0)
-            grid = np.where(kept, grid, 0.0).sum(axis=1, keepdims=True) / np.where(
-                kept.any(axis=1, keepdims=True), count, np.nan
-            )
+            grid, noise = _mean_of_frames(grid, noise)
         values.append(grid.reshape(-1, n))
         noises.append(noise.reshape(-1, n))
     if not values:
         return None
     n = min(value.shape[1] for value in values)
     return Rows(np.concatenate([v[:, :n] for v in values]), np.concatenate([v[:, :n] for v in noises]))
+
+
+def _median(power: Floats) -> Floats:
+    """Mean of noise by the median of its ``power`` over the last axis; infinite where nothing is known."""
+    known = np.isfinite(power)
+    some = np.where(known.any(axis=-1, keepdims=True), np.where(known, power, np.nan), np.inf)
+    return np.asarray(np.nanmedian(some, axis=-1) / np.log(2.0))
+
+
+def _mean_of_frames(grid: Complex, noise: Floats) -> tuple[Complex, Floats]:
+    """Means over the frames (channels, 1, half orders) and the noise in them; frames overlap by half."""
+    kept = np.isfinite(grid.real) & np.isfinite(noise)
+    count = kept.sum(axis=1, keepdims=True)
+    many = np.maximum(count, 1)
+    mean = np.where(count > 0, np.where(kept, grid, 0.0).sum(axis=1, keepdims=True) / many, np.nan)
+    power = np.where(kept, noise, 0.0).sum(axis=1, keepdims=True) / many * np.minimum(2.0 / many, 1.0)
+    return mean, np.where(count > 0, power, np.inf)
 
 
 def _per_half(half: int) -> int:
