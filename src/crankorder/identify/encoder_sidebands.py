@@ -30,8 +30,6 @@ def encoder_sidebands(orders: Sequence[AgreedOrder], order_map: xr.Dataset, fram
     """
     amplitude = np.nan_to_num(order_map["amplitude"].values)
     given = given_to(amplitude, frames)
-    if given is None:
-        return {}
     axis, names = order_map["order"].values, order_map["channel"].values.tolist()
     proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
     words: Words = {}

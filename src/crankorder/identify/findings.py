@@ -13,9 +13,9 @@ from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
 from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.explain import explained
-from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.explain import Causes, explained
+from crankorder.identify.folds import ShownFold, fold_flags, shown_folds
+from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
@@ -29,7 +29,7 @@ from crankorder.identify.speed_records import avoided_records, band_records, cro
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
-from crankorder.settings import Settings
+from crankorder.settings import IdentifySettings, Settings
 
 SCHEMA_VERSION = 1
 
@@ -64,16 +64,7 @@ def find(
         orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
     )
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(
-        in_map,
-        modal,
-        bearings,
-        sources=sources,
-        quantity=quantity,
-        settings=asked,
-        folds=folds,
-        of_encoder=encoder_sidebands(in_map, order_map, frames),
-    )
+    causes = _causes(in_map, modal, bearings, order_map, frames, sources, folds, asked)
     tested = _tested_rpm(order_map, campbell)
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
     meetings = crossing_records(found)
@@ -81,7 +72,6 @@ def find(
     balance, no_balance = closure(
         order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
     )
-    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     findings = {
         "schema_version": SCHEMA_VERSION,
@@ -96,7 +86,7 @@ def find(
         "open_bands": band_records(speeds.open),
         "bearings": bearings,
         "lines": line_records(records, modal, causes, channels=list(unit)),
-        **_energy(shares),
+        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)),
         "levels": level_records(levels),
         "balance": balance,
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
@@ -104,6 +94,29 @@ def find(
         "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
     }
     return findings if balance is not None else findings | {"balance_reason": no_balance}
+
+
+def _causes(
+    in_map: tuple[AgreedOrder, ...],
+    modal: ModalFit,
+    bearings: list[dict[str, Any]],
+    order_map: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    sources: Sources,
+    folds: Sequence[ShownFold],
+    asked: IdentifySettings,
+) -> Causes:
+    """What makes each line; where nothing else does, an error of the encoder may."""
+    return explained(
+        in_map,
+        modal,
+        bearings,
+        sources=sources,
+        quantity=_by_channel(order_map, "quantity"),
+        settings=asked,
+        folds=folds,
+        of_encoder=encoder_sidebands(in_map, order_map, frames),
+    )
 
 
 def _orders_in_map(

@@ -102,8 +102,9 @@ def _mirrored(swings: dict[int, complex], order: Floats, shift: int) -> Complex:
 def given_by_neighbours(amplitude: Floats, *, bins_per_order: int, left_rev: dict[int, float]) -> Floats:
     """Largest amplitude (…, orders) that swings of the angle of up to ``left_rev`` by harmonic give to each order.
 
-    ``amplitude`` (…, orders) is what the orders have, the axis as of :func:`in_true_angle`. The two sides may add
-    up, harmonics and what the line itself loses are joined by the root of their squares.
+    ``amplitude`` (…, orders) is what the orders have, the axis, with ``bins_per_order``, as of
+    :func:`in_true_angle`. The two sides may add up; harmonics, and what the line itself loses, are joined by the root
+    of their squares.
     """
     n = amplitude.shape[-1]
     turned = np.nan_to_num(amplitude) * (np.pi * np.arange(n) / bins_per_order)

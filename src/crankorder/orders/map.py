@@ -144,7 +144,7 @@ def _put_intervals(
     beside: tuple[NDArray[np.int64], NDArray[np.float64]],
     angle: AngleErrors,
     order: NDArray[np.float64],
-    given: Columns | None,
+    given: Columns,
 ) -> None:
     """Standard error, degrees of freedom and 95 % intervals of ``whole`` (channel, speed, order) into ``result``.
 
@@ -180,9 +180,8 @@ def _put_intervals(
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
-    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most) / angle.kept(order)
-    if given is not None:
-        low, high = np.maximum(low - given, 0.0), high + given
+    low = np.maximum(np.fmin(low, whole.least) - given, 0.0)
+    high = np.fmax(high, whole.most) / angle.kept(order) + given
     missing = np.isnan(coherent)
     error = np.where(missing, np.nan, np.sqrt(power / 2.0))
     _put(result, "standard_error", dims, unit * error, "standard error of coherent_amplitude")

@@ -85,7 +85,7 @@ class _Sums:
 
 
 def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
-    """Rows of OrderFrames with one mark of the crank, on multiples of half an order; None where all are too short."""
+    """Rows of ``frames`` (OrderFrames) with one mark of the crank, on half orders; None where all are too short."""
     values, noises = [], []
     for item in frames:
         revs = int(item.attrs["revs_per_frame"])

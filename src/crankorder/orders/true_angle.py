@@ -104,16 +104,16 @@ def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
     return {} if not stated else dict(zip(HARMONICS, np.max(stated, axis=0).tolist(), strict=True))
 
 
-def given_to(amplitude: NDArray[np.float64], frames: Sequence[xr.Dataset]) -> NDArray[np.float64] | None:
+def given_to(amplitude: NDArray[np.float64], frames: Sequence[xr.Dataset]) -> NDArray[np.float64]:
     """Largest amplitude that the rest of the swing in ``frames`` gives to each (…, orders) of ``amplitude``."""
     left = left_of(frames)
     if not any(left.values()):
-        return None
+        return np.zeros(amplitude.shape)
     return given_by_neighbours(amplitude, bins_per_order=int(frames[0].attrs["revs_per_frame"]), left_rev=left)
 
 
 def swing_flags(swings: Swings) -> list[QualityFlag]:
-    """What was found of the encoder, said once for a test whose recordings have one mark, else for each."""
+    """What ``swings`` say of the encoder: once for a test whose recordings have one mark, else for each."""
     flags: list[QualityFlag] = []
     for recording, own in swings.of.items():
         for swing in own:
