@@ -37,6 +37,7 @@ from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
 from crankorder.orders.synchronous_cycles import cycle_average, cycle_averages
 from crankorder.orders.tracks import followed_orders, order_tracks
+from crankorder.orders.true_angle import Swings, frames_in_true_angle, swings_of_test, tracks_in_true_angle
 from crankorder.quantities import (
     BandRecording,
     CampbellMap,
@@ -68,8 +69,10 @@ from crankorder.shaft.silent_ends import silent_ends
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
+ShownOrderFrames = NewType("ShownOrderFrames", list[xr.Dataset])
 AllOrderFrames = NewType("AllOrderFrames", list[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
+ShownRecordingTracks = NewType("ShownRecordingTracks", list[xr.Dataset])
 AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
 AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", list[xr.Dataset])
@@ -228,6 +231,24 @@ def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> Envelo
 
 
 @stage
+def swings(shown: ShownOrderFrames) -> Swings:
+    """Swing of the angle that the encoder shows about the true one, from the frames ``shown`` of all recordings."""
+    return swings_of_test(shown)
+
+
+@stage
+def frames_of_test(shown: ShownOrderFrames, swings: Swings) -> AllOrderFrames:
+    """Order frames of all recordings, as ``shown`` by the encoder, brought to the true angle by ``swings``."""
+    return AllOrderFrames(frames_in_true_angle(shown, swings))
+
+
+@stage
+def tracks_of_test(shown: ShownRecordingTracks, swings: Swings) -> AllRecordingTracks:
+    """Tracks of all recordings, as ``shown`` by the encoder, brought to the true angle by ``swings``."""
+    return AllRecordingTracks(tracks_in_true_angle(shown, swings))
+
+
+@stage
 def map_by_order(frames: AllOrderFrames, settings: Settings) -> OrderMap:
     """Order ``frames`` of all recordings averaged at like speed (``settings`` of orders)."""
     return OrderMap(order_map(frames, settings=settings.orders))
@@ -299,7 +320,18 @@ OF_RECORDING = (
     envelope_of_recording,
     levels_of_recording,
 )
-OF_TEST = (map_by_order, map_by_frequency, map_of_envelopes, findings, tracks, cycles, shapes)
+OF_TEST = (
+    swings,
+    frames_of_test,
+    tracks_of_test,
+    map_by_order,
+    map_by_frequency,
+    map_of_envelopes,
+    findings,
+    tracks,
+    cycles,
+    shapes,
+)
 
 RESULTS: dict[str, Any] = {
     "order_map": OrderMap,
@@ -313,9 +345,9 @@ RESULTS: dict[str, Any] = {
 """Noun of each result that ``results`` of the report's settings may name."""
 
 FRAMES_OF: dict[Any, Any] = {
-    AllOrderFrames: OrderFrames,
+    ShownOrderFrames: OrderFrames,
     AllFrequencyFrames: FrequencyFrames,
-    AllRecordingTracks: RecordingTracks,
+    ShownRecordingTracks: RecordingTracks,
     AllRecordingCycles: RecordingCycles,
     AllRecordingEnvelopes: RecordingEnvelope,
     AllRecordingLevels: RecordingLevels,

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
-from crankorder.identify.explain_families import explain_families
+from crankorder.identify.encoder_sidebands import OR_OWN
+from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import half_width
@@ -25,7 +26,7 @@ from crankorder.settings import IdentifySettings
 HALF_ORDER_QUANTITIES = ("pressure",)
 """In these quantities every half order is the gas cycle of a four-stroke engine itself."""
 
-NOT_KNOWN = ("unexplained", "tone", "undecided")
+NOT_KNOWN = ("unexplained", "tone", "undecided", OR_OWN)
 """Words for lines whose cause is not known."""
 
 ForcesOfCycle = dict[tuple[str, float], CycleForce]
@@ -90,6 +91,7 @@ def explained(
     settings: IdentifySettings,
     folds: Sequence[ShownFold] = (),
     known: Sequence[LineSeen] = (),
+    of_encoder: Words | None = None,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
@@ -110,6 +112,7 @@ def explained(
     settings : ``order_match`` says how near to its stated order a gear's line must be
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
+    of_encoder : lines that the encoder may make (:func:`crankorder.identify.encoder_sidebands.encoder_sidebands`)
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
@@ -120,6 +123,9 @@ def explained(
                 agreed, line, orders, bearings, races, sources, quantity[line.channel], folds, settings, forces
             )
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
+    for key, (text, evidence) in (of_encoder or {}).items():
+        if causes[key].text in BY_ITSELF:
+            causes[key] = Cause(text, evidence)
     causes |= _electric(orders, causes, modal, known, sources, settings)
     families = explain_families(
         orders,

@@ -62,7 +62,11 @@ def _meshes(
     whole: dict[int, tuple[float, OrderLine]] = {}
     for agreed, line in lines:
         multiple = of_cycle[agreed.order]
-        if multiple is not None and multiple == round(multiple):
+        if (
+            multiple is not None
+            and multiple == round(multiple)
+            and not texts[channel, agreed.order].startswith("encoder")
+        ):
             whole[round(multiple)] = (agreed.order, line)
     words: Words = {}
     known = {number for number, (order, _) in whole.items() if texts[channel, order].startswith("gear mesh")}

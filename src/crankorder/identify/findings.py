@@ -11,10 +11,11 @@ import xarray as xr
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
+from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
@@ -35,12 +36,11 @@ from crankorder.identify.motors import (
 )
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
-from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
-from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
-from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speed_doubt import speed_doubt, undecided_orders
+from crankorder.identify.speed_records import avoided_records, band_records
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
-from crankorder.settings import Settings
+from crankorder.settings import IdentifySettings, Settings
 
 SCHEMA_VERSION = 1
 
@@ -77,11 +77,19 @@ def find(
     turns = sources.revs_per_cycle
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
-    given = (in_map, modal, bearings)
-    causes = explained(*given, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
-    tested, gears = _tested_rpm(order_map, campbell), [order for _, order in sources.gears]
-    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=gears)
-    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
+    causes = explained(
+        in_map,
+        modal,
+        bearings,
+        sources=sources,
+        quantity=quantity,
+        settings=asked,
+        folds=folds,
+        known=known,
+        of_encoder=encoder_sidebands(in_map, order_map, frames),
+    )
+    tested = _tested_rpm(order_map, campbell)
+    found, speeds = _speeds(orders, modal, tested, unit, sources, asked)
     speeds = speeds if doubt is None else without_free(speeds)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
@@ -105,6 +113,20 @@ def find(
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": flags + fold_flags(order_map, settings=settings, folds=folds),
     }
+
+
+def _speeds(
+    orders: tuple[AgreedOrder, ...],
+    modal: ModalFit,
+    tested: tuple[float, float],
+    unit: dict[str, str],
+    sources: Sources,
+    asked: IdentifySettings,
+) -> tuple[Sequence[Crossing], SpeedVerdicts]:
+    """Crossings of the orders and the stated gears with the modes, and what they make of the speeds."""
+    stated = [order for _, order in sources.gears]
+    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
+    return found, speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
 
 
 def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:

@@ -122,7 +122,8 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
 
     ``amplitude_of`` gives the peak amplitudes of the whole orders of one channel. Six teeth or more, a line one shaft
     order below and above, at half of it or less, and nothing within five orders that is as large: harmonics of a shaft
-    fall off from the first and have no such summit.
+    fall off from the first and have no such summit, or a mode makes one. Where no order is missing from the first up to
+    the line, what stands beside it may be harmonics as well: then it has to be twice as large as all within five.
     """
     found = []
     for order, amplitude in amplitude_of.items():
@@ -130,6 +131,8 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
         if order < LEAST_TEETH or None in sides:
             continue
         beside = [amplitude_of.get(order + step, 0.0) for step in range(-5, 6) if step]
+        if all(below in amplitude_of for below in range(1, order)) and amplitude < MESH_RATIO * max(beside):
+            continue
         largest_side = max(side for side in sides if side is not None)
         if amplitude >= MESH_RATIO * largest_side and amplitude > max(beside):
             found.append(order)

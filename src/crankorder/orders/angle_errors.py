@@ -20,6 +20,12 @@ from crankorder.shaft.reference_errors import reference_of
 ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"
 """Attributes of frames: standard error [rev] of the crank angle, and of its mean over a revolution."""
 
+LINES = "angle_lines_per_rev"
+"""Attribute of frames: lines or samples of the encoder per crank revolution; 0 where the angle rests on none."""
+
+MANY_LINES = 360.0
+"""Lines per revolution of an encoder by whose pulses samples were taken: so many or more."""
+
 UNKNOWN_DEG = 180.0
 """Half width of the interval of a phase that is not known."""
 
@@ -56,7 +62,14 @@ class AngleErrors:
 def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, float]:
     """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
     error, of_one = _errors(shaft, revs_per_frame)
-    return {ERROR: error, OF_ONE_REV: of_one}
+    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft)}
+
+
+def _lines_per_rev(shaft: xr.Dataset) -> float:
+    """Lines of the encoder per revolution; a recording by crank angle has many, how many is not looked for."""
+    if shaft.attrs.get("domain") == "crank_angle":
+        return MANY_LINES
+    return float(shaft.attrs.get("teeth_per_rev", 0.0)) if int(shaft.attrs.get("n_pulses", 0)) > 0 else 0.0
 
 
 def errors_of_rows(

@@ -30,6 +30,7 @@ from crankorder.orders.intervals import (
     steepest_noise_beside,
 )
 from crankorder.orders.phase_marks import mark_of, one_mark, phases_compare
+from crankorder.orders.true_angle import given_to
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
@@ -108,7 +109,9 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
     made: Variables = {}
     _put_averages(made, whole, unit)
-    _put_intervals(made, whole, unit, (bins, worth), errors_of_rows(used, every.owner, groups).by_order, order)
+    given = given_to(np.abs(whole.coherent), used)
+    angle = errors_of_rows(used, every.owner, groups).by_order
+    _put_intervals(made, whole, unit, (bins, worth), angle, order, given)
     if not one_mark(used):
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = result.assign(made)
@@ -141,11 +144,13 @@ def _put_intervals(
     beside: tuple[NDArray[np.int64], NDArray[np.float64]],
     angle: AngleErrors,
     order: NDArray[np.float64],
+    given: Columns,
 ) -> None:
     """Standard error, degrees of freedom and 95 % intervals of ``whole`` (channel, speed, order) into ``result``.
 
     Where the frames' own scatter says too little the bins ``beside`` are asked too, worth so many independent ones.
-    ``angle`` (speed, 1) are the errors of the crank angle, which turn and lessen a line at each ``order``.
+    ``angle`` (speed, 1) are the errors of the crank angle, which turn and lessen a line at each ``order``; ``given``
+    is what a swing of the angle may give to it.
     """
     bins, worth = beside
     dims = ("channel", "speed", "order")
@@ -175,7 +180,8 @@ def _put_intervals(
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
         low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
-    low, high = np.fmin(low, whole.least), np.fmax(high, whole.most) / angle.kept(order)
+    low = np.maximum(np.fmin(low, whole.least) - given, 0.0)
+    high = np.fmax(high, whole.most) / angle.kept(order) + given
     missing = np.isnan(coherent)
     error = np.where(missing, np.nan, np.sqrt(power / 2.0))
     _put(result, "standard_error", dims, unit * error, "standard error of coherent_amplitude")

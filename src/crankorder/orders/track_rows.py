@@ -26,6 +26,7 @@ from crankorder.orders.intervals import (
     phase_interval_deg,
 )
 from crankorder.orders.phase_marks import LOCATED
+from crankorder.orders.true_angle import GIVEN
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 
 ON_BIN = 1e-6
@@ -371,6 +372,9 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     )
     phase, half = np.degrees(np.angle(turned)), phase_interval_deg(magnitude, power, dof)
     high, half = high / angle.kept(np.asarray(order)), angle.phase_half_deg(half, np.asarray(order))
+    if GIVEN in item:
+        given = item[GIVEN].values[:, place]
+        low, high = np.maximum(low - given, 0.0), high + given
     if item.attrs["phase_reference"] not in LOCATED:
         phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
     return OrderRows(magnitude, phase, error, dof, low, high, half)

@@ -1,0 +1,310 @@
+"""Error of the crank angle told from the sidebands of all strong orders together: one ratio for all, or none.
+
+Each order m that lies k from strong ones either is a line of its own, with any amplitude and phase, or it is what the
+angle's error makes of its neighbours: then its ratio z to that is 1, in every channel and at every speed. The two are
+weighed for every E_k at once. A wheel of teeth that is set off modulates its own mesh alike, and its harmonics in
+proportion, so what one carrier and its multiples say counts as said once, and proves nothing without another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.orders.angle_swing import HARMONICS, Swing, in_true_angle
+
+LARGEST_REV = 2.0 / 360.0
+"""No encoder is off by more than that: beyond, it is another line."""
+
+USUAL_REV = 0.25 / 360.0
+"""Errors of mounted encoders, as the standard deviation of each part of E_1, before anything is measured: a disc of
+12 mm radius that is set off by 0.05 mm."""
+
+RELATIVE_ERROR = 0.03
+"""Share of a sideband by which it may be off without being a line of its own: what is of second order."""
+
+DECADES = 9.0
+"""Natural logarithm of the range over which the amplitude of a line of its own may lie."""
+
+PROOF = 7.0
+"""Logarithm of the odds, without the carrier that says most, from which an error of the angle is proved."""
+
+LEAST_TEETH = 6
+"""Lines at multiples of this many or more may be one mesh."""
+
+LEAST_REVS = 8
+"""Revolutions of a frame below which the noise between half orders is not told."""
+
+ROUNDS = 3
+"""Times that E_k is told from what the last one left."""
+
+LIKELY = 3.0
+"""Standard errors from which an E_k is taken out on trial."""
+
+RADII, PHASES = 72, 40
+"""Grid of E_k over which the odds are summed …"""
+
+GRID_SLACK = 0.1
+"""… and the share of E_k by which its points are apart, about."""
+
+SLACKS = (0.15, 0.1, 0.06, *(RELATIVE_ERROR,) * 9)
+"""Shares of a sideband by which it may be off, step by step, while E_k is refined."""
+
+Complex = NDArray[np.complex128]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Complex amplitudes (rows, half orders) of channels, and recordings or frames of sweeps; ``noise`` power."""
+
+    value: Complex
+    noise: Floats
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Of each target (targets,), sums over the rows, over the noise: of squares and products of target and sides.
+
+    ``below``, ``above``: |u|², |v|² of what E_k and its conjugate multiply; ``both``: u conj(v); ``low``, ``high``:
+    conj(u) y, conj(v) y; ``own``: |y|²; ``count``: rows; ``carrier``: the order that gives most.
+    """
+
+    below: Floats
+    above: Floats
+    both: Complex
+    low: Complex
+    high: Complex
+    own: Floats
+    count: Floats
+    carrier: Floats
+
+
+def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
+    """Rows of ``frames`` (OrderFrames) with one mark of the crank, on half orders; None where all are too short."""
+    values, noises = [], []
+    for item in frames:
+        revs = int(item.attrs["revs_per_frame"])
+        spectrum = item["spectrum"].values
+        if revs % 2 or revs < LEAST_REVS or not spectrum.shape[1]:
+            continue
+        half = revs // 2
+        between = spectrum[..., _between(half, spectrum.shape[2])]
+        n = between.shape[2] // _per_half(half) + 1
+        grid = np.asarray(spectrum[..., : n * half : half], dtype=np.complex128)
+        power = np.square(np.abs(between.reshape(*between.shape[:2], -1, _per_half(half))))
+        if not power.size:
+            continue
+        noise = _median(power)
+        n = min(grid.shape[2], noise.shape[2])
+        grid, noise = grid[..., :n], noise[..., :n]
+        if not item.attrs.get("swept", 0):
+            grid, noise = _mean_of_frames(grid, noise)
+        values.append(grid.reshape(-1, n))
+        noises.append(noise.reshape(-1, n))
+    if not values:
+        return None
+    n = min(value.shape[1] for value in values)
+    return Rows(np.concatenate([v[:, :n] for v in values]), np.concatenate([v[:, :n] for v in noises]))
+
+
+def _median(power: Floats) -> Floats:
+    """Mean of noise by the median of its ``power`` over the last axis; infinite where nothing is known."""
+    known = np.isfinite(power)
+    some = np.where(known.any(axis=-1, keepdims=True), np.where(known, power, np.nan), np.inf)
+    return np.asarray(np.nanmedian(some, axis=-1) / np.log(2.0))
+
+
+def _mean_of_frames(grid: Complex, noise: Floats) -> tuple[Complex, Floats]:
+    """Means over the frames (channels, 1, half orders) and the noise in them; frames overlap by half."""
+    kept = np.isfinite(grid.real) & np.isfinite(noise)
+    count = kept.sum(axis=1, keepdims=True)
+    many = np.maximum(count, 1)
+    mean = np.where(count > 0, np.where(kept, grid, 0.0).sum(axis=1, keepdims=True) / many, np.nan)
+    power = np.where(kept, noise, 0.0).sum(axis=1, keepdims=True) / many * np.minimum(2.0 / many, 1.0)
+    return mean, np.where(count > 0, power, np.inf)
+
+
+def _per_half(half: int) -> int:
+    """Bins between two half orders, ``half`` bins apart, that lines on both leave alone."""
+    return max(1, half - 2 * max(2, half // 4) + 1)
+
+
+def _between(half: int, n: int) -> NDArray[np.int64]:
+    """Bins (of ``n``) between the half orders, ``half`` bins apart, group by group; above each half order."""
+    first = max(2, half // 4) if half > 4 else half // 2
+    groups = np.arange(0, n, half)[:, None] + first + np.arange(_per_half(half))
+    return np.asarray(groups[groups.max(axis=1) < n].ravel())
+
+
+def swings_of(rows: Rows, *, may_prove: Sequence[int] = HARMONICS) -> tuple[Swing, ...]:
+    """The error of the angle by harmonic, from the ``rows`` of a test; others than ``may_prove`` have but a bound."""
+    taken: dict[int, complex] = {}
+    found: dict[int, Swing] = {}
+    for _ in range(ROUNDS):
+        for harmonic in HARMONICS:
+            swing = _swing(rows, harmonic, taken)
+            found[harmonic] = swing if harmonic in may_prove else replace(swing, proved=False)
+            taken.pop(harmonic, None)
+            # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
+            if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= _largest(harmonic):
+                taken[harmonic] = swing.size
+        if not taken:
+            break
+    return tuple(found[k] for k in HARMONICS)
+
+
+def _largest(harmonic: int) -> float:
+    """Largest error [rev] of an encoder at a ``harmonic``: what is mounted or bored errs less the finer it is."""
+    return LARGEST_REV / harmonic**2
+
+
+def _swing(rows: Rows, harmonic: int, taken: dict[int, complex]) -> Swing:
+    """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out."""
+    value = in_true_angle(rows.value, bins_per_order=2, swings=taken) if taken else rows.value
+    known = taken.get(harmonic, 0j)
+    sums = _sums(value, rows.noise, harmonic)
+    # sidebands as measured: what was taken out already is put back into the targets to first order
+    sums = _put_back(sums, known)
+    grid = _grid(harmonic)
+    gain = _gains(sums, grid, slack=GRID_SLACK)
+    total = gain.sum(axis=1) + _prior(grid, harmonic)
+    best = int(np.argmax(total))
+    size, error, weights = _refined(sums, complex(grid[best]))
+    gain_here = _gains(sums, np.array([size]))[0]
+    proof = _without_strongest(gain_here, sums.carrier)
+    chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
+    posterior = np.exp(total - total.max())
+    posterior *= np.abs(grid) ** 2  # cells of a polar grid, even in the logarithm of the radius
+    posterior /= posterior.sum()
+    order = np.argsort(np.abs(grid))
+    reach = np.cumsum(posterior[order])
+    bound = float(np.abs(grid[order[min(int(np.searchsorted(reach, 0.95)), len(order) - 1)]]))
+    shown = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
+    carriers = tuple(sorted(set(shown), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
+    proved = proof > PROOF and len(carriers) > 1 and abs(size) > 3.0 * error and abs(size) < _largest(harmonic)
+    return Swing(harmonic, size, error, bound, bool(proved), chance, carriers)
+
+
+def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
+    """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for."""
+    n = value.shape[1]
+    step = 2 * harmonic
+    order = np.arange(n) / 2.0
+    seen = np.where(np.isfinite(value.real), value, 0.0)
+    u, v = np.zeros_like(seen), np.zeros_like(seen)
+    u[:, step:] = seen[:, : n - step] * order[: n - step]
+    # order m - k below 0 is the line above it, turned the other way
+    for place in range(1, min(step, n)):
+        u[:, place] = -order[step - place] * seen[:, step - place].conj() if step - place < n else 0.0
+    v[:, : n - step] = seen[:, step:] * order[step:]
+    weight = np.where(np.isfinite(value.real) & (noise > 0.0), 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
+    weight[:, n - step :] = 0.0  # what lies above is not known
+    weight[:, 0] = 0.0
+    u, v = -1j * np.pi * u, -1j * np.pi * v
+
+    def total(product: Complex) -> Complex:
+        return np.asarray((weight * product).sum(axis=0))
+
+    below, above, own = (np.asarray((weight * np.abs(one) ** 2).sum(axis=0)) for one in (u, v, seen))
+    kept = (below + above) * _largest(harmonic) ** 2 > 10.0
+    carrier = np.where(below > above, np.abs(order - harmonic), order + harmonic)
+    both, low, high = (total(one)[kept] for one in (u * v.conj(), u.conj() * seen, v.conj() * seen))
+    count = (weight > 0.0).sum(axis=0).astype(np.float64)
+    return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
+
+
+def _put_back(sums: _Sums, known: complex) -> _Sums:
+    """``sums`` whose targets have the sidebands of ``known`` again, to first order."""
+    if not known:
+        return sums
+    low = sums.low + known * sums.below + np.conj(known) * np.conj(sums.both)
+    high = sums.high + known * sums.both + np.conj(known) * sums.above
+    own = sums.own + _power(sums, known) + 2.0 * _product(sums, known).real
+    return _Sums(sums.below, sums.above, sums.both, low, high, own, sums.count, sums.carrier)
+
+
+def _power(sums: _Sums, size: complex | Complex) -> Floats:
+    """Sum of |p|² over the noise, p = size u + conj(size) v; (…, targets) for ``size`` (…, 1)."""
+    return np.asarray(np.abs(size) ** 2 * (sums.below + sums.above) + 2.0 * (np.square(size) * sums.both).real)
+
+
+def _product(sums: _Sums, size: complex | Complex) -> Complex:
+    """Sum of conj(p) y over the noise."""
+    return np.asarray(np.conj(size) * sums.low + size * sums.high)
+
+
+def _grid(harmonic: int) -> Complex:
+    """E_k of a ``harmonic`` over which odds are weighed: even in the logarithm of the size and in the phase."""
+    radius = np.geomspace(2e-4, 1.0, RADII) * _largest(harmonic)
+    phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
+    return np.asarray((radius[:, None] * np.exp(1j * phase)).ravel())
+
+
+def _prior(grid: Complex, harmonic: int) -> Floats:
+    return np.asarray(-0.5 * np.square(np.abs(grid) / (USUAL_REV / harmonic**2)))
+
+
+def _gains(sums: _Sums, grid: Complex, *, slack: float = RELATIVE_ERROR) -> Floats:
+    """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
+    size = grid[:, None]
+    power = np.maximum(_power(sums, size), 1e-300)
+    ratio = _product(sums, size) / power
+    rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
+    spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+    # beside the rows' own noise, what is of second order and how coarse the grid is
+    variance = spread / power + slack**2
+
+    def odds(off: Complex) -> Floats:
+        square = np.abs(off) ** 2
+        alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
+        other = 1.0 / (2.0 * np.pi * (square + variance) * DECADES)
+        return np.asarray(0.5 * alone + 0.5 * other)
+
+    return np.asarray(np.log(odds(ratio - 1.0)) - np.log(odds(ratio)))
+
+
+def _refined(sums: _Sums, start: complex) -> tuple[complex, float, Floats]:
+    """E_k by least squares over the targets that are sidebands, from ``start``; its standard error; their weights."""
+    size, error = start, np.inf
+    weights = np.zeros(len(sums.own))
+    for slack in SLACKS:
+        power = np.maximum(_power(sums, size), 1e-300)
+        ratio = _product(sums, size) / power
+        rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
+        spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+        square = np.abs(ratio - 1.0) ** 2
+        variance = spread / power + slack**2
+        alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
+        weights = alone / (alone + 1.0 / (2.0 * np.pi * (square + variance) * DECADES))
+        share = weights / (spread + slack**2 * power)
+        a = float(np.sum(share * (sums.below + sums.above)))
+        b = complex(np.sum(share * sums.both))
+        c = complex(np.sum(share * (sums.low + sums.high.conj())))
+        # normal equations of |y - E u - conj(E) v|² in the real and imaginary part of E
+        matrix = np.array([[a + 2.0 * b.real, -2.0 * b.imag], [-2.0 * b.imag, a - 2.0 * b.real]])
+        if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 1e-12 * a * a:
+            return size, np.inf, weights
+        solved = np.linalg.solve(matrix, np.array([c.real, c.imag]))
+        size = complex(solved[0], solved[1])
+        off = float(np.sum(share * square * power)) / max(2.0 * float(weights.sum()) - 2.0, 1.0)
+        covariance = np.linalg.inv(matrix) * max(0.5, off)
+        error = float(np.sqrt(0.5 * np.trace(covariance)))
+    return size, error, weights
+
+
+def _without_strongest(gain: Floats, carrier: Floats) -> float:
+    """Sum of ``gain`` (targets,) without that of the carrier, or of one mesh's multiples, that says most."""
+    total, least = float(gain.sum()), np.inf
+    for number in np.unique(carrier):
+        family = carrier == number
+        if number >= LEAST_TEETH and float(number).is_integer():
+            for teeth in range(LEAST_TEETH, int(number) + 1):
+                if number % teeth == 0:
+                    family = family | (np.mod(carrier, teeth) == 0)
+        least = min(least, total - float(gain[family].sum()))
+    return least if np.isfinite(least) else 0.0

@@ -1,0 +1,175 @@
+"""Frames and tracks of a test brought from the angle that its encoder shows to the true one, where both are told apart.
+
+What is not told apart, or left of it, travels with them (``angle_swing_left_rev``) and widens intervals of amplitudes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.orders.angle_errors import LINES
+from crankorder.orders.angle_swing import HARMONICS, Swing, given_by_neighbours, in_true_angle, modulation
+from crankorder.orders.phase_marks import one_mark
+from crankorder.orders.swing_evidence import rows_of, swings_of
+from crankorder.quantities import QualityFlag, with_flags
+
+LEFT, TAKEN = "angle_swing_left_rev", "angle_swing_taken_rev"
+"""Attributes of frames and tracks: by harmonic, what of the angle's swing may be left, and what was taken out."""
+
+GIVEN = "given_by_swing"
+"""Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
+
+LINES_PER_HARMONIC = 8.0
+"""Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
+
+WHOLE = 1e-6
+
+NAMES = {1: "eccentricity", 2: "ovality"}
+"""What makes a swing so often per turn; the others are of uneven lines."""
+
+
+@dataclass(frozen=True)
+class Swings:
+    """Swings of the angle, those of each recording: ``of`` by its name; ``shared`` where all have one mark."""
+
+    of: dict[str, tuple[Swing, ...]]
+    shared: bool
+
+
+def swings_of_test(frames: Sequence[xr.Dataset]) -> Swings:
+    """Swings of the angle of every recording in ``frames`` (OrderFrames) that has lines of an encoder to show them.
+
+    Recordings with one mark of the crank are told together: an encoder errs at the same place in all of them.
+    """
+    used = [item for item in frames if float(item.attrs.get(LINES, 0.0)) > 0.0]
+    shared = bool(used) and one_mark(used)
+    made: dict[str, tuple[Swing, ...]] = {}
+    for group in [used] if shared else [[item] for item in used]:
+        rows = rows_of(group)
+        if rows is None:
+            continue
+        lines = min(float(item.attrs[LINES]) for item in group)
+        may = [harmonic for harmonic in HARMONICS if lines >= LINES_PER_HARMONIC * harmonic]
+        swings = swings_of(rows, may_prove=may)
+        made |= {str(item.attrs["recording"]): swings for item in group}
+    return Swings(made, shared)
+
+
+def frames_in_true_angle(frames: Sequence[xr.Dataset], swings: Swings) -> list[xr.Dataset]:
+    """``frames`` (OrderFrames) without the sidebands of the swings that are proved; the first carries the flags."""
+    made = []
+    for item in frames:
+        own = swings.of.get(str(item.attrs["recording"]), ())
+        taken = _taken(own)
+        if taken:
+            spectrum = item["spectrum"]
+            per_order = int(item.attrs["revs_per_frame"])
+            values = in_true_angle(spectrum.values, bins_per_order=per_order, swings=taken)
+            item = item.assign(spectrum=(spectrum.dims, values.astype(spectrum.dtype), spectrum.attrs))
+        made.append(item.assign_attrs(_stated(own)) if own else item)
+    flags = swing_flags(swings)
+    if flags and made:
+        made[0] = with_flags(made[0].copy(), flags)
+    return made
+
+
+def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list[xr.Dataset]:
+    """``followed`` (RecordingTracks) without what the orders followed give to one another by the swings proved."""
+    made = []
+    for item in followed:
+        own = swings.of.get(str(item.attrs.get("recording", "")), ())
+        if not own or "amplitude" not in item:
+            made.append(item)
+            continue
+        amplitude = item["amplitude"]
+        order = item["order"].values.astype(np.float64)
+        values = _brought_back(amplitude.values, order, _taken(own))
+        given = _given(np.abs(values), order, {one.harmonic: one.left_rev for one in own})
+        words = {"units": "see unit", "long_name": "largest amplitude that the rest of the angle's swing gives"}
+        item = item.assign(
+            {"amplitude": (amplitude.dims, values, amplitude.attrs), GIVEN: (amplitude.dims, given, words)}
+        )
+        made.append(item.assign_attrs(_stated(own)))
+    return made
+
+
+def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
+    """What may be left of each harmonic of the swing [rev] in ``frames``, the largest."""
+    stated = [np.atleast_1d(item.attrs[LEFT]) for item in frames if LEFT in item.attrs]
+    return {} if not stated else dict(zip(HARMONICS, np.max(stated, axis=0).tolist(), strict=True))
+
+
+def given_to(amplitude: NDArray[np.float64], frames: Sequence[xr.Dataset]) -> NDArray[np.float64]:
+    """Largest amplitude that the rest of the swing in ``frames`` gives to each (…, orders) of ``amplitude``."""
+    left = left_of(frames)
+    if not any(left.values()):
+        return np.zeros(amplitude.shape)
+    return given_by_neighbours(amplitude, bins_per_order=int(frames[0].attrs["revs_per_frame"]), left_rev=left)
+
+
+def swing_flags(swings: Swings) -> list[QualityFlag]:
+    """What ``swings`` say of the encoder: once for a test whose recordings have one mark, else for each."""
+    flags: list[QualityFlag] = []
+    for recording, own in swings.of.items():
+        for swing in own:
+            if swing.proved:
+                flags.append(_flag("all" if swings.shared else recording, swing))
+        if swings.shared:
+            break
+    return flags
+
+
+def _flag(recording: str, swing: Swing) -> QualityFlag:
+    size, half = 360.0 * abs(swing.size), 360.0 * 1.959964 * swing.error_rev
+    name = NAMES.get(swing.harmonic, f"uneven lines ({swing.harmonic} per turn)")
+    carriers = ", ".join(f"{order:g}" for order in swing.carriers[:6])
+    # the angle shown less the true one as a sine, as a calibration states it
+    phase = (np.degrees(np.angle(swing.size)) + 90.0 + 180.0) % 360.0 - 180.0
+    detail = (
+        f"{name} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
+        f"{size + half:.3g}°) at {phase:.0f}°: orders {carriers} have sidebands {swing.harmonic} beside them that are "
+        f"their order times one and the same error of the angle (chance {swing.chance:.1g}). They are no machine part "
+        "and are taken out of orders and tracks; what may be left is in the intervals. The recipe calibrated-encoder "
+        "takes it out of the angle itself"
+    )
+    flag = f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}"
+    return {"recording": recording, "flag": flag, "severity": "info", "detail": detail}
+
+
+def _taken(own: Sequence[Swing]) -> dict[int, complex]:
+    return {swing.harmonic: swing.size for swing in own if swing.proved}
+
+
+def _stated(own: Sequence[Swing]) -> dict[str, list[float]]:
+    return {LEFT: [one.left_rev for one in own], TAKEN: [abs(one.size) if one.proved else 0.0 for one in own]}
+
+
+def _brought_back(
+    values: NDArray[np.complex128], order: NDArray[np.float64], taken: dict[int, complex]
+) -> NDArray[np.complex128]:
+    """``values`` (channel, order, frame) at each ``order`` in the true angle, as far as all are followed."""
+    if not taken:
+        return values
+    both = np.concatenate([order, -order])
+    shifts, gains = modulation(taken, both)
+    known = np.nan_to_num(values)
+    sources = np.concatenate([known, known.conj()], axis=1)
+    turn = np.zeros((len(order), len(both)), dtype=np.complex128)
+    for q, gain in zip(shifts.tolist(), gains, strict=True):
+        turn += np.where(np.abs(order[:, None] - both - q) < WHOLE, gain, 0.0)
+    return np.where(np.isfinite(values.real), np.einsum("os,csf->cof", turn, sources), np.nan)
+
+
+def _given(amplitude: NDArray[np.float64], order: NDArray[np.float64], left: dict[int, float]) -> NDArray[np.float64]:
+    """Largest amplitude (channel, order, frame) that swings of up to ``left`` give to each, by its neighbours."""
+    square = np.zeros(amplitude.shape)
+    for harmonic, size in left.items():
+        beside = np.abs(np.abs(np.subtract.outer(order, np.concatenate([order, -order]))) - harmonic) < WHOLE
+        share = np.pi * size * order * (beside[:, : len(order)] | beside[:, len(order) :])
+        square += np.square(np.einsum("os,csf->cof", share, np.nan_to_num(amplitude)))
+    return np.asarray(np.sqrt(square))

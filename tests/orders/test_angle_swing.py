@@ -1,0 +1,112 @@
+"""Sidebands of an angle that swings are taken out exactly, and told from lines of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.orders.angle_swing import given_by_neighbours, in_true_angle
+from crankorder.orders.swing_evidence import Rows, rows_of, swings_of
+
+PER_ORDER = 8
+
+
+def shown(lines: dict[float, complex], swings: dict[int, complex]) -> np.ndarray:
+    """Order spectrum of ``lines`` by an angle that is off by ``swings`` [rev], by Fourier sums over eight turns."""
+    n = 4096
+    seen = PER_ORDER * np.arange(n) / n
+    true = seen.copy()
+    for _ in range(60):  # what is shown is the true angle and the error there
+        true = seen - sum((size * np.exp(2j * np.pi * k * true)).real for k, size in swings.items())
+    signal = sum((size * np.exp(2j * np.pi * order * true)).real for order, size in lines.items())
+    return np.fft.rfft(signal)[: 24 * PER_ORDER] * (2.0 / n)
+
+
+def test_lines_are_brought_back_to_where_they_belong():
+    lines = {0.5: 1.0 + 0.2j, 1.0: 2.0j, 7.0: 3.0 + 0j, 12.5: 1.0 - 1.0j}
+    swings = {1: 0.4 / 360.0 * np.exp(0.7j), 2: 0.2 / 360.0 * np.exp(-2.0j)}
+    made = in_true_angle(shown(lines, swings), bins_per_order=PER_ORDER, swings=swings)
+    wanted = np.zeros(24 * PER_ORDER, dtype=complex)
+    for order, size in lines.items():
+        wanted[round(order * PER_ORDER)] = size
+    np.testing.assert_allclose(made, wanted, atol=2e-4)
+    assert np.abs(shown(lines, swings) - wanted).max() > 0.02
+
+
+def test_what_is_not_known_stays_so_and_gives_nothing():
+    spectrum = np.ones(60, dtype=complex)
+    spectrum[50:] = np.nan
+    made = in_true_angle(spectrum, bins_per_order=4, swings={1: 1e-3 + 0j})
+    assert np.isnan(made[50:]).all() and np.isfinite(made[:50]).all()
+
+
+def test_a_rest_of_the_swing_gives_each_line_what_carson_says():
+    amplitude = np.zeros(30 * PER_ORDER)
+    amplitude[10 * PER_ORDER] = 2.0
+    given = given_by_neighbours(amplitude, bins_per_order=PER_ORDER, left_rev={1: 1e-3})
+    assert given[9 * PER_ORDER] == given[11 * PER_ORDER] == pytest.approx(np.pi * 10.0 * 1e-3 * 2.0)
+
+
+def rows(spectra: list[np.ndarray], noise: float, rng: np.random.Generator) -> Rows:
+    grid = np.stack([one[:: PER_ORDER // 2] for one in spectra])
+    scatter = np.sqrt(0.5) * noise * (rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape))
+    return Rows(grid + scatter, np.full(grid.shape, noise**2))
+
+
+def frames_of(spectrum: np.ndarray, swept: int) -> xr.Dataset:
+    """OrderFrames of 16 revolutions with ``spectrum`` (channels, frames, orders)."""
+    attrs = {"revs_per_frame": 16, "swept": swept}
+    return xr.Dataset({"spectrum": (("channel", "frame", "order"), spectrum)}, attrs=attrs)
+
+
+@pytest.mark.parametrize("swept", [0, 1])
+def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
+    rng = np.random.default_rng(4)
+    spectrum = rng.standard_normal((2, 6, 320)) + 1j * rng.standard_normal((2, 6, 320))
+    spectrum[:, 3:, 200:] = np.nan
+    spectrum[1, :, 240:] = np.nan
+    found = rows_of([frames_of(spectrum, swept)])
+    assert found is not None and found.value.shape[1] == 40
+    assert np.median(found.noise[:, 4:20]) == pytest.approx(2.0 / (1 if swept else 3), rel=0.3)
+    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found))
+
+
+def phases(rng: np.random.Generator, orders: list[float]) -> dict[float, complex]:
+    return {order: complex(rng.lognormal() * np.exp(2j * np.pi * rng.random())) for order in orders}
+
+
+@pytest.mark.parametrize("degrees", [0.05, 0.2, 0.5])
+def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
+    rng = np.random.default_rng(round(1000 * degrees))
+    inside = 0
+    for _ in range(6):
+        size = degrees / 360.0 * np.exp(2j * np.pi * rng.random())
+        spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: size}) for _ in range(4)]
+        found = swings_of(rows(spectra, 5e-4, rng))[0]
+        assert found.proved
+        inside += abs(found.size - size) < found.left_rev
+        assert abs(found.size - size) < 0.1 * abs(size)
+    assert inside >= 5
+
+
+def test_a_good_encoder_is_cleared():
+    rng = np.random.default_rng(5)
+    for orders in ([1.0, 2.0, 3.0, 4.0, 6.0], [float(n) for n in range(1, 13)], [2.0, 5.5, 9.0]):
+        for _ in range(6):
+            same = phases(rng, orders)  # alike at all speeds, as beside no mode
+            found = swings_of(rows([shown(same, {}) for _ in range(4)], 1e-3, rng))
+            assert not any(swing.proved and abs(swing.size) > 1e-2 / 360.0 for swing in found)
+
+
+def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
+    rng = np.random.default_rng(6)
+    for _ in range(8):
+        turned = 0.3 * np.exp(2j * np.pi * rng.random())
+        lines = {1.0: 0.5 + 0j, 2.0: 0.3j}
+        for multiple in (1, 2):  # the harmonics of a mesh are turned in proportion, as by an encoder
+            size = complex(np.exp(2j * np.pi * rng.random()) / multiple)
+            lines[9.0 * multiple] = size
+            lines[9.0 * multiple + 1] = 0.5j * multiple * turned * size
+            lines[9.0 * multiple - 1] = 0.5j * multiple * np.conj(turned) * size
+        assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng))[0].proved
