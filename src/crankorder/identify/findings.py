@@ -36,8 +36,9 @@ from crankorder.identify.motors import (
 )
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
-from crankorder.identify.speed_doubt import speed_doubt, undecided_orders
-from crankorder.identify.speed_records import avoided_records, band_records
+from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
+from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
+from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import IdentifySettings, Settings
