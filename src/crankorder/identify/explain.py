@@ -45,6 +45,12 @@ UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
 """Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own
 eccentricity at any speed; 2 in acceleration, and in all other quantities that of the force."""
 
+ONE_SPEED = "too few speeds to tell how it grows"
+"""What is said of an order of which nothing tells whether it grows as an unbalance does."""
+
+NO_MOTION = ("pressure", "voltage", "current", "temperature")
+"""In these quantities order 1 is no motion, and no sign of an unbalance."""
+
 SLOWER = 1.0
 """A line that surely grows more slowly than that by this power of the speed is something else."""
 
@@ -292,11 +298,11 @@ def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: Id
 
 def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, quantity: str, proof: str) -> Cause | None:
     """Unbalance, where order 1 does not surely grow more slowly than one does in that ``quantity``."""
-    if of_cycle != 1.0:
+    if of_cycle != 1.0 or any(word in quantity for word in NO_MOTION):
         return None
     grown = growth(line)
     if grown is None:
-        return Cause("unbalance", f"order 1, {proof}; too few speeds to tell how it grows")
+        return Cause("unbalance", f"order 1, {proof}; {ONE_SPEED}")
     if grown.law == "follows no power law":
         return Cause("unbalance", f"order 1, {proof}; no power of the speed describes how it grows")
     low, high = grown.ci95
@@ -409,8 +415,10 @@ def _shaft_harmonic(of_cycle: float | None, sources: Sources, proof: str) -> Cau
 
 def _why_not(agreed: AgreedOrder, sources: Sources) -> str:
     of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
-    if of_cycle is None:
+    if of_cycle is None and agreed.lock == "slips":
         return "not locked to the shaft, and nothing that was stated makes this order"
+    if of_cycle is None:
+        return "no multiple of the cycle as far as can be told, and nothing that was stated makes this order"
     if sources.engine_orders and of_cycle == round(of_cycle):
         return f"turns with the shaft, but the engine's kinematics make no order {of_cycle:g} worth mention"
     return "turns with the cycle, and nothing that was stated makes this order"

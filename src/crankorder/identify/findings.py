@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,17 +79,8 @@ def find(
     turns = sources.revs_per_cycle
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(
-        in_map,
-        modal,
-        bearings,
-        sources=sources,
-        quantity=quantity,
-        settings=asked,
-        folds=folds,
-        known=known,
-        of_encoder=encoder_sidebands(in_map, order_map, frames),
-    )
+    explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
+    causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
     tested = _tested_rpm(order_map, campbell)
     found, speeds = _speeds(orders, modal, tested, unit, sources, asked)
     speeds = speeds if doubt is None else without_free(speeds)

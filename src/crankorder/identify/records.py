@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crankorder.identify.explain import Cause, Causes
-from crankorder.identify.found import AgreedOrder, Evidence, ModalFit, Mode, OrderLine, Tone, Whirl
+from crankorder.identify.found import AgreedOrder, Evidence, Lock, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
@@ -22,6 +22,11 @@ _NOT_LOCKED: dict[Evidence, str] = {
     "steady, not locked": "steady from frame to frame",
 }
 """What a channel shows of a line, in words that leave its lock to the verdict on all channels together."""
+
+
+def _evidence(shown: Evidence, lock: Lock) -> str:
+    """What a channel shows of a line, beside the verdict ``lock`` on all channels."""
+    return shown if lock == "locked" and shown == "locked to the shaft" else _NOT_LOCKED.get(shown, shown)
 
 
 def order_records(
@@ -53,7 +58,7 @@ def _order_record(
     best, law = largest(line), growth(line)
     phase = float(line.phase_deg[best.at])
     said = (
-        line.evidence if agreed.lock == "locked" else _NOT_LOCKED.get(line.evidence, line.evidence),
+        _evidence(line.evidence, agreed.lock),
         f"{line.level_over_floor_db:.1f} dB over the local floor",
         agreed.reservation,
         line.reservation,

@@ -56,7 +56,19 @@ def bearing_records(
         found = envelope_lines(spectra, places, false_alarm_probability=level)
         speeds = _shaft_speeds(spectra, found) if envelope.attrs["speed_basis"] == "nominal" else {}
         records += [_envelope_record(line, found, spectra, envelope, level=level, shafts=speeds) for line in found]
-    return [_with_races(record, records) for record in records]
+    return [_with_races(record, records) for record in records if not _is_excluded(record, records)]
+
+
+def _is_excluded(record: dict[str, Any], records: list[dict[str, Any]]) -> bool:
+    """Whether a ``record`` of N*fs in the vibration that slips is not the sum of both races as they were found."""
+    if record["line"] != "N*fs" or record["seen_in"] != "vibration" or record["lock"] == "locked":
+        return False
+    races = {one["line"]: one for one in records if one["name"] == record["name"] and one["line"] in ("BPFO", "BPFI")}
+    if len(races) < 2:
+        return False
+    total = sum(float(one["order"]) for one in races.values())
+    spare = sum(float(one["order_ci95"][1] - one["order"]) for one in (*races.values(), record))
+    return bool(abs(record["order"] - total) > max(2.0 * spare, 1e-3 * total))
 
 
 def _with_races(record: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, Any]:

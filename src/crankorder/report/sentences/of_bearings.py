@@ -45,11 +45,18 @@ def bearing_sentences(findings: dict[str, Any], *, with_rule: bool = True) -> li
         names = list(dict.fromkeys(named(record.get("name", ""), limit=NAME_CHARACTERS) for record in records))
         which = _LINE_NAMES.get(line, named(line, limit=NAME_CHARACTERS))
         text = (
-            f"Order {order_name(best, findings)} fits the {which} line of the {listed(names)} "
-            f"bearing{'s' if len(names) > 1 else ''}: {_seen(findings, best)}."
+            f"Order {order_name(best, findings)} fits the {which} line of the {listed(names)}"
+            f"{_noun(names)}: {_seen(findings, best)}."
         )
         sentences.append(text + _verdict(best) + (f" {RE_RUN_RULE}" if with_rule and asks_re_run(best) else ""))
     return sentences
+
+
+def _noun(names: list[str]) -> str:
+    """``" bearing"`` or ``" bearings"``; nothing where the only name says so itself."""
+    if len(names) == 1:
+        return "" if names[0].lower().endswith("bearing") else " bearing"
+    return " bearings"
 
 
 def asks_re_run(record: dict[str, Any]) -> bool:

@@ -117,14 +117,10 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
             swept = swept or "a recording at one speed would tell" in str(record.get("evidence") or "")
     sentences = []
     if slips:
-        verb = "slip" if len(slips) > 1 else "slips"
-        sentences.append(f"{_orders(slips[:_SHOWN])} {verb}: no exact multiple of the half revolution.")
-    if loose:
-        are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
-        sentences.append(
-            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
-            f"whether {it} the shaft."
-        )
+        several = len(slips) > 1
+        are, them = ("are no exact multiples", "them") if several else ("is no exact multiple", "it")
+        why = f"what makes {them} slips, or turns in a ratio of its own"
+        sentences.append(f"{_orders(slips[:_SHOWN])} {are} of the half revolution: {why}.")
     if open_:
         which = "they are" if len(open_) > 1 else "it is"
         more = " and more" if len(open_) > _SHOWN else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, TypedDict
 
+from crankorder.identify.explain import ONE_SPEED
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
@@ -144,14 +145,24 @@ def energy_sentence(findings: dict[str, Any]) -> str:
     if not whole and not findings.get("lines") and not findings.get("orders"):
         return ""  # no line, no energy of lines
     what = "the energy that is not broadband" if whole else "the energy of the lines that were found"
+    if findings.get("speed_doubt"):
+        return ""  # what orders explain is as good as the speed
     judged = not whole or energy is None or energy.get("cells_judged") is not False
     but = "" if judged else " What lies between the lines could not be judged."
     if float(fraction) == 0 and whole and not has_lines(findings):
         return f"No order and no tone holds energy that would need a cause.{but}"
+    if float(fraction) == 0 and (_has_unexplained(findings) or _much_above(findings)):
+        return f"Less than 0.1 % of {what} in the band that was looked at has no known cause.{but}"
     if float(fraction) == 0:
         by = "orders and tones with a known cause" if whole else "what the tables name"
         return f"All of {what} is explained by {by}: 0 % is unexplained.{but}"
     return f"{percent_text(float(fraction))} of {what} has no known cause.{but}"
+
+
+def _much_above(findings: dict[str, Any]) -> bool:
+    """Whether a channel of ``findings`` has much of its energy above the band that was looked at."""
+    shares = [record.get("share_above") for record in findings.get("levels") or []]
+    return any(is_number(share) and share > _MUCH_UNKNOWN for share in shares)
 
 
 def has_lines(findings: dict[str, Any]) -> bool:
@@ -189,7 +200,7 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     if _unbalance_leads(findings):
         asks.append(BALANCE)
     fraction = findings.get("unexplained_energy_fraction")
-    if is_number(fraction) and fraction > _MUCH_UNKNOWN:
+    if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
         asks.append("Look for the cause of the lines that the tables call unexplained.")
     asks += _repeat_sentences(findings)
     if not asks and nothing_proven(findings):
@@ -200,14 +211,23 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     return [*asks[: len(sentences)], *free_sentences(findings), *asks[len(sentences) :]]
 
 
+def _has_unexplained(findings: dict[str, Any]) -> bool:
+    """Whether any line of ``findings`` is called unexplained."""
+    return any(record.get("explained_by") == "unexplained" for record in findings.get("lines", []))
+
+
 def _unbalance_leads(findings: dict[str, Any]) -> bool:
     """Whether the strongest order of any channel is unbalance."""
     records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude"))]
     names = {str(record.get("channel")) for record in records}
     of = {name: [one for one in records if str(one.get("channel")) == name] for name in names}
     strongest = [max(group, key=lambda one: float(one["amplitude"])) for group in of.values()]
-    sure = not findings.get("speed_doubt")
-    return sure and any(str(record.get("explained_by")) == "unbalance" for record in strongest)
+    if findings.get("speed_doubt") or lies_above(findings):
+        return False
+    return any(
+        str(record.get("explained_by")) == "unbalance" and ONE_SPEED not in str(record.get("evidence"))
+        for record in strongest
+    )
 
 
 def _repeat_sentences(findings: dict[str, Any]) -> list[str]:
