@@ -216,14 +216,36 @@ def _collect(
 
 
 def _leave_out(results: dict[Path, RecordingResult], outcome: Outcome, severities: tuple[Severity, ...]) -> None:
-    """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages."""
+    """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages.
+
+    What a flag says was left out already, a channel or a stretch of it, does not take the recording along.
+    """
     for path, result in list(results.items()):
-        doubts = [flag for flag in result.flags if flag["severity"] in severities]
+        doubts = [
+            flag
+            for flag in result.flags
+            if flag["severity"] in severities and ("suspect" in severities or "left_out" not in flag)
+        ]
         if doubts:
             del results[path]
             found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
             problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
             outcome.faults.append(InputError(problem, file=path.name, found=found))
+            continue
+        outcome.faults += [
+            InputError("one channel left out of all averages", file=path.name, place=place, found=found)
+            for place, found in _channels_left_out(result.flags).items()
+        ]
+
+
+def _channels_left_out(flags: list[QualityFlag]) -> dict[str, str]:
+    """Why each channel was left out that was."""
+    found: dict[str, str] = {}
+    for flag in flags:
+        if flag.get("left_out") == "channel":
+            name, said = flag["channel"], f"{flag['flag']} ({flag['detail']})"
+            found[name] = f"{found[name]}; {said}" if name in found else said
+    return found
 
 
 KINEMATIC_SHARE = 1e-3
