@@ -99,7 +99,7 @@ def _bearing(rng: np.random.Generator) -> Drawn:
     rate, time = _axis(rng)
     hz = rng.uniform(8.0, 30.0)
     rows = _rows(rng, _steady_angle(rng, time, hz), np.array([1.0, 2.0]))
-    gaps = rng.normal(1.0, 0.01, int(time[-1] * hz * 4)) / (hz * rng.uniform(2.5, 9.0))
+    gaps = rng.normal(1.0, 0.01, int(time[-1] * hz * 10)) / (hz * rng.uniform(2.5, 9.0))
     starts = np.cumsum(gaps)
     starts = starts[starts < time[-1]]
     sizes = rows.std() * rng.uniform(0.5, 15.0) * rng.lognormal(0.0, 0.3, starts.size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def check_found(kind: str, n: int, seed: int) -> None:
         hits.append(kind in own)
     sizes, hits = np.array(sizes), np.array(hits)
     edges = np.quantile(sizes, np.linspace(0.0, 1.0, 6))
-    parts = [(sizes >= low) & (sizes <= high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    parts = [(sizes >= low) & (sizes <= high) for low, high in pairwise(edges)]
     rates = ", ".join(f"{sizes[p].min():.3g}…{sizes[p].max():.3g}: {hits[p].mean():.0%}" for p in parts)
     print(f"\n{kind} (seed {seed}, {n}): {rates}; also told: {dict(beside)}")
     large = sizes >= LARGE[kind]

@@ -18,18 +18,21 @@ _LOOK = 8192
 _LINES = 6
 _STANDS_OUT = 10.0
 """Power of a line over the median about it."""
-_SERIES = 4096
+_SERIES = 2048
 _MULTIPLES = 4
-_OFF_MAINS = 0.02
+_OFF_MAINS = 0.01
 """Mains and a half order of the shaft closer than this share are not told apart."""
 
 
 def root_mean_square(survey: Survey) -> float:
     """Root mean square of the vibration of a signal, NaN where too much is missing."""
-    means = survey.means[np.isfinite(survey.means)]
-    if not means.size:
+    square = float(survey.means.var()) + float(survey.variances.mean())
+    if math.isfinite(square):
+        return math.sqrt(square)
+    known = np.isfinite(survey.means)
+    if not known.any():
         return math.nan
-    return math.sqrt(float(np.nanmean(survey.variances)) + float(means.var()))
+    return math.sqrt(float(survey.means[known].var()) + float(survey.variances[known].mean()))
 
 
 def find_copies(signals: FloatArray, names: Sequence[str]) -> dict[int, SignalFault]:
@@ -123,7 +126,8 @@ def find_mains_only(
     """
     if not math.isfinite(shaft_hz) or len(surveys) < 2:
         return {}
-    series = [np.nan_to_num(each.means[: 4 * _SERIES] - np.nanmean(each.means)) for each in surveys]
+    series = np.stack([each.means[: 8 * _SERIES] for each in surveys])
+    series = np.nan_to_num(series - np.nanmean(series, axis=1, keepdims=True))
     series_hz = rate_hz / surveys[0].size
     if len(series[0]) < _SERIES // 8 or len(series[0]) / series_hz < 1.0:
         return {}
@@ -131,7 +135,7 @@ def find_mains_only(
     for mains_hz in (50.0, 60.0):
         if shaft_hz > 0.0 and abs((ratio := 2.0 * mains_hz / shaft_hz) - round(ratio)) < _OFF_MAINS * ratio:
             continue
-        shares = np.array([_mains_share(row, series_hz, mains_hz) for row in series]) / np.square(sizes)
+        shares = _mains_power(series[:, :_SERIES], series_hz, mains_hz) / np.square(sizes)
         candidates = np.flatnonzero(shares > settings.mains_share)
         if not candidates.size or candidates.size == len(surveys):
             continue
@@ -143,14 +147,15 @@ def find_mains_only(
     return {}
 
 
-def _mains_share(row: Floats, series_hz: float, mains_hz: float) -> float:
-    """Mean square of mains and its multiples in ``row``."""
-    row = row[:_SERIES]
-    window = np.hanning(len(row))
-    multiples = mains_hz * np.arange(1, _MULTIPLES + 1)
-    multiples = multiples[multiples < 0.45 * series_hz]
-    turns = np.exp(-2j * np.pi * multiples[:, None] / series_hz * np.arange(len(row)))
-    return float((2.0 * np.square(np.abs(turns @ (window * row)) / window.sum())).sum())
+def _mains_power(series: Floats, series_hz: float, mains_hz: float) -> Floats:
+    """Mean square (channel,) of mains and its multiples in ``series`` (channel, sample)."""
+    window = np.hanning(series.shape[1])
+    turn = np.exp(-2j * np.pi * mains_hz / series_hz * np.arange(series.shape[1]))
+    power, turns = np.zeros(len(series)), np.ones_like(turn)
+    for _ in range(int(min(_MULTIPLES, 0.45 * series_hz / mains_hz))):
+        turns = turns * turn
+        power += 2.0 * np.square(np.abs((series * window) @ turns) / window.sum())
+    return power
 
 
 def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:

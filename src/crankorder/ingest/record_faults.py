@@ -99,7 +99,8 @@ def _of_one(
     if is_vibration:
         found += find_slow_faults(seen, settings=settings)
     clipping = None
-    if not any(fault.flag == "clipped" for fault in known) and (is_vibration or quantity == "pressure"):
+    told_already = any(fault.flag in ("clipped", "iepe_overload") for fault in (*known, *found))
+    if not told_already and (is_vibration or quantity == "pressure"):
         clipping = find_smoothed_clipping(row, seen, settings=settings, without_doubt=is_vibration)
     return found if clipping is None else [*found, clipping]
 

@@ -192,14 +192,16 @@ def _bridge(signal: FloatArray, short: Runs) -> None:
 def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSettings) -> list[SignalFault]:
     """Flag runs of equal samples at an extreme, where they are cut off and not the smooth top of a quantised signal."""
     found: list[Runs] = []
+    step = np.nan
     for extreme in (low, high):
         at_extreme = _equal_to(signal.dtype.type(extreme))
         n_flat = sum(int(np.count_nonzero(at_extreme(signal[part]))) for part in blocks(signal.size))
         if n_flat < 2 * settings.clip_run_samples:
             continue
         flat = _runs(signal, at_extreme, least=settings.clip_run_samples)
-        flat = flat.where(_is_cut_off(signal, extreme, flat))
-        found.append(flat)
+        step = _rounding_step(signal) if np.isnan(step) else step
+        if flat.starts.size and n_flat > _just_inside(signal, extreme, step):
+            found.append(flat.where(_is_cut_off(signal, extreme, flat, step)))
     runs = _joined(found)
     if runs.starts.size < 2:
         return []
@@ -221,16 +223,30 @@ def _equal_to(level: np.floating) -> Mask:
     return lambda piece: np.asarray(piece == level)
 
 
-def _is_cut_off(signal: FloatArray, extreme: float, flat: Runs) -> npt.NDArray[np.bool_]:
-    """Which ``flat`` runs the signal enters or leaves steeply.
+def _rounding_step(signal: FloatArray) -> float:
+    """Least change from one sample to the next."""
+    step = np.inf
+    for part in blocks(signal.size - 1):
+        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
+        step = min(step, float(steps.min(where=steps > 0, initial=np.inf)))
+    return step
+
+
+def _just_inside(signal: FloatArray, extreme: float, step: float) -> int:
+    """Samples within three rounding steps of the extreme: more than at it, unless the signal was cut off there."""
+    count = 0
+    for part in blocks(signal.size):
+        apart = np.abs(signal[part] - extreme)
+        count += int(np.count_nonzero((apart > 0.0) & (apart < 3.5 * step)))
+    return count
+
+
+def _is_cut_off(signal: FloatArray, extreme: float, flat: Runs, step: float) -> npt.NDArray[np.bool_]:
+    """Which ``flat`` runs the signal enters or leaves steeply, beside the rounding ``step``.
 
     The top of a parabola that rounding flattens over L samples has fallen by 4.5 rounding steps L samples further on.
     """
-    rounding_step = np.inf
-    for part in blocks(signal.size - 1):
-        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
-        rounding_step = min(rounding_step, float(steps.min(where=steps > 0, initial=np.inf)))
     before = np.abs(signal[np.maximum(flat.starts - flat.lengths, 0)] - extreme)
     after = np.abs(signal[np.minimum(flat.ends - 1 + flat.lengths, signal.size - 1)] - extreme)
-    steep: npt.NDArray[np.bool_] = np.fmax(before, after) > _STEEP_STEPS * rounding_step
+    steep: npt.NDArray[np.bool_] = np.fmax(before, after) > _STEEP_STEPS * step
     return steep

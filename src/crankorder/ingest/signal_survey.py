@@ -13,8 +13,8 @@ from crankorder.ingest.rawfile import FloatArray
 
 Floats = npt.NDArray[np.float64]
 
-_BLOCKS_PER_S = 600.0
-_LEAST_BLOCK, _MOST_BLOCK = 4, 64
+_BLOCKS_PER_S = 300.0
+_LEAST_BLOCK, _MOST_BLOCK = 4, 128
 
 
 @dataclass(frozen=True, slots=True)

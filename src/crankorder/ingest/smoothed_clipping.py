@@ -13,10 +13,10 @@ import numpy as np
 
 from crankorder.ingest.fault import SignalFault
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.ingest.signal_survey import Floats, Survey, grouped
+from crankorder.ingest.signal_survey import Survey, grouped
 from crankorder.settings import IngestSettings
 
-_PIECE, _PIECES = 2048, 16
+_PIECE, _PIECES = 2048, 8
 """Samples of a piece, and how many of the strongest pieces are looked at."""
 _ABOVE = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)
 """Shares of the samples above the level that is tried: what a filter rings lies above the plateau."""
@@ -38,8 +38,12 @@ def find_smoothed_clipping(
     samples = _strongest(signal, survey)
     if samples.size < _PIECE:
         return None
-    middle = float(np.median(samples))
-    sides = [_pile_up(sign * (samples - middle), settings) for sign in (1.0, -1.0)]
+    ordered = np.sort(samples)
+    middle = float(ordered[ordered.size // 2])
+    sides = [
+        _pile_up(ordered - middle, samples - middle, settings),
+        _pile_up(middle - ordered[::-1], middle - samples, settings),
+    ]
     found = [side for side in sides if side is not None]
     if not found or (len(found) < 2 and not without_doubt):
         return None
@@ -55,21 +59,25 @@ def find_smoothed_clipping(
     return SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)
 
 
-def _strongest(signal: FloatArray, survey: Survey) -> Floats:
+def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
     """Samples of the pieces with the largest mean square."""
     group = _PIECE // survey.size
-    power = grouped(survey.variances + np.square(survey.means - np.nanmedian(survey.means)), group)
+    mean = float(survey.means[:: max(group // 2, 1)].mean())
+    mean = mean if math.isfinite(mean) else float(np.nanmean(survey.means))
+    power = grouped(survey.variances + np.square(survey.means - mean), group)
     power = np.where(np.isfinite(power), power, -1.0)
     chosen = np.sort(np.argsort(power)[-_PIECES:])
     chosen = chosen[power[chosen] > 0.0]
     if not chosen.size:
         return np.empty(0)
-    return np.concatenate([signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen]).astype(np.float64)
+    return np.concatenate([signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen])
 
 
-def _pile_up(above: Floats, settings: IngestSettings) -> tuple[float, float, float] | None:
-    """Level, share of the samples, and roughness over that between the levels, of a plateau on the upper side."""
-    ordered = np.sort(above)
+def _pile_up(ordered: FloatArray, above: FloatArray, settings: IngestSettings) -> tuple[float, float, float] | None:
+    """Level, share of the samples, and roughness over that between the levels, of a plateau on the upper side.
+
+    ``above`` the middle (sample,), and the same ``ordered`` by size.
+    """
     levels = ordered[(ordered.size * (1.0 - np.array(_ABOVE))).astype(np.int64)]
     if levels[-1] <= 0.0:
         return None

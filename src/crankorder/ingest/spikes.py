@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -9,14 +10,16 @@ import numpy.typing as npt
 
 from crankorder.ingest.fault import Runs, SignalFault
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.ingest.signal_survey import Floats, Survey
+from crankorder.ingest.signal_survey import Floats, Survey, grouped
 from crankorder.settings import IngestSettings
 
 _AHEAD, _OUT = 2, 12
 """Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
 _DEGREE = 3
-_PEAKED = 9.0
+_PEAKED = 6.0
 """Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
+_BLOCK = 64
+"""Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
 _OF_STEP = 20.0
 """A spike is so many rounding steps at least."""
 _MOST_LOOKED_AT = 20_000
@@ -36,7 +39,7 @@ def find_spikes(
     places = _candidates(signal, survey)
     if not places.size:
         return None
-    level = float(np.sqrt(np.nanmedian(survey.variances) + np.nanvar(survey.means)))
+    level = math.sqrt(float(np.nanmedian(survey.variances)) + float(np.nanvar(survey.means)))
     places, deviations, predicted = _standing_out(signal, places, level, settings)
     if not places.size or (may_pulse and _look_like_pulses(places, deviations)):
         return None
@@ -56,18 +59,19 @@ def find_spikes(
 
 def _candidates(signal: FloatArray, survey: Survey) -> npt.NDArray[np.int64]:
     """Samples that bend most in blocks with few large bends among small ones, each the largest of its neighbours."""
+    group = max(_BLOCK // survey.size, 1)
+    squares, fourths = grouped(survey.bend_squares, group), grouped(survey.bend_fourths, group)
     with np.errstate(invalid="ignore", over="ignore"):
-        is_peaked = survey.bend_fourths > _PEAKED * np.square(survey.bend_squares)
-    chosen = np.flatnonzero(is_peaked)
+        chosen = np.flatnonzero(fourths > _PEAKED * np.square(squares))
     if not chosen.size or signal.size < 2 * _OUT + 1:
         return np.empty(0, dtype=np.int64)
     if chosen.size > _MOST_LOOKED_AT // 4:
-        sharpest = np.argsort(survey.bend_squares[chosen])[-_MOST_LOOKED_AT // 4 :]
+        sharpest = np.argsort(squares[chosen])[-_MOST_LOOKED_AT // 4 :]
         chosen = np.sort(chosen[sharpest])
-    within = chosen[:, None] * survey.size + np.arange(survey.size)
+    within = chosen[:, None] * (group * survey.size) + np.arange(group * survey.size)
     within = np.clip(within, _OUT, signal.size - _OUT - 1)
     bend = np.abs(signal[within] - 0.5 * (signal[within - 1] + signal[within + 1]))
-    largest = np.sqrt(survey.bend_squares[chosen])[:, None] * 2.5
+    largest = 2.5 * np.sqrt(squares[chosen])[:, None]
     row, column = np.nonzero(bend > largest)
     places = np.unique(within[row, column])
     if places.size > _MOST_LOOKED_AT:
