@@ -60,6 +60,7 @@ class IngestSettings(StageSettings):
     dead_steps: Count
     mains_share: Fraction
     level_ratio: Annotated[float, Field(gt=1)]
+    level_jump_ratio: Annotated[float, Field(gt=1)]
     max_lost_fraction: Fraction
     lost_margin_s: Annotated[float, Field(ge=0)]
     fewest_samples: Count

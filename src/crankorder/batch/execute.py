@@ -30,7 +30,8 @@ from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
-from crankorder.quantities import QualityFlag, Severity
+from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.quantities import QualityFlag, RecordingLevels, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
@@ -125,6 +126,7 @@ def _finish(
         if flag["flag"] == "frame_length_differs"
     ]
     told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
+    told += level_jumps(_levels(results), ratio=plan.settings.ingest.level_jump_ratio)
     findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
     findings["quality"] += contradiction_flags(findings)
     groups = {**made.datasets, "shaft": _shaft_summary(results)}
@@ -139,6 +141,18 @@ def _finish(
     # timings are no result: a full disk must not turn a finished test into a failed one
     with contextlib.suppress(OSError):
         write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
+
+
+def _levels(results: dict[Path, RecordingResult]) -> list[RecordedLevel]:
+    """Speed and level of every recording whose level was looked at."""
+    made = []
+    for path, result in results.items():
+        levels = result.frames.get(RecordingLevels)
+        speed = result.shaft["speed"].values
+        if levels is not None and np.isfinite(speed).any():
+            rms = dict(zip(levels["channel"].values.tolist(), levels["rms"].values.tolist(), strict=True))
+            made.append(RecordedLevel(path.name, (float(np.nanmin(speed)), float(np.nanmax(speed))), rms))
+    return made
 
 
 class _Clock:

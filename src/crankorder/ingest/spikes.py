@@ -16,9 +16,9 @@ from crankorder.settings import IngestSettings
 _AHEAD, _OUT = 2, 12
 """Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
 _DEGREE = 3
-_PEAKED = 6.0
+_PEAKED = 9.0
 """Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
-_BLOCK = 64
+_BLOCK = 128
 """Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
 _OF_STEP = 20.0
 """A spike is so many rounding steps at least."""
