@@ -25,7 +25,7 @@ _OFF_MAINS = 0.01
 
 
 def root_mean_square(survey: Survey) -> float:
-    """Root mean square of the vibration of a signal, NaN where too much is missing."""
+    """Root mean square of the signal of ``survey``, NaN where too much is missing."""
     square = float(survey.means.var()) + float(survey.variances.mean())
     if math.isfinite(square):
         return math.sqrt(square)
@@ -36,7 +36,7 @@ def root_mean_square(survey: Survey) -> float:
 
 
 def find_copies(signals: FloatArray, names: Sequence[str]) -> dict[int, SignalFault]:
-    """Faults by number of those of ``signals`` (channel, sample) that equal an earlier one sample by sample."""
+    """Faults by number of those of ``signals`` (channel, sample) that equal an earlier one; ``names`` are theirs."""
     found: dict[int, SignalFault] = {}
     step = max(signals.shape[1] // 64, 1)
     few = signals[:, ::step]
@@ -56,7 +56,7 @@ def find_dead(
 ) -> dict[int, SignalFault]:
     """Faults by number of the ``signals`` (channel, sample) that hold noise alone while others see the machine.
 
-    Only channels of one group (unit) are compared. Dead is one far below the middle of the others in which none of
+    Only channels of one of ``groups`` (units) are compared, by their ``surveys`` and ``settings``. Dead is one far below the middle of the others in which none of
     the strongest lines of the loudest stands out, whether it toggles between a few steps of the converter or not.
     """
     size = np.array([root_mean_square(each) for each in surveys])
@@ -121,7 +121,7 @@ def find_mains_only(
 ) -> dict[int, SignalFault]:
     """Faults by number of the channels that hold mains, its multiples and noise, while others hold other lines.
 
-    ``shaft_hz``: of the shaft, 0 for none; NaN where unknown, and then nothing is told, nor where an order of the
+    ``surveys`` of channels sampled at ``rate_hz``, judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none; NaN where unknown, and then nothing is told, nor where an order of the
     shaft lies on mains.
     """
     if not math.isfinite(shaft_hz) or len(surveys) < 2:

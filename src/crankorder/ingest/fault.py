@@ -20,6 +20,7 @@ class Runs:
 
     @property
     def lengths(self) -> npt.NDArray[np.int64]:
+        """Samples of each run."""
         return self.ends - self.starts
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> Runs:
@@ -27,7 +28,7 @@ class Runs:
         return Runs(self.starts[chosen], self.ends[chosen])
 
     def merged(self, *, within: int, n_samples: int) -> Runs:
-        """Runs that reach ``within`` samples further to both sides, those joined that then touch."""
+        """Runs that reach ``within`` samples further to both sides, those joined that then touch, of ``n_samples``."""
         starts, ends = np.maximum(self.starts - within, 0), np.minimum(self.ends + within, n_samples)
         order = np.argsort(starts, kind="stable")
         starts, ends = starts[order], np.maximum.accumulate(ends[order]) if len(ends) else ends
@@ -38,7 +39,7 @@ class Runs:
 
 
 def runs_of(*spans: tuple[int, int]) -> Runs:
-    """Runs of the given first samples and those after the last."""
+    """Runs of ``spans``, the first sample of each and the one after its last."""
     pairs = np.array(spans, dtype=np.int64).reshape(-1, 2)
     return Runs(pairs[:, 0], pairs[:, 1])
 

@@ -18,7 +18,7 @@ _AGREE = 0.2
 
 
 def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> dict[int, SignalFault]:
-    """Faults by number of the channels of ``surveys`` whose level steps beside that of all others."""
+    """Faults by number of the channels of ``surveys`` whose level steps (``settings``) beside all others."""
     if len(surveys) < 2:
         return {}
     group = len(surveys[0].means) // _PIECES

@@ -47,7 +47,7 @@ class Sampled:
     shaft_hz: float
 
     def span(self, at: Runs, n_samples: int) -> tuple[float, float]:
-        """From when to when ``at`` reaches, all of the recording where it names no sample."""
+        """From when to when ``at`` reaches, all of the ``n_samples`` where it names none."""
         first, last = (int(at.starts.min()), int(at.ends.max())) if at.starts.size else (0, n_samples)
         return self.start + first / self.rate, self.start + last / self.rate
 
@@ -57,7 +57,8 @@ def judged(
 ) -> list[QualityFlag]:
     """Flags of the ``signals`` (channel, sample), of which what is lost becomes NaN in place and spikes are bridged.
 
-    ``known`` faults by channel were found before; the recording lies at ``path``. A channel of which most is lost is
+    ``known`` faults by channel were found before; the recording, ``sampled`` so, lies at ``path``; ``settings`` say what
+    counts. A channel of which most is lost is
     left out alone; where that is so of all channels they stay as they are, for the recording is left out as a whole.
     """
     faults = [

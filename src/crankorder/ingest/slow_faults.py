@@ -24,7 +24,7 @@ _MOST_EVENTS = 5
 
 
 def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[SignalFault]:
-    """Overloads, a settling start and drift of the signal of ``survey``, each with the samples that it concerns."""
+    """Overloads, a settling start and drift of the signal of ``survey`` by ``settings``, each with its samples."""
     group = max(len(survey.means) // _GROUPS, 1)
     means, step = grouped(survey.means, group), group * survey.size
     if len(means) < _FEWEST or not np.isfinite(means).all():
