@@ -56,7 +56,8 @@ def find_dead(
 ) -> dict[int, SignalFault]:
     """Faults by number of the ``signals`` (channel, sample) that hold noise alone while others see the machine.
 
-    Only channels of one of ``groups`` (units) are compared, by their ``surveys`` and ``settings``. Dead is one far below the middle of the others in which none of
+    Only channels of one of ``groups`` (units) are compared, by their ``surveys`` and ``settings``. Dead is one far
+    below the middle of the others in which none of
     the strongest lines of the loudest stands out, whether it toggles between a few steps of the converter or not.
     """
     size = np.array([root_mean_square(each) for each in surveys])
@@ -121,7 +122,8 @@ def find_mains_only(
 ) -> dict[int, SignalFault]:
     """Faults by number of the channels that hold mains, its multiples and noise, while others hold other lines.
 
-    ``surveys`` of channels sampled at ``rate_hz``, judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none; NaN where unknown, and then nothing is told, nor where an order of the
+    ``surveys`` of channels sampled at ``rate_hz``, judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none;
+    NaN where unknown, and then nothing is told, nor where an order of the
     shaft lies on mains.
     """
     if not math.isfinite(shaft_hz) or len(surveys) < 2:

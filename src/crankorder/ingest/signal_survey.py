@@ -34,7 +34,7 @@ class Survey:
 
 
 def block_size(rate_hz: float) -> int:
-    """Samples per block: a power of two, so few at ``rate_hz`` that the means still show mains and its second harmonic."""
+    """Samples per block: a power of two, so few at ``rate_hz`` that the means show twice mains."""
     if not (math.isfinite(rate_hz) and rate_hz > 0.0):
         return 16
     wanted = 1 << math.floor(math.log2(max(rate_hz / _BLOCKS_PER_S, 1.0)))

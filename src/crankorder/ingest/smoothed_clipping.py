@@ -32,7 +32,8 @@ def find_smoothed_clipping(
 ) -> SignalFault | None:
     """Clipping of ``signal`` (sample,) at levels that no two samples need share; only a doubt where one side has it.
 
-    ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be smaller on the plateaus than between them for it to be "bad", and the quantity
+    ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be
+    smaller on the plateaus than between them for it to be "bad", and the quantity
     one that has no plateaus of its own (``without_doubt``).
     """
     samples = _strongest(signal, survey)

@@ -33,7 +33,8 @@ class RecordedLevel:
 
 
 def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float) -> list[QualityFlag]:
-    """Flags of those ``levels`` where a channel's lies ``ratio`` times or more off that of most recordings at like speed.
+    """Flags of those ``levels`` where a channel's lies ``ratio`` times or more off that of most recordings at like
+    speed.
 
     The other channels (one at least) must stay. Of two recordings alone nobody knows which is wrong: both are named.
     """
