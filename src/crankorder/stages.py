@@ -412,5 +412,8 @@ def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sourc
     for gathered, noun in FRAMES_OF.items():
         given[gathered] = [item.frames[noun] for item in recordings if noun in item.frames]
     made = _plan_of_test(results).run(given)
-    datasets = {str(name): made[RESULTS[name]] for name in results if name != "findings"}
+    # what every band shows of every train of strikes is for the findings alone: it would double the results
+    datasets = {
+        str(name): made[RESULTS[name]].drop_dims("look", errors="ignore") for name in results if name != "findings"
+    }
     return TestResult(datasets, made.get(Findings))

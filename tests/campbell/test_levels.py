@@ -69,6 +69,30 @@ def test_noise_and_lines_inside_the_band_are_no_line_above_it() -> None:
         assert np.isnan(made["peak_order"].values).all()
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_light_mode_that_noise_makes_ring_is_no_line(seed: int) -> None:
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    hertz, damping = rng.uniform(510, 3000), 10.0 ** rng.uniform(-3, -1.5)
+    pole = np.exp((-damping + 1j * np.sqrt(1 - damping**2)) * 2 * np.pi * hertz / RATE_HZ)
+    white = rng.standard_normal((3, int(6 * RATE_HZ)))
+    ringing = lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], white, axis=1)
+    assert levels(recorded(ringing), 1500.0)["peak_above"].values.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_in_a_run_up_the_order_is_a_line_and_the_mode_that_noise_rings_is_none() -> None:
+    rng = np.random.default_rng(3)
+    at = np.arange(int(10 * RATE_HZ)) / RATE_HZ
+    angle = (900.0 * at + 0.5 * 60.0 * at**2) / 60.0
+    signal = 2.0 * np.cos(2 * np.pi * 60 * angle) + 0.05 * rng.standard_normal(at.size)
+    knots = np.linspace(0.0, 10.0, 200)
+    turned = shaft(knots, (900.0 * knots + 30.0 * knots**2) / 60.0, 900.0 + 60.0 * knots)
+    made = recording_levels(recorded(signal[None]), turned, orders=SETTINGS.orders, campbell=SETTINGS.campbell)
+    assert float(made["peak_order"][0]) == pytest.approx(60.0, rel=5e-3)
+    assert float(made["peak_above"][0]) == pytest.approx(2.0, rel=0.2)
+
+
 def test_white_noise_lies_above_the_band_by_its_share_of_the_spectrum() -> None:
     noise = np.random.default_rng(2).standard_normal((1, int(6 * RATE_HZ)))
     share = float(levels(recorded(noise), 600.0)["share_above"][0])

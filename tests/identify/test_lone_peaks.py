@@ -15,7 +15,7 @@ UNIT = {"A": "m/s²", "B": "m/s²"}
 def _peaks(sizes: np.ndarray, avoided: tuple[AvoidedSpeed, ...] = (), **channels: float) -> list[AvoidedSpeed]:
     lines = [line(4.0, share * sizes, channel=name) for name, share in (channels or {"A": 1.0}).items()]
     largest = {one.channel: float(one.amplitude.max()) for one in lines}
-    return lone_peaks([agreed(4.0, *lines)], fit(), avoided, largest=largest, unit=UNIT, factor=3.0)
+    return lone_peaks([agreed(4.0, *lines)], fit(), avoided, largest=largest, in_unit=largest, unit=UNIT, factor=3.0)
 
 
 @pytest.mark.parametrize("times", [3.5, 30.0])

@@ -1,48 +1,77 @@
-"""At one speed mains look like orders: multiples of one frequency are told from lines that are only near them."""
+"""Mains among the orders of a test at one speed: alone they are named, where an order stands too both are said."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 import pytest
 
-from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.mains_orders import mains_orders
+from crankorder.identify.explain import explained
+from crankorder.identify.found import AgreedOrder
+from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
+from made.found_lines import agreed, fit, line
 
 SETTINGS = load_settings().identify
-RPM = 1748.0
+ROTOR = Sources(revs_per_cycle=1)
 
 
-def at_hz(*frequencies: float, rpm: tuple[float, ...] = (RPM,)) -> tuple[AgreedOrder, ...]:
-    """Orders whose lines stand at ``frequencies`` at the first speed of ``rpm``."""
-    ones = np.ones(len(rpm))
-    made = []
-    for order in (60.0 * f / rpm[0] for f in frequencies):
-        line = OrderLine(
-            "A", order, 0.001, np.arange(len(rpm)), np.array(rpm), ones, 0.01 * ones, 9 * ones, np.nan * ones,
-            "steady, not locked", 20.0,
-        )  # fmt: skip
-        made.append(AgreedOrder(order, 0.001, 9.0, "slips", None, (line,)))
-    return tuple(made)
+def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e-5) -> AgreedOrder:
+    """An order that was seen at one speed."""
+    made = agreed(order, lock=lock, error=error)
+    one = dataclasses.replace(
+        made.lines[0],
+        seen=np.array([0]),
+        speed_rpm=np.array([rpm]),
+        amplitude=np.array([1.0]),
+        amplitude_error=np.array([0.01]),
+        degrees_of_freedom=np.array([50.0]),
+        phase_deg=np.array([0.0]),
+    )
+    return dataclasses.replace(made, lines=(one,))
 
 
-def named(orders: tuple[AgreedOrder, ...], rpm: float = RPM) -> list[float]:
-    return sorted(round(order * rpm / 60.0, 2) for order in mains_orders(orders, settings=SETTINGS))
+def said(*orders: AgreedOrder) -> list[str]:
+    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
+    return [causes.orders["A", one.order].text for one in orders]
 
 
-def test_a_line_near_a_multiple_that_the_mains_of_the_others_does_not_make_is_no_mains() -> None:
-    # mains of 60.005 Hz; 600.35 Hz is a bearing's, 0.3 Hz off
-    assert named(at_hz(120.01, 240.02, 360.03, 600.35, 720.06)) == [120.01, 240.02, 360.03, 720.06]
+@pytest.mark.parametrize("mains", [50.0, 60.0])
+@pytest.mark.parametrize(("multiple", "words"), [(1, "mains"), (2, "twice mains")])
+@pytest.mark.parametrize("off", [-0.002, 0.0, 0.002])
+def test_one_line_at_the_mains_or_its_double_is_mains(mains: float, multiple: int, words: str, off: float) -> None:
+    rpm = 1713.0
+    assert said(at_speed(60.0 * multiple * mains * (1.0 + off) / rpm, rpm)) == [words]
 
 
-def test_mains_that_has_wandered_is_still_mains() -> None:
-    assert named(at_hz(99.8, 199.6, 299.4)) == [99.8, 199.6, 299.4]
+@pytest.mark.parametrize("hertz", [49.2, 51.0, 58.9, 98.6, 121.5, 48.35])
+def test_a_tone_beside_the_mains_is_none(hertz: float) -> None:
+    assert said(at_speed(60.0 * hertz / 1713.0, 1713.0)) == ["unexplained"]
 
 
-@pytest.mark.parametrize("frequencies", [(120.0,), (120.0, 240.0), (360.0, 420.0, 480.0)])
-def test_few_multiples_or_none_of_the_first_are_no_proof(frequencies: tuple[float, ...]) -> None:
-    assert named(at_hz(*frequencies)) == []
+def test_a_third_multiple_alone_is_not_called_mains_and_beside_the_first_it_is() -> None:
+    rpm = 1713.0
+    third, first = at_speed(60.0 * 150.06 / rpm, rpm), at_speed(60.0 * 50.02 / rpm, rpm)
+    assert said(third) == ["unexplained"]
+    assert said(first, third) == ["mains", "3 x mains"]
 
 
-def test_what_moves_with_the_speed_is_no_mains() -> None:
-    assert named(at_hz(120.0, 240.0, 360.0, rpm=(RPM, 1.2 * RPM))) == []
+def test_at_one_speed_an_order_on_the_mains_is_said_with_them() -> None:
+    assert said(at_speed(2.0, 1500.0, lock="locked")) == ["shaft harmonic or mains"]
+    assert said(at_speed(4.0, 1500.0, lock="locked")) == ["shaft harmonic or twice mains"]
+    assert said(at_speed(1.0, 3000.0, lock="locked")) == ["unbalance or mains"]
+
+
+def test_an_order_beside_mains_that_were_found_is_not_mains_too() -> None:
+    mains, order = at_speed(60.0 * 49.98 / 1495.0, 1495.0), at_speed(4.0, 1495.0, lock="locked")
+    assert said(mains, order) == ["mains", "shaft harmonic"]
+
+
+def test_lines_on_two_mains_frequencies_are_said_to_be_one_or_a_tone() -> None:
+    rpm = 1713.0
+    assert said(at_speed(60.0 * 50.0 / rpm, rpm), at_speed(60.0 * 60.0 / rpm, rpm)) == ["mains or another tone"] * 2
+
+
+def test_an_order_at_many_speeds_is_no_mains() -> None:
+    assert said(agreed(2.0, line(2.0))) == ["shaft harmonic"]

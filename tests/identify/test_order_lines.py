@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.lines.line_evidence import is_steady, log_chance_of_kurtosis
-from crankorder.identify.lines.order_lines import _has_fixed_frequency, order_lines
+from crankorder.identify.lines.order_lines import UNRESOLVED, _has_fixed_frequency, order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.line_frames import PER_REV, angle_of, frames_of, wave
@@ -162,3 +162,53 @@ def test_a_line_that_slips_by_less_than_a_percent_is_found_at_eight_speeds_of_ei
     assert slipping.order == pytest.approx(5.456, abs=0.006)
     assert slipping.amplitude == pytest.approx(0.5, rel=0.15)
     assert len(slipping.seen) == len(speeds)
+
+
+def _wandering(angle, seed: int):
+    """An order whose phase and size wander within a frame: no rule tells what it is."""
+    random = np.random.default_rng(seed)
+    turns = np.arange(0.0, angle[-1] + 4.0, 4.0)
+    parts = random.standard_normal((2, len(turns)))
+    return sum(
+        np.interp(angle, turns, part) * wave(angle + shift / 4.0 / 7.25, 7.25, 1.0)
+        for part, shift in zip(parts, (0, 1), strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_no_rule_names_is_kept_in_a_sweep_where_it_is_stronger_than_all_that_is_named(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    speeds = np.arange(900.0, 1200.0, 50.0)
+
+    def signal(size: float):
+        return lambda angle, rpm: wave(angle, 4.0, 3.0) + size * (rpm < 1000.0) * _wandering(angle, seed)
+
+    steps = lines_of(signal(12.0), speeds=speeds)
+    assert [line.order for line in steps] == pytest.approx([4.0], abs=0.01)
+    monkeypatch.setattr("crankorder.identify.lines.order_lines._is_swept", lambda search: True)
+    weak, strong = (lines_of(signal(size), speeds=speeds) for size in (1.0, 12.0))
+    assert [line.order for line in weak] == pytest.approx([4.0], abs=0.01)
+    assert [line.order for line in strong] == pytest.approx([4.0, 7.25], abs=0.1)
+    assert strong[0].reservation == "" and strong[1].reservation == UNRESOLVED
+    assert strong[1].ends[:, 0].max() == 0.0
+
+
+def test_an_order_that_stands_at_one_of_two_speeds_and_nearly_at_the_other_is_one_order_at_both() -> None:
+    """At 1500 rpm order 8.5 stays just below the level, at 2000 rpm it is above: together noise does not make it."""
+    found = 0
+    for weak in np.arange(0.12, 0.30, 0.02):
+        lines = lines_of(
+            lambda angle, rpm, weak=weak: wave(angle, 8.5, weak if rpm < 1600.0 else 0.5), speeds=[1500.0, 2000.0]
+        )
+        at = [line for line in lines if abs(line.order - 8.5) < 0.05]
+        found += len(at) == 1 and len(at[0].seen) == 2
+    assert found >= 5
+
+
+def test_noise_at_few_speeds_makes_no_order_of_all_together() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(12):
+        signal = [rng.standard_normal(120 * PER_REV) for _ in range(3)]
+        noise = dict(zip((1500.0, 1750.0, 2000.0), signal, strict=True))
+        assert lines_of(lambda angle, rpm, noise=noise: noise[rpm][: len(angle)], speeds=list(noise)) == []

@@ -70,7 +70,7 @@ def test_the_flank_of_a_crossing_outside_the_tested_range_is_not_free():
     assert band[0] == RANGE[0] and band[1] == pytest.approx(2070.0 * np.sqrt(3.0 / 4.0), rel=0.01)
 
 
-def test_what_costs_most_against_the_loudest_of_its_channel_ranks_first():
+def test_the_highest_peak_in_any_channel_ranks_first():
     modes = [mode(60.0), mode(100.0)]
     shape = {k: resonant(k, SPEEDS_RPM, modes) for k in (3.0, 4.0)}
     orders = [
@@ -83,6 +83,8 @@ def test_what_costs_most_against_the_loudest_of_its_channel_ranks_first():
     costs = [record["cost"] for record in records]
     assert costs == sorted(costs, reverse=True)
     assert records[0]["order"] == 4.0 and records[0]["channel"] == "A"
+    peaks = [record["amplitude"] for record in records]
+    assert peaks == sorted(peaks, reverse=True)
 
 
 def test_the_peak_between_two_measured_speeds_is_that_of_the_fit():

@@ -167,6 +167,23 @@ def test_the_gensets_pressure_orders_are_named_and_none_of_them_is_called_a_mode
     assert [record for record in findings["modes"] if record["explained_by"] == "mode"] == []
 
 
+def test_the_swing_of_the_speed_is_told_with_the_encoder(analysed):
+    """../shared/data/README.md: orders 2 and 4 lead with 10.8 and 15.1 rpm; the genset alternates every other turn."""
+    swing = {one["order"]: one for one in analysed("auth_360ppr", "auth_360ppr").findings["speed_swing"]}
+    assert set(list(swing)[:2]) == {2.0, 4.0}
+    assert swing[2.0]["amplitude_rpm"] == pytest.approx(10.8, rel=0.02)
+    assert swing[4.0]["amplitude_rpm"] == pytest.approx(15.1, rel=0.04)  # the smoother takes some of it
+    genset = analysed("tue_genset", "tue_genset")
+    leading: dict[str, dict[str, float]] = {}
+    for one in genset.findings["speed_swing"]:
+        leading.setdefault(one["recording"], one)
+    assert {one["order"] for one in leading.values()} == {0.5}
+    share = {name: one["amplitude_rpm"] / one["speed_rpm"] for name, one in leading.items()}
+    assert all(0.01 < value < 0.03 for name, value in share.items() if "FULL" in name), share
+    assert share["E0NOLOAD1.txt"] < share["E0HALFLOAD1.txt"] < share["E0FULLOAD1.txt"]
+    assert (genset.folder / "speed.png").is_file()
+
+
 def test_the_pressure_orders_of_the_genset_at_full_load(analysed):
     full_load = analysed("tue_genset", "tue_genset").group("order_map").isel(speed=0, channel=0)
     found = [full_load["amplitude"].sel(order=order).item() for order in (0.5, 1.0, 1.5, 2.0)]

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crankorder.identify.lines.order_lines import UNRESOLVED
 from crankorder.report.contradictions import contradictions
 from crankorder.report.notation import (
     estimate_text,
@@ -134,6 +135,21 @@ def test_the_headline_names_the_strongest_order_its_interval_and_the_frequency_t
     )
     assert strongest_sentence(findings, "Z") == wanted
     assert headline(findings)[0] == f"{wanted} Cause: engine order."
+
+
+def test_where_something_stronger_was_not_resolved_no_order_is_called_the_strongest(campaign: Any) -> None:
+    findings = copy.deepcopy(campaign.findings)
+    record = next(one for one in findings["orders"] if (one["channel"], one["order"]) == ("Z", 2.0))
+    findings["orders"].append(
+        {**record, "order": 7.4525, "amplitude": 14.0, "amplitude_ci95": [0.0, 28.0], "evidence": f"x; {UNRESOLVED}"}
+    )
+    said = strongest_sentence(findings, "Z")
+    assert said.startswith(
+        "What is strongest in Z was not resolved: near order 7.45, 14 m/s² (0…28) at 1800 rpm; of the "
+    )
+    assert "orders that are told 2 is the strongest: 1.90 m/s²" in said
+    assert headline(findings)[0] == said
+    assert strongest_sentence(findings, "Y").startswith("Order 2")
 
 
 def test_an_order_that_meets_a_mains_tone_is_not_said_to_meet_a_natural_frequency(campaign: Any) -> None:

@@ -35,6 +35,7 @@ from crankorder.quantities import QualityFlag, RecordingLevels, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
+from crankorder.shaft.swing import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
 SHA256_DIGITS = 64
@@ -129,6 +130,7 @@ def _finish(
     told += level_jumps(_levels(results), ratio=plan.settings.ingest.level_jump_ratio)
     findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
     findings["quality"] += contradiction_flags(findings)
+    findings["speed_swing"] = _swing_records(results)
     groups = {**made.datasets, "shaft": _shaft_summary(results)}
     outcome.accuracy = _accuracy_text(made.datasets.get("order_map"))
     stated = {**provenance, "quality": findings["quality"]}
@@ -290,6 +292,7 @@ def _sources(plan: TestPlan) -> Sources:
         engine=engine,
         paths=plan.manifest.transfer_paths,
         added=plan.manifest.added_masses,
+        motor=plan.manifest.motor,
     )
 
 
@@ -357,6 +360,26 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
     ):
         summary[name].attrs = {"units": units, "long_name": text}
     return summary.assign(trace_variables(shafts))
+
+
+def _swing_records(results: dict[Path, RecordingResult]) -> list[dict[str, Any]]:
+    """Swing of the speed of every recording within its cycle, by order, the largest first; only what is certain."""
+    records = []
+    for path, result in results.items():
+        swing = speed_swing(result.shaft)
+        if swing is None:
+            continue
+        for place in sorted(np.flatnonzero(swing.told).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
+            records.append(
+                {
+                    "recording": printable(path.name),
+                    "speed_rpm": swing.speed_rpm,
+                    "order": float(swing.orders[place]),
+                    "amplitude_rpm": float(swing.amplitude_rpm[place]),
+                    "steady_rpm": float(swing.steady_rpm[place]),
+                }
+            )
+    return records
 
 
 def _known(of: Callable[[Any], Any], values: np.ndarray[Any, np.dtype[np.float64]]) -> float:

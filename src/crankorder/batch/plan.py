@@ -89,7 +89,7 @@ def _plan(
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
-    settings = _up_to_gears(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
+    settings = _up_to_stated(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
     found = recordings_of(folder, stated)
     name = folder_name(stated.test.name or folder.resolve().name, taken)
     _refuse_inside(folder, out / name)
@@ -104,10 +104,13 @@ def _plan(
     )
 
 
-def _up_to_gears(settings: Settings, stated: Manifest) -> Settings:
-    """``settings`` whose highest order holds the gears that ``stated`` names: what they excite is to be judged."""
-    meshes = [gear.mesh_order for gear in stated.gears if gear.mesh_order <= HIGHEST_STATED]
-    top = max((mesh + BESIDE_MESH for mesh in meshes), default=0.0)
+def _up_to_stated(settings: Settings, stated: Manifest) -> Settings:
+    """``settings`` whose highest order holds the gears and the motor that ``stated`` names: what they excite is to be
+    judged."""
+    meshes = [gear.mesh_order for gear in stated.gears]
+    if stated.motor is not None:
+        meshes.append(stated.motor.highest_order)
+    top = max((mesh + BESIDE_MESH for mesh in meshes if mesh <= HIGHEST_STATED), default=0.0)
     if top <= settings.orders.max_order:
         return settings
     return settings.model_copy(update={"orders": settings.orders.model_copy(update={"max_order": top})})

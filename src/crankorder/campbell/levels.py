@@ -29,6 +29,19 @@ LINE_RATIO = 100.0
 """Energy of a line over that of as many bins of the floor about it: in so few pieces noise does not reach it."""
 
 
+RING_BINS = 8
+"""Bins beside a line where it is gone, and a mode that noise makes ring is not."""
+
+STEADY = 0.4
+"""Of the mean power of a line over the pieces: in none it has less. Of noise in twelve, once in a hundred."""
+
+HELD, FEWEST_ALIKE = 0.02, 4
+"""Speeds within that share are alike; with fewer pieces of like speed the neighbours in time are asked."""
+
+TRIED = 20
+"""Highest peaks that are looked at."""
+
+
 class Peak(NamedTuple):
     """The strongest line above the band: peak amplitude, frequency [Hz] or NaN, order or NaN, speed [rpm] or NaN."""
 
@@ -43,12 +56,13 @@ def recording_levels(
 ) -> xr.Dataset:
     """RecordingLevels: root mean square of each channel, and what lies above the band of the orders and the map.
 
-    ``recording`` is the full-band Recording, ``shaft`` its ShaftAngle. The band ends at ``orders.max_order`` times the
-    speed or ``campbell.max_frequency_hz``, whichever is higher; by crank angle without a speed at ``max_order``. Power
-    spectra of PIECES pieces spread over the recording (Hann window) tell which share of the mean square lies above it
-    (``share_above``), and the strongest line there: a peak LINE_RATIO over the floor about it, whose amplitude is
-    that of a tone, right to some per cent where its frequency does not change. Pieces with missing samples count for
-    nothing; where there is none, all is NaN.
+    ``recording`` is the full-band Recording, ``shaft`` its ShaftAngle. The band ends at ``orders.max_order`` times
+    the speed or ``campbell.max_frequency_hz``, whichever is higher; by crank angle without a speed at
+    ``max_order``. Power spectra of PIECES pieces spread over the recording (Hann window) tell which share of the
+    mean square lies above it (``share_above``), and the strongest line there: a sharp peak LINE_RATIO over the
+    floor about it that stays from piece to piece with its order, or where no speed is known its frequency. Its
+    amplitude is that of a tone, right to some per cent where its frequency does not change. Pieces with missing
+    samples count for nothing; where there is none, all is NaN.
     """
     signals = recording["signal"]
     by_angle = recording.attrs["domain"] == "crank_angle"
@@ -67,7 +81,7 @@ def recording_levels(
     high = np.where(usable, np.einsum("pck,pk->pc", np.nan_to_num(power), above), 0.0).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         rms, share = np.sqrt(total / usable.sum(axis=0)), high / total
-    peaks = [_strongest(power[:, channel], bins, above, rpm, per_rev=per_rev) for channel in range(len(share))]
+    peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(share))]
     ends = limit[np.isfinite(limit)]
     return _dataset(recording, rms, share, peaks, np.nan if per_rev or not ends.size else float(ends.max()))
 
@@ -108,26 +122,46 @@ def _power(signals: NDArray[np.floating], starts: NDArray[np.int64], length: int
     return power
 
 
-def _strongest(power: Floats, bins: Floats, above: NDArray[np.bool_], rpm: Floats, *, per_rev: bool) -> Peak:
-    """The strongest line of a channel's ``power`` (pieces, bins) where ``above`` is true."""
-    shifted = [np.roll(power, shift, axis=1) for shift in range(-LOBE_BINS, LOBE_BINS + 1)]
-    lobe = np.sum(shifted, axis=0)
+def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_rev: bool) -> Peak:
+    """The strongest line of a channel's ``power`` (pieces, bins) above the ``limit`` (pieces,) of each piece."""
     whole = power.shape[1] // BLOCK * BLOCK
     if not whole or not len(power):
         return Peak()
+    shifted = np.stack([np.roll(power, shift, axis=1) for shift in range(-LOBE_BINS, LOBE_BINS + 1)])
+    lobe = shifted.sum(axis=0)
     floor = np.median(power[:, :whole].reshape(len(power), -1, BLOCK), axis=2) / math.log(2.0)
     floor = np.pad(np.repeat(floor, BLOCK, axis=1), ((0, 0), (0, power.shape[1] - whole)), mode="edge")
-    inside = above & (bins > bins[LOBE_BINS]) & (bins < bins[-LOBE_BINS])
+    ring = np.maximum(np.roll(lobe, RING_BINS, axis=1), np.roll(lobe, -RING_BINS, axis=1))
+    inside = (bins > limit[:, None] + bins[LOBE_BINS]) & (bins < bins[-RING_BINS - LOBE_BINS])
     with np.errstate(invalid="ignore"):
-        is_line = inside & (power >= np.max(shifted, axis=0)) & (lobe > LINE_RATIO * (2 * LOBE_BINS + 1) * floor)
-    if not is_line.any():
-        return Peak()
-    piece, at = np.unravel_index(np.argmax(np.where(is_line, lobe, -1.0)), lobe.shape)
-    around = power[piece, at - LOBE_BINS : at + LOBE_BINS + 1]
-    place = float(around @ bins[at - LOBE_BINS : at + LOBE_BINS + 1] / around.sum())
-    speed = float(rpm[piece])
-    hertz, order = (math.nan, place) if per_rev else (place, 60.0 * place / speed)
-    return Peak(math.sqrt(2.0 * float(around.sum())), hertz, order, speed)
+        clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
+        at = np.argwhere(inside & clear & (power >= shifted.max(axis=0)))
+    for piece, place in at[np.argsort(-lobe[at[:, 0], at[:, 1]])][:TRIED].tolist():
+        if _stays(lobe, piece, place, rpm):
+            around = slice(place - LOBE_BINS, place + LOBE_BINS + 1)
+            value = float(power[piece, around] @ bins[around] / power[piece, around].sum())
+            speed = float(rpm[piece])
+            hertz, order = (math.nan, value) if per_rev else (value, 60.0 * value / speed)
+            return Peak(math.sqrt(2.0 * float(lobe[piece, place])), hertz, order, speed)
+    return Peak()
+
+
+def _stays(lobe: Floats, piece: int, place: int, rpm: Floats) -> bool:
+    """Whether a line at bin ``place`` of a ``piece`` is there in the others too, where its order or frequency puts it.
+
+    Noise that makes a mode ring comes and goes from piece to piece, and stays at its frequency where the speed sweeps.
+    """
+    known = np.isfinite(rpm).all()
+    alike = np.abs(rpm / rpm[piece] - 1.0) <= HELD if known else np.ones(len(lobe), dtype=bool)
+    others = (
+        np.flatnonzero(alike) if np.count_nonzero(alike) >= FEWEST_ALIKE else np.array([piece - 1, piece, piece + 1])
+    )
+    sizes = []
+    for other in others[(others >= 0) & (others < len(lobe))].tolist():
+        middle = round(place * float(rpm[other] / rpm[piece])) if known else place
+        if LOBE_BINS < middle < lobe.shape[1] - LOBE_BINS:
+            sizes.append(float(lobe[other, middle - 1 : middle + 2].max()))
+    return len(sizes) > 1 and min(sizes) >= STEADY * float(np.mean(sizes))
 
 
 def _dataset(recording: xr.Dataset, rms: Floats, share: Floats, peaks: list[Peak], band_hz: float) -> xr.Dataset:

@@ -14,7 +14,9 @@ from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import growth, largest
+from crankorder.identify.mains import mains_words, multiple_on, nearest_multiple
 from crankorder.identify.mains_orders import ALIKE_SPEEDS, mains_orders
+from crankorder.identify.motors import LineSeen, named_by, words_of
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
@@ -87,6 +89,7 @@ def explained(
     quantity: dict[str, str],
     settings: IdentifySettings,
     folds: Sequence[ShownFold] = (),
+    known: Sequence[LineSeen] = (),
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
@@ -106,6 +109,7 @@ def explained(
     quantity : quantity of each channel by its name, such as "acceleration" or "pressure"
     settings : ``order_match`` says how near to its stated order a gear's line must be
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
+    known : lines of the motor and of the mains that the frames hold where they were expected
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
@@ -116,10 +120,7 @@ def explained(
                 agreed, line, orders, bearings, races, sources, quantity[line.channel], folds, settings, forces
             )
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
-    for order, (text, evidence) in mains_orders(orders, settings=settings).items():
-        for key in causes:
-            if key[1] == order and not causes[key].known:
-                causes[key] = Cause(text, evidence)
+    causes |= _electric(orders, causes, modal, known, sources, settings)
     families = explain_families(
         orders,
         {key: cause.text for key, cause in causes.items()},
@@ -131,7 +132,54 @@ def explained(
     modes = tuple(
         Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
     )
-    return Causes(causes, modes, _explained_tones(modal.tones, races, _one_speed(orders)))
+    return Causes(causes, modes, _explained_tones(modal.tones, races, _one_speed(orders), known, settings))
+
+
+MAY_BE_MAINS = ("unbalance", "shaft harmonic", "half order of the four-stroke cycle")
+"""What a line is called that is an order of the shaft for no other reason than that it is one."""
+
+
+def _electric(
+    orders: tuple[AgreedOrder, ...],
+    causes: dict[tuple[str, float], Cause],
+    modal: ModalFit,
+    known: Sequence[LineSeen],
+    sources: Sources,
+    settings: IdentifySettings,
+) -> dict[tuple[str, float], Cause]:
+    """Causes of the lines of the mains and of the motor; with what else each may be, where the data do not tell."""
+    of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
+    tones_hz = [tone.frequency_hz for tone in modal.tones if tone.kind == "mains"]
+    exact = [order for order, multiple in of_cycle.items() if multiple is not None]
+    told = {
+        order: Cause(text, evidence)
+        for order, (text, evidence) in mains_orders(orders, tones_hz=tones_hz, exact=exact, settings=settings).items()
+    }
+    sure: set[float] = set()
+    for agreed in orders:
+        item = named_by(known, agreed)
+        if item is not None:
+            text = " or ".join([words_of(item), *(other for other in item.also if not other.startswith("order "))])
+            told[agreed.order] = Cause(text, f"{item.hertz:.6g} Hz at {item.held.rpm:.5g} rpm, where it was expected")
+            if not item.also:
+                sure.add(agreed.order)
+    made: dict[tuple[str, float], Cause] = {}
+    for key, cause in causes.items():
+        if key[1] in told:
+            other = None if key[1] in sure else of_cycle[key[1]]
+            made[key] = _with_electric(cause, told[key[1]], other, key[1] in sure)
+    return made
+
+
+def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
+    """What a line is called that by itself is a ``cause`` and may be ``electric``; both where they coincide."""
+    evidence = f"{electric.evidence}; {cause.evidence}"
+    if not cause.known or (sure and cause.text in MAY_BE_MAINS):
+        text = electric.text if of_cycle is None else f"{electric.text} or order {of_cycle:g}"
+        return Cause(text, electric.evidence)
+    if of_cycle is None or cause.text in MAY_BE_MAINS or sure:
+        return Cause(f"{cause.text} or {electric.text}", evidence)
+    return cause
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
@@ -373,10 +421,16 @@ def _spacings(sources: Sources, bearings: list[dict[str, Any]]) -> dict[str, flo
     return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
 
 
-def _explained_tones(tones: tuple[Tone, ...], races: list[StruckRace], rpm: float | None) -> tuple[Cause, ...]:
+def _explained_tones(
+    tones: tuple[Tone, ...],
+    races: list[StruckRace],
+    rpm: float | None,
+    known: Sequence[LineSeen],
+    settings: IdentifySettings,
+) -> tuple[Cause, ...]:
     """Mains, orders that no speed tells from tones, harmonics of struck ``races``, sidebands; the rest are tones.
 
-    ``rpm``: of a test at one speed, else None.
+    ``rpm``: of a test at one speed, else None; ``known``: lines of the motor; ``settings``: the mains frequencies.
     """
     sizes = [max((amplitude for amplitude, _ in tone.amplitude.values()), default=0.0) for tone in tones]
     places = [tone.frequency_hz for tone in tones]
@@ -401,8 +455,26 @@ def _explained_tones(tones: tuple[Tone, ...], races: list[StruckRace], rpm: floa
             text = f"sideband of {places[band.carrier]:.4g} Hz spaced by {band.spacing:.4g} Hz"
             causes.append(Cause(text, f"one of a pair about a stronger tone; chance {band.chance:.1g}"))
         else:
-            causes.append(Cause(tone.kind, tone.evidence))
+            causes.append(Cause(_tone_words(tone, known, settings), tone.evidence))
     return tuple(causes)
+
+
+def _tone_words(tone: Tone, known: Sequence[LineSeen], settings: IdentifySettings) -> str:
+    """What a tone is called: which multiple of the mains, or the line of the motor that is there at some speed."""
+    reach = SIGMAS * tone.frequency_error_hz
+    of_motor = [item for item in known if item.line.turns and abs(item.hertz - tone.frequency_hz) <= reach]
+    if tone.kind == "mains":
+        on = [
+            int(multiple)
+            for mains in settings.mains_hz
+            for multiple, room in [nearest_multiple(tone.frequency_hz, mains, settings=settings)]
+            if abs(tone.frequency_hz - float(multiple) * mains) <= float(room) + 2.0 * tone.frequency_error_hz
+        ]
+        return mains_words(on[0]) if len(on) == 1 else "mains"
+    if tone.kind == "order":
+        alone = multiple_on(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
+        return f"{mains_words(alone[0])} or order" if alone else "order"
+    return words_of(of_motor[0]) if of_motor else tone.kind
 
 
 LOW_MAINS_HZ = 250.0

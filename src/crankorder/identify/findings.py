@@ -14,7 +14,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts
 from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
@@ -22,8 +22,20 @@ from crankorder.identify.lines.lock_through_modes import with_locks_through_mode
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modal.ringing import without_swings
+from crankorder.identify.motor_record import motor_record
+from crankorder.identify.motors import (
+    LineSeen,
+    MotorFound,
+    held_of,
+    mains_seen,
+    motor_found,
+    with_mains_tones,
+    without_known,
+)
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
+from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -55,45 +67,73 @@ def find(
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    in_map = _orders_in_map(order_map, frames, settings, followed)
-    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed)
-    in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
-    orders = with_track_rows(in_map, TrackReader(order_map, frames=frames, followed=followed), settings=settings.orders)
-    bearings = bearing_records(
-        orders, envelope, bearings=sources.bearings, revs_per_cycle=sources.revs_per_cycle, settings=asked
-    )
+    flags = _flags(order_map, campbell)
+    doubt = speed_doubt(flags)
+    motor, known = _electric(order_map, frames, sources, settings)
+    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings)
+    in_map = in_map if doubt is None else undecided_orders(in_map)
+    reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
+    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    turns = sources.revs_per_cycle
+    bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
-    causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, folds=folds)
-    tested = _tested_rpm(order_map, campbell)
-    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=[order for _, order in sources.gears])
-    meetings = crossing_records(found)
+    given = (in_map, modal, bearings)
+    causes = explained(*given, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
+    tested, gears = _tested_rpm(order_map, campbell), [order for _, order in sources.gears]
+    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=gears)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
-    balance, no_balance = closure(
-        order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added
-    )
-    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    speeds = speeds if doubt is None else without_free(speeds)
+    meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
-    findings = {
+    return {
         "schema_version": SCHEMA_VERSION,
         "test": test,
         "channels": [{"name": name, "unit": unit[name], "quantity": quantity[name]} for name in unit],
         "speed_range_rpm": list(tested),
+        "speed_doubt": doubt,
         "orders": records,
         "modes": mode_records(modal, causes, meetings),
         "crossings": meetings,
-        "speeds_to_avoid": avoided_records(speeds),
-        "free_bands": band_records(speeds.free),
-        "open_bands": band_records(speeds.open),
+        **_by_speed(speeds),
         "bearings": bearings,
+        **({} if motor is None else {"motor": motor_record(motor)}),
         "lines": line_records(records, modal, causes, channels=list(unit)),
-        **_energy(shares),
+        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)),
         "levels": level_records(levels),
-        "balance": balance,
+        **_balance(order_map, orders, modal, sources),
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
-        "quality": _flags(order_map, campbell) + fold_flags(order_map, settings=settings, folds=folds),
+        "quality": flags + fold_flags(order_map, settings=settings, folds=folds),
     }
-    return findings if balance is not None else findings | {"balance_reason": no_balance}
+
+
+def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
+    """What is said of the speeds, as the findings hold it."""
+    avoid, free, left = avoided_records(speeds), band_records(speeds.free), band_records(speeds.open)
+    return {"speeds_to_avoid": avoid, "free_bands": free, "open_bands": left}
+
+
+def _balance(
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources
+) -> dict[str, Any]:
+    """The residual unbalance, or why it is not known, as the findings hold it."""
+    made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
+    return {"balance": made} if made is not None else {"balance": None, "balance_reason": reason}
+
+
+def _orders_and_modes(
+    order_map: xr.Dataset,
+    campbell: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    followed: Sequence[xr.Dataset],
+    known: Sequence[LineSeen],
+    settings: Settings,
+) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    """Orders as the map and the modes that they cross tell them, and the modes without the ``known`` electric lines."""
+    in_map = _orders_in_map(order_map, frames, settings, followed)
+    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
+    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
+    return in_map, with_mains_tones(modal, known, in_map)
 
 
 def _orders_in_map(
@@ -103,6 +143,17 @@ def _orders_in_map(
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
     agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
     return with_followed(numbered_as_followed(agreed, followed), followed, order_map)
+
+
+def _electric(
+    order_map: xr.Dataset, frames: Sequence[xr.Dataset], sources: Sources, settings: Settings
+) -> tuple[MotorFound | None, tuple[LineSeen, ...]]:
+    """The motor as it was found, if one is stated, and its lines; else mains that several speeds show."""
+    held = held_of(frames, order_map)
+    if sources.motor is None:
+        return None, mains_seen(held, settings=settings.identify)
+    found = motor_found(sources.motor, held, order_map, settings=settings.identify)
+    return found, found.seen or mains_seen(held, settings=settings.identify)
 
 
 def _energy(shares: dict[str, Any]) -> dict[str, Any]:

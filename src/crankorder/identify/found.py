@@ -221,11 +221,27 @@ class HiddenSpeeds:
 
 
 @dataclass(frozen=True, eq=False)
+class Swing:
+    """What modes that other orders struck add, as they ring on, to the track of ``order`` in a ``channel`` of a sweep.
+
+    ``taken`` (T,), complex like the track, and its standard ``error`` (T,) per part at ``time_s`` of the ``recording``.
+    """
+
+    order: float
+    channel: str
+    recording: str
+    time_s: NDArray[np.float64]
+    taken: NDArray[np.complex128]
+    error: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class ModalFit:
     """Modes, lowest first, with the ``covariance`` of (f_1, ζ_1, f_2, ζ_2, …); tones; responses; the floor.
 
     ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen, and
-    ``hidden`` at which speeds an order that was not found could meet a mode.
+    ``hidden`` at which speeds an order that was not found could meet a mode; ``swings`` are what modes that ring on
+    add to the tracks of sweeps.
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
@@ -238,6 +254,7 @@ class ModalFit:
     responses: tuple[OrderResponse, ...] = ()
     unseen: tuple[UnseenBound, ...] = ()
     hidden: tuple[HiddenSpeeds, ...] = ()
+    swings: tuple[Swing, ...] = ()
     frequency_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))

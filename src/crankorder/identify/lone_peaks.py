@@ -26,16 +26,18 @@ def lone_peaks(
     avoided: Sequence[AvoidedSpeed],
     *,
     largest: Mapping[str, float],
+    in_unit: Mapping[str, float],
     unit: Mapping[str, str],
     factor: float,
 ) -> list[AvoidedSpeed]:
     """Speeds to avoid that no crossing accounts for: an order is there ``factor`` times what it is on both sides.
 
     Of each channel of each of the ``orders`` the largest amplitude of its neighbourhood, by the lower end of its
-    interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same order
-    hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the largest
-    there of all channels of the same ``unit``. The natural frequency is that of the ``modal`` fit between the
-    neighbouring speeds; where there is none, that at which the order peaks.
+    interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same
+    order hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the
+    largest there of all channels of the same ``unit``; its share of the largest of any order there (``in_unit``)
+    ranks it. The natural frequency is that of the ``modal`` fit between the neighbouring speeds; where there is
+    none, that at which the order peaks.
     """
     made: list[AvoidedSpeed] = []
     for agreed in orders:
@@ -47,7 +49,7 @@ def lone_peaks(
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
-            item = _avoided(agreed.order, line, place, ratio, modal, worst, largest)
+            item = _avoided(agreed.order, line, place, ratio, modal, worst, in_unit)
             reach = 1.0 if line.worth is None else 1.0 + AROUND  # a sweep rings behind a resonance
             if not any(_holds(other, item, reach) for other in (*avoided, *made)):
                 made.append(item)
@@ -88,7 +90,7 @@ def _avoided(
     ratio: float,
     modal: ModalFit,
     worst: tuple[str, float],
-    largest: Mapping[str, float],
+    in_unit: Mapping[str, float],
 ) -> AvoidedSpeed:
     """Speed to avoid around row ``place`` of ``line``, half way to the rows beside, ``worst`` in a channel there."""
     rpm = float(line.speed_rpm[place])
@@ -108,7 +110,7 @@ def _avoided(
         amplitude=size,
         at_least=True,
         amplification=ratio,
-        cost=size / max(largest.get(channel, size), size) / np.sqrt(max(1, len(largest))),
+        cost=size / max(in_unit.get(channel, size), size),
         reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
     )
 

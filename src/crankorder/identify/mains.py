@@ -1,4 +1,4 @@
-"""Multiples of a mains frequency, and how far they wander."""
+"""Multiples of a mains frequency, how far they wander, and what they are called."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.settings import IdentifySettings
+
+ALONE = 2
+"""Multiples of the mains up to this stand alone: stray fields make the first, every magnetic circuit the second."""
 
 
 def nearest_multiple(
@@ -17,3 +20,25 @@ def nearest_multiple(
     """
     multiple = np.maximum(1.0, np.rint(np.asarray(frequency_hz, dtype=np.float64) / mains_hz))
     return multiple, settings.mains_tolerance_hz * np.sqrt(multiple)
+
+
+def mains_words(multiple: int) -> str:
+    """What a line at ``multiple`` times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
+    return {1: "mains", 2: "twice mains"}.get(multiple, f"{multiple} x mains")
+
+
+def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> tuple[int, float] | None:
+    """Multiple and mains frequency in Hz of a line at ``frequency_hz`` that may be mains by itself; None: none may.
+
+    ``error_hz``: its standard error; ``settings``: the mains frequencies and how far they wander.
+    """
+    for mains in settings.mains_hz:
+        multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
+        if multiple <= ALONE and abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz:
+            return int(multiple), mains
+    return None
+
+
+def is_mains(text: str) -> bool:
+    """Whether the words ``text`` of a cause name mains and nothing else."""
+    return text in ("mains", "twice mains") or text.endswith(" x mains")

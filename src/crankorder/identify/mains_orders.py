@@ -2,59 +2,116 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.mains import nearest_multiple
+from crankorder.identify.mains import ALONE, mains_words, nearest_multiple
 from crankorder.settings import IdentifySettings
 
 ALIKE_SPEEDS = 1.005
 """Fastest over slowest speed up to which a line of fixed frequency keeps its order."""
 
 FEWEST = 3
-"""Multiples of one mains frequency that must be there before any is called so …"""
+"""Multiples of one mains frequency that must be there where neither it nor its double is …"""
 
 OVER_CHANCE = 3.0
 """… and at least so many times as many as lines anywhere would hit by chance."""
 
 SAME_HZ = 0.1
-"""Hz within which they are multiples of one and the same frequency."""
+"""Hz within which they are multiples of one and the same frequency …"""
 
-LOWEST = 2
-"""Among them one of the first so many multiples."""
+SAME_SIGMAS = 3.0
+"""… or standard errors, where these are larger."""
+
+NOT_BOTH = "mains or another tone"
+"""What lines are called that only two mains frequencies at one place would explain together."""
+
+Floats = NDArray[np.float64]
 
 
-def mains_orders(orders: tuple[AgreedOrder, ...], *, settings: IdentifySettings) -> dict[float, tuple[str, str]]:
-    """Cause and evidence of those of ``orders`` that are multiples of a mains frequency, by order.
+@dataclass(frozen=True)
+class _Fixed:
+    """Lines of one speed: frequencies and errors in Hz, and whether each may be an ``exact`` order of the shaft."""
 
-    Only of lines that are not locked and seen at speeds too alike to tell an order from a fixed frequency; and only
-    where several multiples of the same mains are there, more than chance would bring. ``settings``: the mains
-    frequencies and how far they wander.
+    hertz: Floats
+    error_hz: Floats
+    exact: NDArray[np.bool_]
+
+
+def mains_orders(
+    orders: tuple[AgreedOrder, ...],
+    *,
+    tones_hz: Sequence[float] = (),
+    exact: Sequence[float] = (),
+    settings: IdentifySettings,
+) -> dict[float, tuple[str, str]]:
+    """Words and evidence of those of ``orders`` that are or may be multiples of a mains frequency, by order.
+
+    Only of lines seen at speeds too alike to tell an order from a fixed frequency. The mains frequency and its double
+    stand alone; further multiples only beside one of these, on the same grid, or where more of them are there than
+    chance would bring. Where one line is surely mains, those that may be orders of the shaft must lie on its grid.
+
+    Parameters
+    ----------
+    tones_hz : mains that were found as tones
+    exact : orders that are multiples of the cycle's for all that is known: they may be mains as well
+    settings : the mains frequencies and how far they wander
     """
-    found: dict[float, tuple[str, str]] = {}
-    frequencies = {agreed.order: hz for agreed in orders if (hz := _fixed_hz(agreed)) is not None}
-    if not frequencies:
-        return found
-    hertz = np.array(list(frequencies.values()))
-    for mains in settings.mains_hz:
-        multiple, within = nearest_multiple(hertz, mains, settings=settings)
-        hits = np.abs(hertz - multiple * mains) <= within
-        if hits.any():  # they all come from one mains, wherever it has wandered
-            hits &= np.abs(hertz - multiple * np.median((hertz / multiple)[hits])) <= SAME_HZ
-        by_chance = float(np.sum(np.minimum(1.0, 2.0 * within / mains)))
-        enough = np.unique(multiple[hits]).size >= max(FEWEST, OVER_CHANCE * by_chance)
-        if not enough or multiple[hits].min() > LOWEST:
-            continue
-        text = f"{np.unique(multiple[hits]).size} multiples of {mains:g} Hz; at one speed mains look like orders"
-        for order, number, hit in zip(frequencies, multiple.tolist(), hits.tolist(), strict=True):
-            if hit and order not in found:
-                found[order] = f"mains, {number:.0f} x {mains:g} Hz", text
-    return found
+    places = {one.order: place for one in orders if (place := _fixed_hz(one)) is not None}
+    if not places:
+        return {}
+    names = list(places)
+    lines = _Fixed(
+        np.array([places[order][0] for order in names]),
+        np.array([places[order][1] for order in names]),
+        np.array([order in exact for order in names]),
+    )
+    hits = {mains: found for mains in settings.mains_hz if (found := _hits(lines, mains, tones_hz, settings)).any()}
+    sure = [mains for mains, found in hits.items() if (found & ~lines.exact).any()]
+    made: dict[float, tuple[str, str]] = {}
+    for mains, found in hits.items():
+        multiple, _ = nearest_multiple(lines.hertz, mains, settings=settings)
+        for at in np.flatnonzero(found).tolist():
+            number = int(multiple[at])
+            words = NOT_BOTH if len(sure) > 1 else mains_words(number)
+            text = f"{lines.hertz[at]:.6g} Hz, {number} x {mains:g} Hz within what mains wander by"
+            made.setdefault(names[at], (words, f"{text}; at one speed mains look like orders"))
+    return made
 
 
-def _fixed_hz(agreed: AgreedOrder) -> float | None:
-    """Frequency of a line that may as well be fixed; None where the shaft's phase or several speeds say otherwise."""
+def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: IdentifySettings) -> NDArray[np.bool_]:
+    """Which ``lines`` are or may be multiples of ``mains``."""
+    multiple, reach = nearest_multiple(lines.hertz, mains, settings=settings)
+    within = reach + 2.0 * lines.error_hz
+    hits = np.asarray(np.abs(lines.hertz - multiple * mains) <= within)
+    low = hits & (multiple <= ALONE)
+    told = lines.hertz / multiple
+    others, room = nearest_multiple(np.asarray(tones_hz, dtype=np.float64), mains, settings=settings)
+    beside = (np.asarray(tones_hz) / others)[np.abs(np.asarray(tones_hz) - others * mains) <= room]
+    free = low & ~lines.exact
+    if free.any() or len(beside):
+        base = float(np.median(np.concatenate([told[free], beside])))
+        return hits & (np.abs(lines.hertz - multiple * base) <= np.maximum(SAME_HZ, SAME_SIGMAS * lines.error_hz))
+    several = hits & ~lines.exact
+    if several.any():
+        base = float(np.median(told[several]))
+        several &= np.abs(lines.hertz - multiple * base) <= SAME_HZ
+        by_chance = float(np.sum(np.minimum(1.0, 2.0 * reach / mains)[~lines.exact]))
+        if np.unique(multiple[several]).size >= max(FEWEST, OVER_CHANCE * by_chance):
+            return several | low
+    return low
+
+
+def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
+    """Frequency and error of a line that may as well be fixed; None where several speeds say otherwise."""
     speed = np.concatenate([line.speed_rpm for line in agreed.lines])
-    if agreed.lock == "locked" or not np.isfinite(speed).all() or speed.max() > ALIKE_SPEEDS * speed.min():
+    if not np.isfinite(speed).all() or speed.max() > ALIKE_SPEEDS * speed.min():
         return None
-    return agreed.order * float(speed.mean()) / 60.0
+    rpm = float(speed.mean())
+    return agreed.order * rpm / 60.0, float(
+        np.hypot(agreed.order_error * rpm, agreed.order * np.ptp(speed) / 4.0)
+    ) / 60.0

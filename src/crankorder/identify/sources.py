@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.definition import Engine
+from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
 
 
@@ -15,7 +16,8 @@ class Sources:
 
     ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
     and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
-    named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose.
+    named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose;
+    ``motor``: a stated induction motor.
     """
 
     revs_per_cycle: int
@@ -26,6 +28,7 @@ class Sources:
     engine: Engine | None = None
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()
+    motor: Motor | None = None
     known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
 
     def __post_init__(self) -> None:

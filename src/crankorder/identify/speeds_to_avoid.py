@@ -87,10 +87,10 @@ def speeds_to_avoid(
 
     To be avoided is an excited crossing by which the order may be twice as large, and a speed at which an order towers
     over those beside it without one (:func:`lone_peaks`). What it costs is its peak amplitude
-    there (by the fit of the modes where that knows it, else the largest that was measured near), in each channel
-    as a share of the largest amplitude that any order has in that channel, root mean square over the channels. It
-    takes its half-power width, ± ζ of the speed, and the interval of its speed; crossings whose ranges overlap are one
-    speed to avoid, named after the costliest, their costs added by energy.
+    there (by the fit of the modes where that knows it, else the largest that was measured near), in the
+    channel where it is largest, as a share of the largest amplitude that any order has in a channel of that unit: what
+    the reader sees is what ranks. It takes its half-power width, ± ζ of the speed, and the interval of its speed;
+    crossings whose ranges overlap are one speed to avoid, named and ranked after the costliest.
 
     A speed is free only where the data exclude, with ``settings.free_confidence``, that any order that was found is
     amplified by more than ``settings.free_amplification`` times: by a mode that was found, or by one that stands
@@ -107,8 +107,11 @@ def speeds_to_avoid(
     settings : ``crossing_band_rpm`` is the least width of a free band
     """
     largest = _largest(orders)
-    met = [_cost(item, orders, modal, largest, unit, settings) for item in found if _counts(item)]
-    met += lone_peaks(orders, modal, met, largest=largest, unit=unit, factor=settings.free_amplification)
+    in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
+    met = [_cost(item, orders, modal, in_unit, settings) for item in found if _counts(item)]
+    met += lone_peaks(
+        orders, modal, met, largest=largest, in_unit=in_unit, unit=unit, factor=settings.free_amplification
+    )
     avoid = sorted((_joined(group) for group in _overlapping(met)), key=lambda item: (-item.cost, item.rpm))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -150,18 +153,16 @@ def _cost(
     item: Crossing,
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
-    largest: dict[str, float],
-    unit: Mapping[str, str],
+    in_unit: Mapping[str, float],
     settings: IdentifySettings,
 ) -> AvoidedSpeed:
-    """Range, amplitude and cost of one excited crossing."""
+    """Range, amplitude and cost of one excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
     mode = _mode_of(item, modal)
     agreed = min(orders, key=lambda one: abs(one.order - item.order))
     peaks = _peaks(item, agreed, modal, mode, settings)
     sizes = {channel: peak.amplitude for channel, peak in peaks.items()}
-    shares = {channel: size / largest[channel] for channel, size in sizes.items() if largest.get(channel, 0.0) > 0.0}
-    worst = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
-    channel = max((name for name in sizes if unit[name] == unit[worst]), key=lambda name: sizes[name], default=worst)
+    shares = {channel: size / in_unit[channel] for channel, size in sizes.items() if in_unit.get(channel, 0.0) > 0.0}
+    channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
     times = _amplification(item, agreed, channel, peak, modal, settings)
     half = mode.damping_ratio * item.rpm
@@ -180,7 +181,7 @@ def _cost(
         at_least=peak is not None and peak.response is None,
         amplification=None if times is None else times.ratio,
         amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
-        cost=float(np.sqrt(sum(share**2 for share in shares.values()) / max(1, len(largest)))),
+        cost=shares.get(channel, 0.0),
         reason=f"order {item.order:.4g} meets {what}",
     )
 
@@ -249,12 +250,11 @@ def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
 
 
 def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
-    """One speed to avoid from crossings whose ranges overlap, named after the costliest."""
+    """One speed to avoid from crossings whose ranges overlap, named and ranked after the costliest."""
     by_cost = sorted(group, key=lambda item: -item.cost)
     return replace(
         by_cost[0],
         rpm_range=(min(item.rpm_range[0] for item in group), max(item.rpm_range[1] for item in group)),
-        cost=float(np.sqrt(sum(item.cost**2 for item in group))),
         orders=tuple(item.orders[0] for item in by_cost),
         modes_hz=tuple(item.modes_hz[0] for item in by_cost),
         reason=" and ".join(item.reason for item in by_cost),

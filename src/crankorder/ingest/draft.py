@@ -22,6 +22,18 @@ _CAM = re.compile(r"\bcam(shaft)?\b|nockenwelle", re.IGNORECASE)
 _SPEED = re.compile(r"rpm|speed|drehzahl", re.IGNORECASE)
 
 
+MOTOR = (
+    "",
+    "# [motor]                         # where an induction motor drives: its slip and its lines are then named",
+    "# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive",
+    "# poles = 4                       # poles, not pairs",
+    "# rotor_bars = 44",
+    "# shaft_ratio = 1.0               # turns of the motor per crank revolution",
+    "",
+)
+"""What a draft proposes that no file tells, as comments."""
+
+
 def draft_manifest(folder: Path) -> str:
     """TOML text of a draft manifest for the recordings in ``folder``, taken from what their headers state.
 
@@ -50,6 +62,7 @@ def draft_manifest(folder: Path) -> str:
         if role == "channel":
             lines += _channel(name, contents.units.get(name, ""), sources[name])
     lines += _encoder(roles, contents, path, sources)
+    lines += MOTOR
     scalars = [name for name in contents.names if contents.samples.get(name) == 1]
     if scalars:
         shown = ", ".join(printable(name, 40) for name in scalars[:20]) + (", …" if len(scalars) > 20 else "")

@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic import field_validator as field_check
 
 from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
@@ -129,6 +130,7 @@ class Manifest(Table):
     transfer_paths: Annotated[tuple[StatedPath, ...], Field(strict=False)] = ()
     added_masses: Annotated[tuple[AddedMass, ...], Field(strict=False)] = ()
     gears: Annotated[tuple[Gear, ...], Field(strict=False)] = ()
+    motor: Motor | None = None
 
     @property
     def revs_per_cycle(self) -> int:
@@ -277,6 +279,7 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
                     place=f"bearings.{number}",
                 )
             )
+    faults += _motor_faults(manifest.motor)
     faults += path_faults(
         manifest.transfer_paths, {channel.name: channel.analysed_unit for channel in manifest.channels}
     )
@@ -284,6 +287,14 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     return faults + encoder_faults(
         manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated
     )
+
+
+def _motor_faults(motor: Motor | None) -> list[RequestError]:
+    """A motor of which no line follows, and one whose supply is stated without what makes use of it."""
+    if motor is None or motor.poles is not None or motor.rotor_bars is not None or motor.stator_slots is not None:
+        return []
+    remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
+    return [RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy)]
 
 
 def _channel_faults(channel: Channel, place: str) -> list[RequestError]:

@@ -22,8 +22,9 @@ from crankorder.orders.envelope_band import (
     envelopes_of,
     without_tones,
 )
-from crankorder.orders.envelope_combs import Comb, comb_chances
-from crankorder.orders.envelope_lines import FLOOR_WORTH, best_band, free_orders, line_floor, off_mains
+from crankorder.orders.envelope_combs import Comb, looked_at, over_skirts
+from crankorder.orders.envelope_lines import best_band, floor_worth, free_orders, line_floor, off_mains
+from crankorder.orders.envelope_looks import WIDER_SHARE, looks_of, served
 from crankorder.quantities import channel_coords, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
@@ -37,9 +38,6 @@ PIECES = 4
 FRAMES_PER_PIECE = 2
 """Frames that a piece holds at least, where that is not more than is analysed: cut pieces lose what overlaps."""
 
-
-COMB_SHARE = 0.9
-"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
 
 SURE_OF_COMB = 0.01
 """Chance that noise makes a comb in any band of a channel below which the band that shows it best is taken."""
@@ -97,13 +95,18 @@ class Spectra(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The band chosen for a channel: power of its envelope's lines and the floor beneath (orders,), and its mean."""
+    """The band chosen for a channel: power of its envelope's lines and the floor beneath (orders,), and its mean.
+
+    ``looks`` (3, bands, looks): in every band, at the bins where strikes are looked for, the power over the skirts of
+    other lines, that over the local floor, and the root of this floor; ``share`` of the frames that were used.
+    """
 
     band: Band
     power: NDArray[np.float64]
     floor: NDArray[np.float64]
     mean_square: float
     share: float
+    looks: NDArray[np.float32]
 
 
 def recording_envelope(
@@ -136,7 +139,7 @@ def recording_envelope(
     )
     stretches = _stretches(recording, shaft, pieces, frames)
     chosen = [_choose(row, bands, stretches, frames, turn, combs) for row in recording["signal"].values]
-    return _dataset(recording, shaft, settings, chosen, frames, len(bands), pieces)
+    return _dataset(recording, shaft, settings, chosen, frames, pieces, bands, combs)
 
 
 def _bands_and_pieces(
@@ -144,6 +147,8 @@ def _bands_and_pieces(
 ) -> tuple[tuple[Band, ...], list[tuple[float, float]], str]:
     """Bands to try, crank angles [rev] from and to which, and why there are none of either."""
     speed = shaft["speed"].values
+    if not recording["signal"].shape[1]:
+        return (), [], "no bearing is named, so no strikes are looked for"
     if recording.attrs["domain"] != "time":
         return (), [], "recorded by crank angle: a resonance stays at no order"
     if not len(speed) or not np.isfinite(speed).all() or not float(speed.max()) > 0.0:
@@ -240,49 +245,50 @@ def _choose(
 ) -> Choice:
     """The band of one channel in whose envelope ``combs`` or, failing these, most stands out, with its spectrum.
 
-    The choice is made without the tones of the signal, the spectrum is that of all of it.
+    The choice and what is seen in the other bands are made without the tones of the signal, the spectrum is that of all
+    of it.
     """
     blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in stretches]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
     toneless = [without_tones(some) for some in blocks]
     screened = _spectra(toneless, finest, stretches, frames, turn, level=finest[0].level)
+    bins = looked_at(combs, step=float(frames.order[1]), n_orders=frames.n_orders)
     if not screened.used:
         missing = np.full(frames.n_orders, np.nan)
-        return Choice(bands[0], missing, missing, math.nan, 0.0)
+        nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
+        return Choice(bands[0], missing, missing, math.nan, 0.0, nothing)
     share = screened.used / sum(len(one.begins) for one in stretches)
     n_independent = frames.n_independent * share
     floor = line_floor(screened.power, frames.order, n_independent)
     height = screened.power / np.maximum(floor, np.finfo(np.float64).tiny)
     free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
     free &= off_mains(frames.order, speed_hz=turn.mean_hz, cell=1.0 / frames.revs)
-    best = _band_of_combs(height, combs, frames, n_independent, free)
+    seen = over_skirts(height)[:, bins]
+    best = _band_of_combs(seen, bins, combs, frames, n_independent, free) if combs else None
     if best is None:
         best = best_band(np.where(free, height, 0.0).max(axis=1))
     exact = _spectra(blocks, (bands[best],), stretches, frames, turn, level=1)
+    looks = np.stack([seen, height[:, bins], floor[:, bins] ** 0.25]).astype(np.float32)
     floor = line_floor(exact.power, frames.order, n_independent)
-    return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), share)
+    return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), share, looks)
 
 
 def _band_of_combs(
-    height: NDArray[np.float64], combs: tuple[Comb, ...], frames: Frames, n_independent: float, free: NDArray[np.bool_]
+    seen: NDArray[np.float64],
+    bins: NDArray[np.int64],
+    combs: tuple[Comb, ...],
+    frames: Frames,
+    n_independent: float,
+    free: NDArray[np.bool_],
 ) -> int | None:
-    """Band (row of ``height``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
+    """Band (row of ``seen``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
     step = float(frames.order[1])
-    count = np.full(len(height), n_independent)
-    worth = np.full(len(height), FLOOR_WORTH * frames.revs)
-    chances = [
-        comb_chances(height, comb, step=step, count=count, floor_worth=worth, free=free)
-        for comb in combs
-        if comb.low > step and comb.high < frames.order[-1]
-    ]
-    if not chances:
+    worth = floor_worth(step, 1.0 / frames.revs)
+    shown = served(seen, combs, bins, step=step, count=n_independent, worth=worth, free=free).max(axis=0)
+    if shown.max() < np.log(seen.size / SURE_OF_COMB):
         return None
-    every = np.concatenate(chances, axis=1)
-    if every.min() * every.size > SURE_OF_COMB:
-        return None
-    nats = -np.log(np.maximum(every.min(axis=1), 1e-300))
     # a wider band that shows it as well holds more of the resonance
-    return int(np.flatnonzero(nats >= COMB_SHARE * nats.max())[0])
+    return int(np.flatnonzero(shown >= WIDER_SHARE * shown.max())[0])
 
 
 def _spectra(
@@ -346,8 +352,9 @@ def _dataset(
     settings: OrderSettings,
     chosen: list[Choice],
     frames: Frames,
-    n_bands: int,
     pieces: list[tuple[float, float]],
+    bands: tuple[Band, ...],
+    combs: tuple[Comb, ...],
 ) -> xr.Dataset:
     """RecordingEnvelope of the ``chosen`` bands of all channels."""
     seconds = [float(np.diff(time_at(np.array(piece), **knots_of(shaft)))[0]) for piece in pieces]
@@ -368,8 +375,10 @@ def _dataset(
         "n_independent": (of_channel, np.array([[frames.n_independent * one.share] for one in chosen]), {"units": "1"}),
         "revs_per_frame": (("speed",), np.array([frames.revs]), {"units": "1"}),
     }
+    if combs:
+        variables |= looks_of(combs, bands, order=frames.order, looks=np.stack([one.looks for one in chosen]))
     made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), frames.order))
-    made.attrs = _attrs(recording, shaft, settings) | {"bands_tried": n_bands, "analysed_s": sum(seconds)}
+    made.attrs = _attrs(recording, shaft, settings) | {"bands_tried": len(bands), "analysed_s": sum(seconds)}
     return made
 
 

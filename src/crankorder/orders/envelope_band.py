@@ -11,6 +11,8 @@ import pyfftw
 from numba import njit
 from numpy.typing import NDArray
 
+from crankorder.orders.envelope_lines import middles
+
 BLOCK_SAMPLES = 65_536
 """Samples transformed at a time: they, their spectrum and the bands of one level stay in the second-level cache."""
 
@@ -144,9 +146,8 @@ def without_tones(blocks: Blocks) -> Blocks:
     whole = made.shape[1] // TONE_BINS * TONE_BINS
     for row in made:
         size = np.abs(row)
-        middle = TONE_RATIO * np.median(size[:whole].reshape(-1, TONE_BINS), axis=1)
-        limit = np.full(len(size), middle[-1])
-        limit[:whole] = np.repeat(middle, TONE_BINS)
+        middle = np.float32(TONE_RATIO) * middles(size[:whole].reshape(-1, TONE_BINS))
+        limit = np.append(np.repeat(middle, TONE_BINS), np.full(len(size) - whole, middle[-1]))
         over = size > limit
         row[over] *= limit[over] / size[over]
     return blocks._replace(spectra=made)

@@ -12,6 +12,9 @@ FLOOR_WORTH = 0.4
 """Independent powers per cell of resolution that a floor of medians is worth: of a Hann window two thirds are, and a
 median is worth 0.6 of their mean."""
 
+CYCLE_CELLS = 1.5
+"""Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
+
 LOCKED_BINS = 2.0
 """Cells of resolution beside a multiple of the cycle's order that take no part in the choice of the band."""
 
@@ -57,6 +60,30 @@ def off_mains(order: NDArray[np.float64], *, speed_hz: float, cell: float) -> ND
     return made
 
 
+def free_of_others(
+    order: NDArray[np.float64], *, revs_per_cycle: int, speed_hz: float, cell: float
+) -> NDArray[np.bool_]:
+    """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
+
+    ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
+
+
+def floor_worth(step: float, cell: float) -> float:
+    """Independent bins that the floor of a spectrum is worth, with bins ``step`` apart and a resolution of ``cell``."""
+    return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
+
+
+def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Medians of the last axis of ``pieces``; of such short ones, many at a time, a sort is the fastest way."""
+    ordered = np.sort(pieces, axis=-1)
+    half = ordered.shape[-1] // 2
+    made: NDArray[np.floating] = ordered[..., half]
+    return made if ordered.shape[-1] % 2 else (ordered[..., half - 1] + made) / 2
+
+
 def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_independent: float) -> NDArray[np.float64]:
     """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
 
@@ -68,7 +95,7 @@ def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_indepen
     count = max(power.shape[1] // width, 1)
     pieces = power[:, : count * width].reshape(len(power), count, -1)
     shape = max(n_independent, 1.0)
-    middle = np.median(pieces, axis=2) * shape / float(gammaincinv(shape, 0.5))
+    middle = middles(pieces) * shape / float(gammaincinv(shape, 0.5))
     at = (np.arange(count) + 0.5) * pieces.shape[2]
     bins = np.arange(power.shape[1])
     made: NDArray[np.float64] = np.stack([np.interp(bins, at, row) for row in middle])

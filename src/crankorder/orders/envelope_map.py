@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.orders.envelope_looks import joined_looks
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.shaft.speed_groups import speed_groups
 
@@ -73,6 +74,7 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
     variables: dict[str, Any] = {
         name: (first[name].dims, np.stack(values, axis=1), dict(first[name].attrs)) for name, values in columns.items()
     }
+    variables |= joined_looks([[used[k] for k in group] for group in groups])
     variables["revs_per_frame"] = (("speed",), np.array(revs), dict(first["revs_per_frame"].attrs))
     mean_speed = np.array([speed[group].mean() for group in groups])
     coords = {

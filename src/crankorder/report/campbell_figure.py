@@ -283,7 +283,8 @@ def _keys(*, orders: bool, modes: list[dict[str, Any]], circles: bool) -> list[K
         keys.append(Key("not decided", MODE, DOUBT_DASHES))
     tones = {str(mode.get("explained_by")) for mode in modes if is_tone(mode)}
     if tones:
-        label = "mains" if tones == {"mains"} else "fixed tone" if "mains" not in tones else "mains or fixed tone"
+        of_mains = {cause for cause in tones if cause.endswith("mains")}
+        label = "mains" if tones == of_mains else "fixed tone" if not of_mains else "mains or fixed tone"
         keys.append(Key(label, MAINS, TONE_DASHES))
     return [*keys, Key("excited crossing", INK, ring=True)] if circles else keys
 

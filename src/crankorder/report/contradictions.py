@@ -28,6 +28,9 @@ APART = (
     ("No order stands above the noise", "found: "),
     ("No order could be proven", "is the strongest line in"),
     ("No recording was found faulty or suspect", "those data took no part in the averages"),
+    ("is in doubt, and with it every order", "does not follow the shaft"),
+    ("is in doubt, and with it every order", "Free of resonances:"),
+    ("is in doubt, and with it every order", "Balance it:"),
     ("strikes of", "Nothing that was looked for asks for action"),
 )
 """Pairs of words that no page may hold both of."""

@@ -11,6 +11,11 @@ _SAME_SHARE = 0.002  # … or this share of its frequency
 _DAMPED = ("mode", "undecided", "natural")
 
 
+ALIKE_SPEEDS = 1.005
+"""Fastest over slowest speed up to which an order and a fixed frequency are one line."""
+_ELECTRIC = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")
+
+
 class FixedTone(TypedDict):
     """A line that stays at its frequency: its record, what it is, and its line in each channel that shows it."""
 
@@ -23,6 +28,28 @@ def is_fixed_tone(line: dict[str, Any]) -> bool:
     """True for a ``line`` of the findings at a fixed frequency that is no natural frequency."""
     cause = str(line.get("explained_by") or "").split()
     return is_number(line.get("frequency_hz")) and not (cause and cause[0].strip(",:;") in _DAMPED)
+
+
+def is_electric(record: dict[str, Any]) -> bool:
+    """True for a ``record`` of the findings whose cause is the mains or the field of a motor, and nothing else."""
+    cause = str(record.get("explained_by") or "")
+    return (cause.startswith(_ELECTRIC) or " x mains" in cause) and " or order" not in cause
+
+
+def hertz_of_order(record: dict[str, Any], findings: dict[str, Any]) -> float | None:
+    """Frequency [Hz] by which an order ``record`` of the ``findings`` is called first; None where its order says more.
+
+    That of a line of the mains or of a motor's field, and of one that at the only speed of a test is no multiple of the
+    half revolution: whether it goes with the speed nobody knows. A bearing's line has its order.
+    """
+    rpm = record.get("speed_rpm_at_max")
+    if not is_number(rpm) or not is_number(record.get("order")):
+        return None
+    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
+    one_speed = is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
+    cause = str(record.get("explained_by") or "unexplained")
+    loose = one_speed and record.get("lock") == "slips" and not cause.startswith(("bearing", "gear"))
+    return float(record["order"]) * float(rpm) / 60.0 if loose or is_electric(record) else None
 
 
 def strongest_tone(findings: dict[str, Any], channel: str) -> dict[str, Any] | None:

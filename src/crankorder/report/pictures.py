@@ -18,7 +18,7 @@ from crankorder.report.figures import (
     spectra_figure,
     speed_figure,
 )
-from crankorder.report.speed_figure import changing_recordings
+from crankorder.report.speed_figure import shown_recordings
 from crankorder.settings import ReportSettings
 
 
@@ -71,7 +71,7 @@ def pictures_of(
     if campbell is not None and speeds > 1:
         for channel in campbell["channel"].values.tolist():
             plan(f"campbell_{name_of(channel)}.png", f"Campbell diagram, {channel}", campbell_figure, campbell, channel)
-    if "shaft" in groups and changing_recordings(groups["shaft"]):
+    if "shaft" in groups and shown_recordings(groups["shaft"]):
         plan("speed.png", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
     if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
         plan("orders.png", "Orders against speed: amplitude and phase", orders_figure, tracks)

@@ -1,4 +1,4 @@
-"""Speed against time of the recordings whose speed changes: how the machine was driven."""
+"""Speed against time: how the machine was driven, and how unevenly it turned where an encoder shows that."""
 
 from __future__ import annotations
 
@@ -35,6 +35,15 @@ def changing_recordings(shaft: xr.Dataset) -> list[int]:
     ]
 
 
+def shown_recordings(shaft: xr.Dataset) -> list[int]:
+    """Numbers of the recordings of ``shaft`` that are drawn: their speed changes, else all with pulses."""
+    numbers = changing_recordings(shaft)
+    if numbers or "speed_trace" not in shaft or "n_pulses" not in shaft:
+        return numbers
+    drawn = np.isfinite(shaft["speed_trace"].transpose("recording", "knot").values).any(axis=1)
+    return np.flatnonzero((shaft["n_pulses"].values > 0) & drawn).tolist()
+
+
 def _spread(trace: NDArray[np.float64]) -> float:
     known = trace[np.isfinite(trace)]
     if len(known) < 2:
@@ -44,13 +53,13 @@ def _spread(trace: NDArray[np.float64]) -> float:
 
 
 def speed_figure(shaft: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
-    """Speed [rpm] against time [s] of every recording whose speed changes, with its swing as a band.
+    """Speed [rpm] against time [s] of the :func:`shown_recordings`, with its swing as a band.
 
     ``shaft`` the group of that name of the results, with ``trace_time``, ``speed_trace`` and where known
     ``speed_trace_low``, ``speed_trace_high`` (recording, knot); ``findings`` of the same test; ``settings`` of the
     report.
     """
-    numbers = changing_recordings(shaft)
+    numbers = shown_recordings(shaft)
     time, speed = (shaft[name].transpose("recording", "knot").values for name in ("trace_time", "speed_trace"))
     time = time - np.nanmin(time, axis=1, keepdims=True, initial=np.inf)
     low, high = (
@@ -59,8 +68,8 @@ def speed_figure(shaft: xr.Dataset, findings: dict[str, Any], *, settings: Repor
     )
     drawing = Drawing(settings.width_in, _HEIGHT)
     box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, _HEIGHT - _BOTTOM - _TOP)
-    top = float(np.nanmax(high[numbers], initial=1.0))
-    panel = Panel(drawing, box, (0.0, float(np.nanmax(time[numbers], initial=1e-3))), (0.0, 1.05 * top))
+    ends = _ends(low[numbers], high[numbers], from_zero=bool(changing_recordings(shaft)))
+    panel = Panel(drawing, box, (0.0, float(np.nanmax(time[numbers], initial=1e-3))), ends)
     panel.x_axis("Time from the first pulse, s", most=10)
     panel.y_axis("Speed, rpm", most=6)
     panel.frame()
@@ -82,10 +91,21 @@ def speed_figure(shaft: xr.Dataset, findings: dict[str, Any], *, settings: Repor
     return drawing
 
 
+def _ends(low: NDArray[np.float64], high: NDArray[np.float64], *, from_zero: bool) -> tuple[float, float]:
+    """Ends of the axis of speed: from standstill where the speed changes, else close about what is drawn."""
+    top, bottom = float(np.nanmax(high, initial=1.0)), float(np.nanmin(low, initial=np.inf))
+    if from_zero or not np.isfinite(bottom):
+        return 0.0, 1.05 * top
+    spare = max(0.1 * (top - bottom), 0.005 * top)
+    return max(0.0, bottom - spare), top + spare
+
+
 def _said(shaft: xr.Dataset, numbers: list[int]) -> str:
     speed = shaft["speed_trace"].transpose("recording", "knot").values[numbers]
     rest = shaft.sizes["recording"] - len(numbers)
-    more = f" {rest} other{'s keep their' if rest > 1 else ' keeps its'} speed." if rest else ""
+    keep = "keep their speed" if rest > 1 else "keeps its speed"
+    lack = "have no encoder" if rest > 1 else "has no encoder"
+    more = f" {rest} other{'s' * (rest > 1)} {keep if changing_recordings(shaft) else lack}." if rest else ""
     return (
         f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
         f"the band: lowest to highest within each piece of time, with the noise of the encoder's edges.{more}"

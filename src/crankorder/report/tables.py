@@ -86,7 +86,8 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     known = findings.get("speeds_to_avoid") is not None
     empty = (NOTHING_RISES if all_judged(findings) else NOTHING_TOLD) if known else ""
-    note = "The worst first." if len(rows) > 1 else ""
+    note = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
+    note = note if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
 
 

@@ -51,6 +51,8 @@ SWITCH, MENDED_REACH, FAR_ODDS = 8.0, 0.15, 50.0
 USUAL_SLEW = 0.3
 # Confidence below which a stretch is told, and below which it is a guess: a recording of which most is one is refused.
 DOUBTFUL, GUESSED = 0.5, 0.2
+SELDOM = 0.01
+"""Share of the time up to which a doubtful speed, as at the very ends, is not worth a word."""
 
 
 @dataclass(frozen=True)
@@ -324,7 +326,7 @@ def _told(time_s: FloatArray, confidence: FloatArray, ties: list[Tie]) -> list[R
             ("speed_tie", "suspect", f"the vibration fits other speeds nearly as well: {named} of the found")
         )
     doubtful = confidence < DOUBTFUL
-    if doubtful.any():
+    if np.mean(doubtful) > SELDOM:
         bad = np.mean(confidence < GUESSED) > 0.5
         detail = (
             f"the speed is less than {DOUBTFUL:.0%} sure for {np.mean(doubtful):.0%} of the time, "

@@ -21,7 +21,7 @@ def campaign(tmp_path_factory):
     outcome = CliRunner().invoke(main, ["demo", "--out", str(out), "-q"])
     assert outcome.exit_code == 0, outcome.output
     pictures = [Path(line) for line in outcome.stdout.splitlines()]
-    assert all(picture.stat().st_size > 10_000 for picture in pictures) and len(pictures) == 7
+    assert all(picture.stat().st_size > 10_000 for picture in pictures) and len(pictures) == 8
     truth = json.loads((out / "recordings" / "truth.json").read_bytes())
     return truth, json.loads(next(out.glob("results/*/findings.json")).read_bytes())
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.bearings.places import Place
-from crankorder.orders.envelope_combs import Comb
 
 Array = NDArray[np.float64]
 
@@ -71,6 +70,8 @@ class Ranking:
 def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Place]) -> Ranking:
     """Ranking of the ``places`` of one bearing by ``ratio`` (orders,), power over the floor in bins ``step`` apart.
 
+    It is that of one band, in which one of them was found: in the best of many bands noise lifts each of the others.
+
     The level of a part is the mean of those of its first harmonics, three of a race or a rolling element and the third
     to the sixth of a cage, each at the place that suits it best. Half of that of an inner race or a rolling element is
     in the sidebands that its way through the load zone makes. What stands one turn of the cage beside is taken from the
@@ -96,7 +97,7 @@ def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Pla
 
 def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
     """Orders (trials,) at which ``place`` may be, and its level at each; NaN beyond the spectrum."""
-    comb = Comb(place.low, place.high)
+    comb = place.comb
     trials = comb.trials(step)
     harmonic = np.arange(CAGE_FROM if place.line == "FTF" else 1, comb.teeth + 1)[:, None]
     teeth = harmonic * trials

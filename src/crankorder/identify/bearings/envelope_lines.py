@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,15 +13,10 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.identify.bearings.candidates import Ranking, ranking
-from crankorder.identify.bearings.places import Place, made_by, on_cycle
-from crankorder.orders.envelope_combs import TRIALS_PER_BIN, Comb, comb_chances
-from crankorder.orders.envelope_lines import FLOOR_WORTH, off_mains
-
-FLOOR_BINS = 64
-"""Bins whose median is the floor, a Hann window's worth of independent ones being two thirds."""
-
-CYCLE_CELLS = 1.5
-"""Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
+from crankorder.identify.bearings.places import Place, made_by
+from crankorder.orders.envelope_combs import TRIALS_PER_BIN, Comb, comb_nats, look_nats, looked_at, over_skirts
+from crankorder.orders.envelope_lines import floor_worth, free_of_others
+from crankorder.orders.envelope_looks import combs_in
 
 PLACE_ERROR = (0.42, 0.40)
 """Standard error of a line's place in cells of resolution, times the root of its power ratio and of the independent
@@ -41,11 +38,29 @@ HARMONICS = 4
 WAYS = 2.0
 """Ways in which a line is looked for: in single spectra and in the mean of all."""
 
+TRIALS_SHARE = 0.2
+"""Share of the trials that count as independent: bands overlap, lines are wider than bins, and harmonics have limits.
+Measured on 940 drawn sound rigs: as many of them then raise an alarm as the stated level says, 1 in 1000."""
+
 LEAST_FREE = 0.5
 """Share of the spectra in which an order must be free for the mean of all to count there."""
 
 HARMONIC_LEVEL = 1e-3
 """Chance that noise alone makes one multiple or sideband of a line that was found."""
+
+
+class Look(NamedTuple):
+    """Power ratios and amplitudes (channel, speed, order) in one band, the ends of which in Hz are ``band_hz``.
+
+    ``ratio`` is the power over the floor or, where they are higher, over the skirts of other lines, ``raw`` that over
+    the floor alone; 0 in bins that tell nothing of the strikes that are looked for there. The ends are (speed, 2), NaN
+    where the band is that of the spectrum that is drawn, channel by channel.
+    """
+
+    ratio: NDArray[np.float64]
+    raw: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+    band_hz: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,32 +75,36 @@ class Spectra:
     speed_rpm: NDArray[np.float64]
     revs_per_cycle: int
     bands_tried: int
+    looks: Mapping[Comb, Look] = field(default_factory=dict)
 
-    def chance(self, ratio: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Chance (channel, speed, bin) of so high a power ``ratio`` in one bin by noise, its floor being estimated."""
-        count = np.maximum(self.count, 1e-3)[:, :, None]
-        return np.asarray(fdtrc(2.0 * count, 2.0 * self.floor_worth[None, :, None] * count, ratio))
+    def serving(self, place: Place) -> Look:
+        """What the band that serves strikes at ``place`` best shows of them; the band drawn where none was chosen."""
+        if place.comb in self.looks:
+            return self.looks[place.comb]
+        rows = over_skirts(self.ratio.reshape(-1, len(self.order)))
+        drawn = np.broadcast_to(np.nan, (len(self.speed_rpm), 2))
+        return Look(rows.reshape(self.ratio.shape), self.ratio, self.amplitude, drawn)
 
     @property
     def floor_worth(self) -> NDArray[np.float64]:
         """Independent bins (speed,) that the floor is worth."""
-        return np.asarray(FLOOR_BINS * FLOOR_WORTH * self.order[1] / self.cell)
+        return np.array([floor_worth(float(self.order[1]), float(cell)) for cell in self.cell])
 
     def free(self) -> NDArray[np.bool_]:
         """Bins (speed, order) at which strikes can be told from what is locked to the engine's cycle and from mains."""
-        cycle = on_cycle(self.order[None], revs_per_cycle=self.revs_per_cycle, within=CYCLE_CELLS * self.cell[:, None])
-        mains = [
-            off_mains(self.order, speed_hz=rpm / 60.0, cell=float(cell))
-            for rpm, cell in zip(self.speed_rpm, self.cell, strict=True)
-        ]
-        return np.logical_not(cycle) & np.array(mains)
+        return np.array(
+            [
+                free_of_others(self.order, revs_per_cycle=self.revs_per_cycle, speed_hz=rpm / 60.0, cell=float(cell))
+                for rpm, cell in zip(self.speed_rpm, self.cell, strict=True)
+            ]
+        )
 
-    def mean(self) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
-        """Mean of all channels and speeds (orders,) where these are free, spectra it is worth, and bins that count."""
+    def mean(self, ratio: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
+        """Mean ``ratio`` of all channels and speeds (orders,) where free, spectra it is worth, and bins that count."""
         weight = self.count[:, :, None] * self.free()[None]
         own = weight.sum(axis=(0, 1))
         counts = own >= LEAST_FREE * max(float(self.count.sum()), 1e-9)
-        mean = (weight * self.ratio).sum(axis=(0, 1)) / np.where(counts, own, 1.0)
+        mean = (weight * ratio).sum(axis=(0, 1)) / np.where(counts, own, 1.0)
         worth = float(own[counts].min()) if counts.any() else 0.0
         return np.where(counts, mean, 0.0), worth, np.asarray(counts)
 
@@ -119,6 +138,7 @@ class EnvelopeLine:
     seen: NDArray[np.bool_]
     harmonics: int
     sidebands: float | None
+    band_hz: tuple[float, float]
     ranking: Ranking
     also: list[str] = field(default_factory=list)
 
@@ -142,7 +162,25 @@ def spectra_of(envelope: xr.Dataset) -> Spectra:
         speed_rpm=envelope["speed"].values,
         revs_per_cycle=int(envelope.attrs["revs_per_cycle"]),
         bands_tried=max(int(envelope.attrs["bands_tried"]), 1),
+        looks=_looks_in(envelope),
     )
+
+
+def _looks_in(envelope: xr.Dataset) -> dict[Comb, Look]:
+    """What ``envelope`` holds of the bands that serve its combs; nothing where none were looked for."""
+    if "comb_ratio" not in envelope:
+        return {}
+    order = envelope["order"].values
+    bins = np.round(envelope["look"].values / order[1]).astype(np.int64)
+    made = {}
+    for number, comb in enumerate(combs_in(envelope)):
+        ratio, raw, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(3))
+        ratio[:, :, bins] = envelope["comb_ratio"].values[number]
+        raw[:, :, bins] = envelope["comb_level"].values[number]
+        amplitude[:, :, bins] = raw[:, :, bins] ** 0.25 * envelope["comb_floor"].values[number]
+        ends = [envelope[f"comb_band_{end}"].values[number] for end in ("low", "high")]
+        made[comb] = Look(ratio, raw, amplitude, np.stack(ends, axis=1))
+    return made
 
 
 def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probability: float) -> list[EnvelopeLine]:
@@ -164,7 +202,8 @@ def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probabi
     within = 1.5 * cell
     for line in found:
         first = all(other.place.name != line.place.name for other in kept)
-        if not first and not _stands(spectra, line.order, line.channel, line.speed):
+        ratio = spectra.serving(line.place).ratio
+        if not first and not _stands(spectra, ratio, line.order, line.channel, line.speed):
             continue  # the harmonics are another's: its own line is not there
         told = next(((other, how) for other in kept if (how := _made_by(line, other, within))), None)
         if told is None:
@@ -187,28 +226,26 @@ def _line(
     """The line of ``place``, one of the ``places``; None where nothing stands over the level."""
     step = spectra.order[1]
     span = slice(math.ceil(place.low / step), math.floor(place.high / step) + 1)
-    mean, total, _ = spectra.mean()
-    alone, together = _chances(spectra, place, span, bins)
-    if not alone.size:
+    alone, together = line_chances(spectra, place, span, bins)
+    if not alone.size or min(float(alone.min()), float(together.min())) > false_alarm_probability:
         return None
-    chance = min(float(alone.min()), float(together.min()))
-    if chance > false_alarm_probability:
-        return None
+    look = spectra.serving(place)
+    mean, total, _ = spectra.mean(look.ratio)
     seen: NDArray[np.bool_] = np.asarray(alone.min(axis=2) <= false_alarm_probability)
     if seen.any():
         channel, speed, at = np.unravel_index(
-            np.argmax(spectra.ratio[:, :, span] * (alone <= false_alarm_probability)), alone.shape
+            np.argmax(look.ratio[:, :, span] * (alone <= false_alarm_probability)), alone.shape
         )
     else:
         at = np.argmin(together)
-        channel, speed = np.unravel_index(np.argmax(spectra.ratio[:, :, span.start + at]), seen.shape)
+        channel, speed = np.unravel_index(np.argmax(look.ratio[:, :, span.start + at]), seen.shape)
     peak = span.start + int(at)
-    order, error, freedom = _order(spectra, seen, mean, peak, total)
-    strength = float(spectra.ratio[channel, speed, peak])
-    size = float(spectra.amplitude[channel, speed, peak])
+    order, error, freedom = _order(spectra, look.ratio, seen, mean, peak, total)
+    strength = float(look.ratio[channel, speed, peak])
+    size = float(look.amplitude[channel, speed, peak])
     multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
-    where = spectra.ratio[channel, speed] if seen.any() else mean
     own = [other for other in places if other.name == place.name]
+    shown = look.raw[channel, speed] if seen.any() else spectra.mean(look.raw)[0]
     return EnvelopeLine(
         place=place,
         order=order,
@@ -219,50 +256,61 @@ def _line(
         ratio=strength,
         amplitude=size,
         amplitude_error=0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9)),
-        chance=chance,
+        chance=min(float(alone.min()), float(together.min())),
         seen=seen,
         harmonics=multiples,
         sidebands=spacing,
-        ranking=ranking(where, float(step), spectra.free()[int(speed)], own),
+        band_hz=(float(look.band_hz[speed, 0]), float(look.band_hz[speed, 1])),
+        ranking=ranking(shown, float(step), spectra.free()[int(speed)], own),
     )
 
 
-def _chances(spectra: Spectra, place: Place, span: slice, bins: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def line_chances(
+    spectra: Spectra, place: Place, span: slice, bins: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Chances (channel, speed, bins of ``span``) and, in the mean of all, (bins of ``span``) of noise anywhere.
 
-    They are those of a line's first harmonics together: two tones beat at one frequency, strikes have harmonics.
+    That is of so high a line at ``place`` as ``spectra`` show in the band that serves it. They are those of a line's
+    first harmonics together: two tones beat at one frequency, strikes have harmonics. All ``bins`` of all places and
+    all bands count as trials, as far as these are independent.
     """
     if span.stop <= span.start:
         return np.zeros((*spectra.count.shape, 0)), np.zeros(0)
-    flat = spectra.ratio.reshape(-1, len(spectra.order))
-    worth = np.broadcast_to(spectra.floor_worth, spectra.count.shape).reshape(-1)
-    free = np.broadcast_to(spectra.free(), spectra.ratio.shape).reshape(flat.shape)
-    alone = _comb_chances(flat, place, span, spectra, spectra.count.reshape(-1), worth, free)
-    mean, total, counts = spectra.mean()
+    ratio, free = spectra.serving(place).ratio, spectra.free()
+    trials = TRIALS_SHARE * spectra.bands_tried * bins * WAYS
+    alone = np.array(
+        [
+            [
+                _comb_chances(spectra, ratio[c, s], place, span, float(spectra.count[c, s]), worth, free[s])
+                for s, worth in enumerate(spectra.floor_worth)
+            ]
+            for c in range(len(ratio))
+        ]
+    )
+    mean, total, counts = spectra.mean(ratio)
     own = float((spectra.count * spectra.floor_worth[None]).sum()) / max(float(spectra.count.sum()), 1e-9)
-    together = _comb_chances(mean[None], place, span, spectra, np.array([total]), np.array([own]), counts[None])
-    trials = spectra.bands_tried * bins * WAYS
-    alone = alone.reshape(*spectra.count.shape, -1) * spectra.count.size * trials
-    return np.minimum(alone, 1.0), np.minimum(together[0] * trials, 1.0)
+    together = _comb_chances(spectra, mean, place, span, total, own, counts)
+    return alone * spectra.count.size * trials, together * trials
 
 
 def _comb_chances(
+    spectra: Spectra,
     ratio: NDArray[np.float64],
     place: Place,
     span: slice,
-    spectra: Spectra,
-    count: NDArray[np.float64],
-    worth: NDArray[np.float64],
+    count: float,
+    worth: float,
     free: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Chances (rows, bins of ``span``) of the harmonics in the rows of ``ratio`` whose first is nearest to each bin."""
-    step = float(spectra.order[1])
-    comb = Comb(place.low, place.high)
-    chance = comb_chances(ratio, comb, step=step, count=count, floor_worth=worth, free=free)
+    """Chances (bins of ``span``) of the harmonics in ``ratio`` (orders,) whose first is nearest to each bin."""
+    step, comb = float(spectra.order[1]), place.comb
+    looks = looked_at((comb,), step=step, n_orders=len(ratio))
+    nats = look_nats(ratio[None, looks], looks, count=count, floor_worth=worth, free=free[looks])
+    chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks])[0])
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
-    bins = [chance[:, nearest == at].min(axis=1, initial=1.0) for at in range(span.start, span.stop)]
-    made: NDArray[np.float64] = np.minimum(np.stack(bins, axis=1) * TRIALS_PER_BIN, 1.0)
-    return made
+    made = np.ones(span.stop - span.start)
+    np.minimum.at(made, nearest - span.start, chance)
+    return made * TRIALS_PER_BIN
 
 
 def parabola(ratio: NDArray[np.float64], at: int) -> float:
@@ -283,7 +331,12 @@ def place_error(ratio: float, cell: float) -> float:
 
 
 def _order(
-    spectra: Spectra, seen: NDArray[np.bool_], mean: NDArray[np.float64], peak: int, total: float
+    spectra: Spectra,
+    ratio: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    mean: NDArray[np.float64],
+    peak: int,
+    total: float,
 ) -> tuple[float, float, float]:
     """Order of a line near bin ``peak`` with its standard error and the degrees of freedom of that.
 
@@ -295,7 +348,7 @@ def _order(
         noise = float(spectra.cell.max()) * PLACE_ERROR[0] / math.sqrt(max(float(mean[peak]), 1.0) * total)
         order = (peak + parabola(mean, peak)) * step
         return order, math.hypot(noise, _wander(spectra, order, np.arange(len(spectra.cell)))), math.inf
-    places, noises = np.array([_at_speed(spectra, seen, int(speed), peak) for speed in speeds]).T
+    places, noises = np.array([_at_speed(spectra, ratio, seen, int(speed), peak) for speed in speeds]).T
     wanders = np.array([_wander(spectra, peak * step, np.array([speed])) for speed in speeds])
     weight = 1.0 / (noises**2 + wanders**2)
     order = float((weight * places).sum() / weight.sum())
@@ -314,13 +367,15 @@ def _wander(spectra: Spectra, order: float, speeds: NDArray[np.int64]) -> float:
     return WANDER_SHARE * math.sqrt(order / max(revs, 1.0))
 
 
-def _at_speed(spectra: Spectra, seen: NDArray[np.bool_], speed: int, peak: int) -> tuple[float, float]:
+def _at_speed(
+    spectra: Spectra, ratios: NDArray[np.float64], seen: NDArray[np.bool_], speed: int, peak: int
+) -> tuple[float, float]:
     """Order of a line near bin ``peak`` at one speed, and its error by noise: of all channels that show it."""
     step, cell = float(spectra.order[1]), float(spectra.cell[speed])
     reach = max(2, round(2.0 * cell / step))
     places, weights = [], []
     for channel in np.flatnonzero(seen[:, speed]):
-        ratio = spectra.ratio[channel, speed]
+        ratio = ratios[channel, speed]
         first = max(peak - reach, 0)
         at = first + int(np.argmax(ratio[first : peak + reach + 1]))
         places.append((at + parabola(ratio, at)) * step)
@@ -332,19 +387,22 @@ def _at_speed(spectra: Spectra, seen: NDArray[np.bool_], speed: int, peak: int) 
 
 def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: int) -> tuple[int, float | None]:
     """How many of the multiples of ``order`` (itself included) and whether sidebands stand over the floor."""
-    multiples = sum(_stands(spectra, times * order, channel, speed) for times in range(1, HARMONICS + 1))
+    ratio = spectra.serving(place).ratio
+    multiples = sum(_stands(spectra, ratio, times * order, channel, speed) for times in range(1, HARMONICS + 1))
     spacing = place.spacing
     if spacing is None or spacing < 3.0 * float(spectra.cell[speed]):
         return multiples, None
-    both = [_stands(spectra, times * order + side * spacing, channel, speed) for times in (1, 2) for side in (-1, 1)]
+    both = [
+        _stands(spectra, ratio, times * order + side * spacing, channel, speed) for times in (1, 2) for side in (-1, 1)
+    ]
     return multiples, spacing if any(both[:2]) or all(both[2:]) else None
 
 
-def _stands(spectra: Spectra, order: float, channel: int, speed: int) -> bool:
-    """Whether something stands over the level at ``order``."""
+def _stands(spectra: Spectra, ratio: NDArray[np.float64], order: float, channel: int, speed: int) -> bool:
+    """Whether something stands over the level at ``order`` of ``ratio`` (channel, speed, order)."""
     near = spectra.near(order)
     if near.stop <= near.start or order > spectra.order[-1]:
         return False
-    ratio = np.zeros((*spectra.count.shape, 1))
-    ratio[channel, speed] = spectra.ratio[channel, speed, near].max()
-    return bool(spectra.chance(ratio)[channel, speed, 0] * (near.stop - near.start) <= HARMONIC_LEVEL)
+    count, worth = max(float(spectra.count[channel, speed]), 1e-3), float(spectra.floor_worth[speed])
+    chance = float(fdtrc(2.0 * count, 2.0 * worth * count, ratio[channel, speed, near].max()))
+    return bool(chance * (near.stop - near.start) <= HARMONIC_LEVEL)

@@ -61,6 +61,11 @@ class Place:
         return np.asarray(self.shaft_order - (self.shaft_order - self.cage_order) * order / self.expected)
 
     @property
+    def comb(self) -> Comb:
+        """The train of strikes that damage at this place makes."""
+        return Comb(self.low, self.high, self.spacing or 0.0)
+
+    @property
     def spacing(self) -> float | None:
         """How far apart in orders the sidebands are that damage at this place makes by coming and going with the load.
 
@@ -97,7 +102,7 @@ def bearing_places(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, 
 def bearing_combs(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> tuple[Comb, ...]:
     """Trains of strikes of ``bearings``, each once, at any slip of ``slip_percent``; N*fs keeps step and is none."""
     places = bearing_places(bearings, slip_percent=slip_percent)
-    return tuple(dict.fromkeys(Comb(place.low, place.high) for place in places if place.line != "N*fs"))
+    return tuple(dict.fromkeys(place.comb for place in places if place.line != "N*fs"))
 
 
 def made_by(order: float, stronger: Place, stronger_order: float, *, within: float) -> str:
@@ -124,14 +129,3 @@ def made_by(order: float, stronger: Place, stronger_order: float, *, within: flo
 
 def _turns(count: int, of: str) -> str:
     return f"{'+' if count > 0 else '-'} {abs(count)} x {of}"
-
-
-def on_cycle(
-    order: NDArray[np.float64], *, revs_per_cycle: int, within: float | NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Whether each ``order`` lies ``within`` so much of a multiple of the order of a cycle of ``revs_per_cycle``.
-
-    Combustion and every part that is locked to the crank are there.
-    """
-    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
-    return np.asarray(beside <= within)

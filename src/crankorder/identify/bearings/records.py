@@ -162,7 +162,8 @@ def _envelope_record(
     """Record of a ``line`` of the envelope among all ``found``; ``shafts``: speeds that sidebands tell."""
     names = envelope["channel"].values.tolist()
     nominal = envelope.attrs["speed_basis"] == "nominal"
-    band = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
+    drawn = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
+    band = list(line.band_hz) if math.isfinite(line.band_hz[0]) else drawn
     half = Z95 * line.amplitude_error
     shaft = shafts.get((line.place.name, line.speed))
     spoken = envelope_verdict(line, found, speed_is_nominal=nominal, shaft=shaft)

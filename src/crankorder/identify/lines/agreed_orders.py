@@ -12,11 +12,14 @@ from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
+from crankorder.identify.lines.angle_sidebands import sideband_of
+from crankorder.identify.lines.lengths import longest_frame
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
 from crankorder.identify.lines.speed_proof import PROVEN_SPEED_ERROR, STATED_SPEED_ERROR, proves_speed, speed_source
+from crankorder.identify.lines.swept_company import NEAREST_BINS
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
 from crankorder.settings import IdentifySettings
@@ -35,6 +38,12 @@ MOST_MODE_TURNS = 4.0
 
 IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
 """What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
+
+BEATS_OF_A_PAIR = 3.0
+"""Two lines that a recording holds fewer beats of are read as one that swells."""
+
+UNPARTED = "too short to part a locked line from another beside it, which together would look like this"
+"""What is said of a line that would slip, if it is one."""
 
 PARTED_IN_SWEEP = "one of several lines within a quarter order, told apart as they were followed through the sweep"
 
@@ -140,7 +149,7 @@ def orders_agreed(
     if source == "stated":
         told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
         test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
-    agreed = [_named(one, test) for one in found]
+    agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
     agreed.sort(key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
 
@@ -344,6 +353,9 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.freedom))
         reasons.append(IN_SWEEP)
+    if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
+        lock = "undecided"
+        reasons.append(UNPARTED)
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
@@ -355,6 +367,31 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
             reasons.append(IN_SWEEP)
     reasons += sorted({line.reservation for line in lines if line.reservation})
     return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons))
+
+
+def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
+    """Whether a locked line, ``off`` orders away, and another one beyond would be read as the one that was ``found``.
+
+    In a sweep where no frame in which close lines are looked for parts them; at held speeds where what was found swells
+    and fades and the longest recording holds less than some beats of the two.
+    """
+    if found.number.parted_rev > 0.0 or not test.recordings:
+        return False
+    spans = [float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings if len(item.centre_rev)]
+    if found.number.swept:
+        return off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < NEAREST_BINS
+    return SWELLS in found.reservation and off * max(spans, default=0.0) < BEATS_OF_A_PAIR
+
+
+def _unless_sideband(one: AgreedOrder, test: _Test, frames: Sequence[xr.Dataset]) -> AgreedOrder:
+    """``one``, undecided where it slips but errors of the crank angle (in ``frames``) may have made it."""
+    if one.lock != "slips":
+        return one
+    carrier = sideband_of(one.lines, test.order_map, frames)
+    if carrier is None:
+        return one
+    why = f"no larger than what errors of the crank angle make of order {carrier:g}"
+    return replace(one, lock="undecided", reservation="; ".join(filter(None, (one.reservation, why))))
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
@@ -34,6 +35,11 @@ SWELLS = "it swells and fades slowly: two lines closer than a recording can tell
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
 
+UNRESOLVED = (
+    "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
+)
+"""What is said of a peak that no rule names and beside which all that is named is weaker."""
+
 SWELLING_RATIO = 400.0
 """A line that swells and fades must stand 26 dB over its floor: then a resonance would leave more than noise …"""
 
@@ -42,6 +48,9 @@ LEFT_RATIO = 2.0
 
 BINS_BESIDE = 4
 """Bins by which a line of fixed frequency has left its own at the speeds beside, in slow sweeps some speeds away."""
+
+WEAK_CHANCE = 1e-3
+"""Chance of noise at a speed below which a line that all speeds together show is seen there."""
 
 FIXED_SHARE = 0.5
 """A line of few speeds whose frequency stands out at this share of the speeds beside is one of fixed frequency."""
@@ -92,18 +101,50 @@ def order_lines(
     needed = min(n_speeds, max(settings.min_speeds, round(settings.min_speed_fraction * n_speeds)))
     lines = []
     for channel in range(len(over.excess)):
-        for peak in _peaks(over.excess[channel], search.axis):
+        named, refused = [], []
+        for peak in _peaks(over.excess[channel], search.axis).tolist():
             seen = np.flatnonzero(over.excess[channel, :, peak] > 1.0)
-            line = _line_at(search, channel, int(peak), seen, needed)
-            if line is not None:
-                lines.append(line)
+            line = _line_at(search, channel, peak, seen, needed)
+            if line is None:
+                refused.append((peak, seen))
+            else:
+                named.append(line)
+        named += _stronger(search, channel, refused, named)
+        lines += sorted(named, key=lambda line: line.order)
     return lines
+
+
+def _stronger(
+    search: _Search, channel: int, refused: list[tuple[int, NDArray[np.int64]]], named: list[OrderLine]
+) -> list[OrderLine]:
+    """Lines, with a reservation, of ``refused`` peaks (bin, speeds) above all that is ``named`` in the channel.
+
+    No rule tells what they are, but nothing weaker may pass for the strongest beside them: they stand far over the
+    floor, and not at the same frequency at the speeds beside.
+    """
+    if len(search.speed) < 2 or not _is_swept(search):
+        return []  # at speeds that are held the rules tell lines
+    refused = [one for one in refused if one[0] < len(search.axis) - NEIGHBOUR_BINS]  # there skirts of others end
+    largest = max((float(line.amplitude.max()) for line in named), default=0.0)
+    amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
+    made = []
+    for peak, seen in refused:
+        far = float(search.ratio[channel, seen, peak].max()) > SWELLING_RATIO
+        if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
+            line = _line(search, channel, peak, seen, UNPROVEN, UNRESOLVED)
+            # two lines in one bin may be nothing, or twice what it holds
+            ends = line.amplitude[:, None] * np.array([0.0, 2.0])
+            made.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
+    return made
 
 
 def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, reservation = search.false_alarm_probability, ""
-    if len(seen) < needed:
+    together = _seen_together(search, channel, peak) if len(seen) < needed else seen
+    if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
+        seen = together
+    elif len(seen) < needed:
         if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
             return None
         chance /= search.excess[0].size
@@ -124,6 +165,26 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
     if evidence == "steady, not locked" and len(search.speed) == 1:
         reservation = "; ".join(filter(None, (reservation, ONE_SPEED)))
     return _line(search, channel, peak, seen, evidence, reservation)
+
+
+def _seen_together(search: _Search, channel: int, peak: int) -> NDArray[np.int64]:
+    """Speeds at which a line stands that all of them together show, though each alone does not; none where noise would.
+
+    The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map.
+    """
+    n = search.order_map["n_independent"].values
+    chances = np.array(
+        [
+            noise_chance(
+                float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak])
+            )
+            for s in range(len(search.speed))
+        ]
+    )
+    joined = float(chdtrc(2.0 * len(chances), -2.0 * np.sum(np.log(np.maximum(chances, 1e-300)))))
+    cells = search.excess.shape[0] * search.excess.shape[2]
+    shown = cells * joined < search.false_alarm_probability
+    return np.flatnonzero(chances < WEAK_CHANCE) if shown else np.zeros(0, dtype=np.int64)
 
 
 def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> bool:

@@ -6,7 +6,8 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.lengths import longer_frames
+from crankorder.identify.lines.order_lines import UNRESOLVED, order_lines
 from crankorder.identify.lines.swept_company import company_of, settled
 from crankorder.orders.common_frames import reframed
 from crankorder.orders.map import order_map
@@ -18,10 +19,6 @@ MOST_FOLLOWED = 20
 SAME_BINS = 0.5
 """A line within so many bins of a multiple of the cycle's frequency is taken to be it: in a sweep a bin tells
 no better, and the two together could not be told apart."""
-
-LONGEST_REVS, FEWEST_FRAMES = 128, 4
-"""Longest frames in which lines are looked for, and how many lengths of them a recording must hold: short frames
-show how a line changes, long ones which lines there are."""
 
 
 def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
@@ -68,16 +65,16 @@ def _on_multiple(order: float, cycle: int, step: float) -> float:
 
 def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
     found = order_map([frames], settings=settings.orders)
-    return order_lines(found, settings=settings.identify, orders=settings.orders, frames=[frames])
+    lines = order_lines(found, settings=settings.identify, orders=settings.orders, frames=[frames])
+    return [line for line in lines if UNRESOLVED not in line.reservation]  # no number to follow
 
 
 def _lengthened(frames: xr.Dataset) -> list[xr.Dataset]:
     """``frames`` and those of twice, four times … their length that the recording holds, the longest first."""
     begin, length = frames["crank_angle"].values, int(frames.attrs["revs_per_frame"])
     held = float(np.ptp(begin)) + length
-    items, revs = [frames], 2 * length
-    while revs <= LONGEST_REVS and held >= FEWEST_FRAMES * revs:
-        item = reframed(frames, revs)
+    items = [frames]
+    for revs in longer_frames(length, held)[1:]:
+        item = reframed(frames, round(revs))
         items += [] if item is None or not item.sizes["frame"] else [item]
-        revs *= 2
     return items[::-1]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_widths, interval
+from crankorder.identify.lines.order_lines import UNRESOLVED
 from crankorder.orders.track_rows import OrderRows, TrackReader
 from crankorder.orders.tracks import all_tracked, track_order
 from crankorder.settings import OrderSettings
@@ -46,7 +47,9 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
 
 
 def _read(line: OrderLine, rows: OrderRows, channel: int, worth: Floats, reader: TrackReader) -> OrderLine:
-    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing."""
+    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none."""
+    if line.reservation == UNRESOLVED:
+        return line
     amplitude, error = rows.amplitude[channel], rows.standard_error[channel]
     known = np.isfinite(amplitude) & np.isfinite(error) & (amplitude > 0.0)
     held = len(reader.map_rpm)

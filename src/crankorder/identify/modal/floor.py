@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import xarray as xr
@@ -15,7 +16,13 @@ MASKED_BINS = 3.0
 """Bins on each side of an order line that take no part in the floor at least: its main lobe."""
 
 LEAK = 0.05
-"""Share of the floor that a line may leak into bins that are kept."""
+"""Share of what a cell holds that a line may leak into it where it is kept."""
+
+SKIRT_BINS = 200
+"""Bins that a line's skirt is followed: at a Hann window's 18 dB per octave a line of 148 dB is gone there."""
+
+LEVEL_BINS = 9
+"""Bins over which the level beside a line is the median."""
 
 CLIP_CHANCE = 1e-5
 """Chance that noise alone makes a cell so high above the same bin at other speeds that it is left out as a line."""
@@ -114,7 +121,9 @@ def quiet_floor(
         return None
     psd[~(psd > 0.0)] = np.nan
     whole = _mean(psd, worth)[0]
-    moving = _order_mask(psd, frequency[used], speed, orders, campbell, seen)
+    # a line that leaves its bins within a recording is none of the settled cells, but it leaks all the same
+    every = campbell["psd"].values[..., used][:, known].astype(np.float64)
+    moving = _order_mask(psd, every, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
         if len(speed) > 2 and abs(speed - rpm).min() < 0.01 * rpm:
@@ -164,16 +173,20 @@ def _independent(campbell: xr.Dataset) -> Array:
 
 def _order_mask(
     psd: Array,
+    every: Array,
     frequency: Array,
     speed: Array,
     orders: tuple[tuple[float, float], ...],
     campbell: xr.Dataset,
     seen: Sight,
 ) -> NDArray[np.bool_]:
-    """Cells (channels, speeds, frequencies) that lines of ``orders`` cover, skirts included."""
+    """Cells (channels, speeds, frequencies) of ``psd`` that lines of ``orders`` cover, skirts included.
+
+    ``every`` is the density with start transients.
+    """
     mask = np.zeros(psd.shape, dtype=bool)
     step = float(frequency[1] - frequency[0])
-    level = _median(psd, axis=1)
+    level = _level(psd)
     skirt = _skirt(str(campbell.attrs["window"]))
     half_bin_rpm = _half_bin(campbell)
     for order, error in orders:
@@ -182,20 +195,29 @@ def _order_mask(
             spread = (3.0 * error * rpm + order * half_bin_rpm) / 60.0
             if not np.isfinite(line_hz) or line_hz - spread > frequency[-1] + 20.0 * seen.bin_hz:
                 continue
-            near = np.abs(frequency - line_hz) <= spread + seen.bin_hz
-            for channel in range(len(psd)):
-                height = np.fmax.reduce(psd[channel, k, near], initial=0.0)
-                floor = np.fmin.reduce(level[channel, near], initial=np.inf)
-                over = height / floor if np.isfinite(floor) and floor > 0.0 else 1.0
-                bins = max(MASKED_BINS, 0.5 * int(np.argmax(np.append(skirt * over < LEAK, True))))
-                mask[channel, k, np.abs(frequency - line_hz) <= spread + bins * seen.bin_hz + 0.5 * step] = True
+            away = np.abs(frequency - line_hz) - spread
+            mask[:, k, away <= MASKED_BINS * seen.bin_hz + 0.5 * step] = True
+            near, reached = away <= seen.bin_hz, away < SKIRT_BINS * seen.bin_hz
+            if near.any():
+                height = np.fmax.reduce(every[:, k, near], axis=1)[:, None]
+                leak = height * np.interp(away[reached] / seen.bin_hz, *skirt)
+                mask[:, k, reached] |= leak > LEAK * level[:, k, reached]
     return mask
 
 
-def _skirt(window: str) -> Array:
-    """Largest power response from every half bin on: what a line leaks that far away, up to the 16th bin."""
-    response = window_named(window, 512).response(np.arange(0, 16, 0.25)) ** 2
-    return np.asarray(np.maximum.accumulate(response[::-1])[::-1][::2])
+def _level(psd: Array) -> Array:
+    """Running median of ``psd`` (channels, speeds, frequencies) over some bins of each speed; NaN takes no part."""
+    half = LEVEL_BINS // 2
+    padded = np.pad(psd, ((0, 0), (0, 0), (half, half)), constant_values=np.nan)
+    return _median(np.lib.stride_tricks.sliding_window_view(padded, LEVEL_BINS, axis=-1), axis=-1)
+
+
+@lru_cache
+def _skirt(window: str) -> tuple[Array, Array]:
+    """Distances in bins, and the largest power response of ``window`` from each on: what a line leaks that far away."""
+    away = np.arange(0.0, SKIRT_BINS + 1.0, 0.25)
+    response = window_named(window, 8 * SKIRT_BINS).response(away) ** 2
+    return away, np.asarray(np.maximum.accumulate(response[::-1])[::-1])
 
 
 def _half_bin(campbell: xr.Dataset) -> float:

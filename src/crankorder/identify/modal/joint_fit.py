@@ -74,18 +74,19 @@ def modal_fit(
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks, extra) for item in fitted]
     known = _own_modes(fitted)
-    blocks, proofs, extra, covariance = settled(blocks, known, extra)
+    told = settled(blocks, known, extra)
+    blocks = told.blocks
     found = ModalFit((), (), np.zeros((0, 0)))
     kept = NO_POLES
     if floor is not None:
-        proof = dict(zip(known.frequency_hz.tolist(), proofs, strict=True))
+        proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=True))
         found, kept = _found(fitted, floor, proof, settings)
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    made = _with_order_modes(found, kept, blocks, extra, covariance, floors, unit, settings)
+    made = _with_order_modes(found, kept, blocks, told.found, told.covariance, floors, unit, settings)
     cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
-    made = replace(made, hidden=hidden)
+    made = replace(made, hidden=hidden, swings=told.swings)
     return with_whirls(made, whirls, campbell["speed"].values)
 
 

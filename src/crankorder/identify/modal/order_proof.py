@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, as_real, jacobian
+from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, as_real, jacobian, project
 from crankorder.identify.modal.ringing import rings_into
 from crankorder.identify.modal.surface_fit import Poles
 
@@ -26,6 +26,18 @@ LOCATED = 0.5
 
 AGREES = 4.0
 """Standard errors within which that agrees with all the others."""
+
+SIDE_BY_SIDE = 0.03
+"""Share of a frequency within which the next pole is a neighbour."""
+
+FELT = 0.05
+"""Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
+
+FEWEST_BESIDE = 2
+"""Rows of a sweep next to a pole that are looked at in any case."""
+
+UNEXPLAINED = 0.25
+"""Share of the power left by the other poles that one that is shown leaves at most: half of the amplitude."""
 
 Array = NDArray[np.float64]
 
@@ -65,18 +77,18 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     rows: dict[float, int] = {}
     ends: list[float] = []
     shown: list[str] = []
-    located: set[float] = set()
-    passed: set[float] = set()
-    rung_by: set[float] = set()
+    located, passed, rung_by = set[float](), set[float](), set[float]()
     beside: dict[str, list[Block]] = {}
     for block in blocks:
         if block.passage is not None:
             beside.setdefault(block.recording, []).append(block)
     for block, part in zip(blocks, projected, strict=True):
-        chances = residue_chances(block, part, number)
-        if block.scatter > MOST_SCATTER or chances.min() > PROOF_CHANCE:
+        shows = residue_chances(block, part, number) <= PROOF_CHANCE
+        if shows.any():
+            shows &= _explains(block, part, poles, number)
+        if block.scatter > MOST_SCATTER or not shows.any():
             continue
-        shown += [name for name, chance in zip(block.channels, chances, strict=True) if chance <= PROOF_CHANCE]
+        shown += [name for name, yes in zip(block.channels, shows, strict=True) if yes]
         rows[block.order] = max(_rows_within(block, f, zeta), rows.get(block.order, 0))
         ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
         if (1.0 - WITHIN * zeta) * block.frequency_hz.min() <= f <= (1.0 + WITHIN * zeta) * block.frequency_hz.max():
@@ -100,6 +112,34 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         rung_by=tuple(sorted(rung_by)),
     )
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArray[np.bool_]:
+    """Whether pole ``number``, with its neighbours, is what a sweep of ``block`` shows there, in each channel (C,).
+
+    What the other poles leave there is felt, and with it most of that is gone, beyond the noise. Where the swing of
+    another order was taken away, what that one's model does not know stays, and a pole that is none takes a part of it.
+    """
+    if block.passage is None:
+        return np.ones(len(block.channels), dtype=np.bool_)
+    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    away = np.abs(block.frequency_hz / f - 1.0)
+    reach = max(
+        WITHIN * zeta, block.passage.blurred_hz / f, float(np.sort(away)[FEWEST_BESIDE - 1 : FEWEST_BESIDE].sum())
+    )
+    near = away <= reach
+    weight = block.weight[:, near]
+    used = weight > 0.0
+    error = (block.error if block.as_read is None else block.as_read[1])[:, near]
+    noise = np.where(used, 2.0 * np.square(block.noise * error), 0.0).sum(axis=1)
+    size = np.where(used, np.square(block.size[:, near]), 0.0).sum(axis=1)
+    beside = np.abs(np.log(poles.frequency_hz / f)) <= SIDE_BY_SIDE
+    left, without = (
+        np.where(used, np.abs(one.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
+        for one in (part, project(block, poles.chosen(~beside)))
+    )
+    felt = without - left > FELT**2 * size * (4.0 if block.power else 1.0)
+    return np.asarray(felt & (without - left >= (1.0 - UNEXPLAINED) * np.maximum(without - noise, noise)))
 
 
 def _locates(block: Block, part: Projected, poles: Poles, number: int) -> bool:

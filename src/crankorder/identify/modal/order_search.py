@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.order_proof import PROOF_CHANCE, OrderPole, Proof, named
+from crankorder.identify.found import Swing
+from crankorder.identify.modal.order_proof import FELT, PROOF_CHANCE, SIDE_BY_SIDE, OrderPole, Proof, named
 from crankorder.identify.modal.order_responses import (
     MOST_DEGREE,
     Block,
@@ -21,7 +22,7 @@ from crankorder.identify.modal.order_responses import (
     with_scatter,
 )
 from crankorder.identify.modal.pole_errors import order_pole_covariance
-from crankorder.identify.modal.ringing import without_ringing
+from crankorder.identify.modal.ringing import swings_of, without_ringing
 from crankorder.identify.modal.scatter import LEAST_SCATTER
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 
@@ -51,9 +52,6 @@ CLEARLY = 3.0
 
 MATTERS = 0.03
 """Share of an order's largest amplitude below which no row tells of a pole alone."""
-
-FELT = 0.05
-"""Share of an order's amplitude that a pole must account for somewhere: less is what no model is good for."""
 
 FELT_ERROR = 0.01
 """Share of an order's amplitude that counts as a standard error where a pole's gain is foretold: less is not felt."""
@@ -90,9 +88,6 @@ SETTLED = 0.05
 
 MODEL_SHARE = 0.1
 """Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
-
-SIDE_BY_SIDE = 0.03
-"""Share of a frequency within which the next pole is a neighbour."""
 
 STEPS = 12
 """Steps of a fit at most."""
@@ -163,13 +158,26 @@ def poles_of_orders(
     return state.blocks, tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
 
 
-def settled(
-    blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]
-) -> tuple[tuple[Block, ...], tuple[Proof, ...], tuple[OrderPole, ...], Array]:
-    """``blocks``, proofs of the ``known`` poles, the ``found`` ones moved once more behind them, and their covariance.
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """``blocks`` with their laws and scatter; ``proofs`` of the known poles; the poles ``found``, lowest first.
 
-    The covariance (2 M, 2 M) is that of (f_1, ζ_1, f_2, …), lowest first. Channels share what an order's force varies
-    by: their residuals are as alike as they are seen to be.
+    ``covariance`` (2 M, 2 M) is that of (f_1, ζ_1, f_2, …) of the latter, ``swings`` what modes that ring on leave in
+    the tracks of sweeps.
+    """
+
+    blocks: tuple[Block, ...]
+    proofs: tuple[Proof, ...]
+    found: tuple[OrderPole, ...]
+    covariance: Array
+    swings: tuple[Swing, ...]
+
+
+def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]) -> Settled:
+    """``blocks`` behind the ``known`` poles and the ``found`` ones, which are moved once more behind those.
+
+    Channels share what an order's force varies
+    by: their residuals are as alike as they are seen to be. Of sweeps, poles that no order shows are left out.
     """
     free = NO_POLES
     for item in found:
@@ -178,9 +186,14 @@ def settled(
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
+    shown = [item for item in every[len(known) :] if item.proof.orders]
+    if len(shown) < len(found) and any(block.passage is not None for block in blocks):
+        # what none shows took a part of what the others ring on with
+        return settled(state.blocks, known, shown)
     proofs = tuple(item.proof for item in every[: len(known)])
+    swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
-    return state.blocks, proofs, tuple(every[len(known) :]), covariance
+    return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance, swings)
 
 
 def _independent_share(part: Projected) -> float:
@@ -437,8 +450,7 @@ def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
     damping = tried.damping[near]
     if block.passage is None:
         return np.asarray(damping)
-    rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
-    return np.asarray(np.maximum(damping, 0.5 * np.sqrt(rate) / tried.frequency_hz[near]))
+    return np.asarray(np.maximum(damping, block.passage.blurred_hz / tried.frequency_hz[near]))
 
 
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:

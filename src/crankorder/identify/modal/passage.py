@@ -68,6 +68,12 @@ class Passage:
         rates = np.diff(self.speed_rpm) / self.step_s
         return float(rates.min()), float(rates.max())
 
+    @cached_property
+    def blurred_hz(self) -> float:
+        """Half width over which the sweep spreads a resonance without damping, about: the root of its rate."""
+        rate = float(np.median(np.abs(np.diff(self.frequency_hz)))) / self.step_s
+        return 0.5 * float(np.sqrt(rate))
+
     def response(self, growth: Complex, natural_hz: float, damping: float) -> tuple[Complex, Complex, Complex]:
         """Acceleration (K,) of a mode of unit residue behind a force ``growth`` (T,), and its slopes by ln f and ln ζ.
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import HiddenSpeeds, Mode
+from crankorder.identify.found import HiddenSpeeds, Mode, Swing
 from crankorder.identify.modal.order_force import force
 from crankorder.identify.modal.order_responses import Block, Projected
 from crankorder.identify.modal.passage import Passage
@@ -49,28 +50,79 @@ def without_ringing(blocks: Sequence[Block], parts: Sequence[Projected], poles: 
     return tuple(made)
 
 
+def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Swing, ...]:
+    """What the orders of ``blocks`` leave in one another's filters behind ``poles``, all along their recordings.
+
+    ``parts`` are the blocks as projected with the poles. Empty for orders that hold nothing of others.
+    """
+    made = []
+    for block in blocks:
+        if block.passage is None or block.as_read is None:
+            continue
+        along = replace(
+            block, passage=replace(block.passage, place=np.arange(len(block.passage.time_s), dtype=np.float64))
+        )
+        others = [
+            (other, part)
+            for other, part in zip(blocks, parts, strict=True)
+            if other is not block and other.passage is not None and other.recording == block.recording
+        ]
+        total, variance = _rung(along, others, poles)
+        made += [
+            Swing(block.order, name, block.recording, block.passage.time_s, taken, np.sqrt(spread))
+            for name, taken, spread in zip(block.channels, total, variance, strict=True)
+        ]
+    return tuple(made)
+
+
+def without_swings(followed: Sequence[xr.Dataset], swings: Sequence[Swing]) -> tuple[xr.Dataset, ...]:
+    """``followed`` (RecordingTracks) less the ``swings`` of their orders, whose errors theirs grow by."""
+    made = []
+    for item in followed:
+        own = [swing for swing in swings if swing.recording == item.attrs.get("recording")]
+        if own:
+            item = item.copy(deep=True)
+        for swing in own:
+            names = item["order"].values
+            row = int(np.argmin(np.abs(names - swing.order)))
+            channel = item["channel"].values.tolist().index(swing.channel)
+            time = item["time"].values
+            taken, error = (np.interp(time, swing.time_s, values) for values in (swing.taken, swing.error))
+            item["amplitude"].values[channel, row] -= taken
+            item["standard_error"].values[channel, row] = np.hypot(item["standard_error"].values[channel, row], error)
+        made.append(item)
+    return tuple(made)
+
+
 def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> Block:
     """``block`` as it was measured, less what the ``others`` leave of ``poles``."""
-    total, variance = np.zeros_like(block.amplitude), np.zeros(block.amplitude.shape)
-    for other, part in others:
-        rows = [block.channels.index(name) for name in other.channels if name in block.channels]
-        from_rows = [other.channels.index(block.channels[row]) for row in rows]
-        for place, pole in enumerate(part.reached.tolist()):
-            f, zeta = float(poles.frequency_hz[pole]), float(poles.damping[pole])
-            if not rows or not rings_into(block, other, f, zeta):
-                continue
-            took = _taken(block, other, f, zeta)
-            column = other.degree + 1 + place
-            residue = part.linear[from_rows, column]
-            spread = part.covariance[from_rows, column, column].real * max(1.0, part.chi2 / max(part.freedom, 1))
-            total[rows] += residue[:, None] * took
-            variance[rows] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
+    total, variance = _rung(block, others, poles)
     amplitude, error = block.as_read or (block.amplitude, block.error)
     if not total.any():
         return block if block.as_read is None else replace(block, amplitude=amplitude, error=error, as_read=None)
     return replace(
         block, amplitude=amplitude - total, error=np.hypot(error, np.sqrt(variance)), as_read=(amplitude, error)
     )
+
+
+def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> tuple[Complex, Array]:
+    """What the ``others`` leave of ``poles`` in ``block``, and its variance (C, K), at the places of its passage."""
+    rows = 0 if block.passage is None else len(block.passage.place)
+    total, variance = np.zeros((len(block.channels), rows), dtype=np.complex128), np.zeros((len(block.channels), rows))
+    for other, part in others:
+        shared = [block.channels.index(name) for name in other.channels if name in block.channels]
+        from_rows = [other.channels.index(block.channels[row]) for row in shared]
+        for place, pole in enumerate(part.reached.tolist()):
+            f, zeta = float(poles.frequency_hz[pole]), float(poles.damping[pole])
+            if not shared or not rings_into(block, other, f, zeta):
+                continue
+            took = _taken(block, other, f, zeta)
+            column = other.degree + 1 + place
+            residue = part.linear[from_rows, column]
+            spread = part.covariance[from_rows, column, column].real * max(1.0, part.chi2 / max(part.freedom, 1))
+            total[shared] += residue[:, None] * took
+            variance[shared] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
+    return total, variance
 
 
 def rings_into(block: Block, other: Block, natural_hz: float, damping: float) -> bool:
@@ -126,10 +178,11 @@ def hidden_speeds(
 
 def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complex:
     """What the filter of ``block`` takes (K,) of a mode behind the force of the ``other``, of unit residue."""
-    key = (block.order, natural_hz, damping, other.exponent, other.law)
+    assert block.passage is not None
+    key = (block.order, len(block.passage.place), natural_hz, damping, other.exponent, other.law)
     if key not in other.rung:
         passage: Passage | None = other.passage
-        assert passage is not None and block.passage is not None
+        assert passage is not None
         grown = force(passage.speed_rpm, other.span_rpm, other.reference_rpm, other.exponent, other.law)
         if len(other.rung) >= MOST_KEPT:
             other.rung.pop(next(iter(other.rung)))

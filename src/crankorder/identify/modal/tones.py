@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Tone, ToneKind
-from crankorder.identify.mains import nearest_multiple
+from crankorder.identify.mains import multiple_on, nearest_multiple
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
 from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
@@ -221,7 +221,9 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
     """
     known = on_order(frequency_hz, error_hz, floor, settings=settings)
     if known:
-        return "order", known
+        alone = multiple_on(frequency_hz, error_hz, settings=settings)
+        also = f"; it is {alone[0]} x {alone[1]:g} Hz as well" if alone else ""
+        return "order", known + also
     for mains in settings.mains_hz:
         multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
         if abs(frequency_hz - multiple * mains) <= reach + 2.0 * error_hz:

@@ -26,7 +26,7 @@ _WORTH_SAYING = 0.005  # share of the energy below which a channel is not named
 
 
 def stronger_above(findings: dict[str, Any], channel: str, amplitude: float) -> dict[str, Any] | None:
-    """Record of the levels of ``channel`` where a line above the band is larger than ``amplitude``, else None."""
+    """Levels of ``channel`` in ``findings`` where a line above the band is larger than ``amplitude``, else None."""
     for record in findings.get("levels") or []:
         above = record.get("amplitude_above")
         if record.get("channel") == channel and is_number(above) and above > amplitude:
@@ -35,7 +35,7 @@ def stronger_above(findings: dict[str, Any], channel: str, amplitude: float) -> 
 
 
 def above_sentence(findings: dict[str, Any], record: dict[str, Any]) -> str:
-    """That the strongest line of a channel lies above the band, by its ``record`` of the levels, and what shows it."""
+    """That the strongest line of a channel lies above the band, by its ``record`` in the levels of ``findings``."""
     where, order, hertz = named(record["channel"], limit=NAME_CHARACTERS), None, record.get("frequency_hz_above")
     if is_number(record.get("order_above")):
         order = float(record["order_above"])
@@ -52,7 +52,7 @@ def above_sentence(findings: dict[str, Any], record: dict[str, Any]) -> str:
 
 
 def share_sentences(findings: dict[str, Any]) -> list[str]:
-    """Share of the energy of each channel above the band that was looked at; nothing where none was worked out."""
+    """Share of the energy of each channel above the band, by the ``findings``; nothing where none was worked out."""
     known = [record for record in findings.get("levels") or [] if is_number(record.get("share_above"))]
     if not known:
         return []

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from crankorder.report.fixed_lines import fixed_tones, strongest_tone
+from crankorder.identify.lines.order_lines import UNRESOLVED
+from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     estimate_text,
@@ -36,7 +37,13 @@ def line_sentences(findings: dict[str, Any]) -> list[str]:
     sentences = [*_above(findings), *(strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY])]
     if len(names) > _MANY:
         sentences.append("The tables hold the other channels.")
-    orders = sorted({nominal_order(record) for record in findings.get("orders", []) if is_number(record.get("order"))})
+    orders = sorted(
+        {
+            nominal_order(record)
+            for record in findings.get("orders", [])
+            if is_number(record.get("order")) and not is_electric(record)
+        }
+    )
     if orders:
         texts = order_texts(orders)
         end = " and more." if len(texts) > _SHOWN else "."
@@ -59,7 +66,7 @@ def _above(findings: dict[str, Any]) -> list[str]:
 
 
 def lies_above(findings: dict[str, Any]) -> bool:
-    """Whether the first of :func:`line_sentences` says that the strongest line lies above the band looked at."""
+    """Whether the first of :func:`line_sentences` of ``findings`` says that the strongest line is above the band."""
     return bool(_above(findings))
 
 
@@ -114,14 +121,39 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
     if tone is not None and (order is None or float(tone["amplitude"]) > float(order["amplitude"])):
         text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:
-            text += f"; the strongest order is {order_name(order, findings)}: {_level(findings, order)}"
+            hertz = hertz_of_order(order, findings)
+            called = (
+                f"order is {order_name(order, findings)}" if hertz is None else f"other line is {_called(hertz, order)}"
+            )
+            text += f"; the strongest {called}: {_level(findings, order)}"
             rpm = order.get("speed_rpm_at_max")
             text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-        return f"{text}.{_cause(tone) if with_cause else ''}"
+        return f"{text}.{_cause(tone, findings) if with_cause else ''}"
     if order is None:
         return ""
-    text = f"Order {order_name(order, findings)} is the strongest line in {where}: {_at(findings, order)}"
-    return f"{text}.{_cause(order) if with_cause else ''}"
+    if UNRESOLVED in str(order.get("evidence", "")):
+        return _unresolved(findings, order, where)
+    hertz = hertz_of_order(order, findings)
+    called = f"Order {order_name(order, findings)}" if hertz is None else f"A line at {_called(hertz, order)}"
+    text = f"{called} is the strongest line in {where}: {_at(findings, order)}"
+    return f"{text}.{_cause(order, findings) if with_cause else ''}"
+
+
+def _unresolved(findings: dict[str, Any], order: dict[str, Any], where: str) -> str:
+    """What is said where something stronger than all orders that are told was not resolved."""
+    near, rpm = order_name(order, findings), order.get("speed_rpm_at_max")
+    text = f"What is strongest in {where} was not resolved: near order {near}, {_level(findings, order)}"
+    text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
+    rest = [one for one in findings["orders"] if UNRESOLVED not in str(one.get("evidence", ""))]
+    told = _strongest_order({"orders": rest}, str(order["channel"]))
+    if told is not None:
+        text += f"; of the orders that are told {order_name(told, findings)} is the strongest: {_level(findings, told)}"
+    return f"{text}."
+
+
+def _called(hertz: float, order: dict[str, Any]) -> str:
+    """``"48.35 Hz (order 5.492)"``: a line whose frequency says more than its order."""
+    return f"{hertz:.2f} Hz (order {order_texts([nominal_order(order)])[0]})"
 
 
 def _tone_hz(tone: dict[str, Any]) -> str:
@@ -171,12 +203,16 @@ def met_mode_hz(findings: dict[str, Any], record: dict[str, Any]) -> float | Non
     return min(near, key=lambda mode_hz: abs(mode_hz - line_hz)) if near else None
 
 
-def _cause(record: dict[str, Any]) -> str:
-    cause = str(record.get("explained_by") or "unexplained")
+def _cause(record: dict[str, Any], findings: dict[str, Any]) -> str:
+    cause, in_doubt = str(record.get("explained_by") or "unexplained"), bool(findings.get("speed_doubt"))
     if cause == "unexplained":
         return " Its cause is not known."
     if cause == "tone":
+        if in_doubt:
+            return " Whether it follows the shaft is not decided, for the speed is in doubt."
         return " The tone does not follow the shaft: it has a source of its own."
+    if in_doubt:
+        return f" Cause, if the speed is right: {named(cause, limit=2 * NAME_CHARACTERS)}."
     return f" Cause: {named(cause, limit=2 * NAME_CHARACTERS)}."
 
 
@@ -190,11 +226,31 @@ def tone_sentences(findings: dict[str, Any]) -> list[str]:
             line = tone["lines"][0]
             text += f", {_level(findings, line)} in {named(line.get('channel', ''), limit=NAME_CHARACTERS)}"
         texts.append(f"{text})")
+    texts += _mains_among_orders(findings)
     if not texts:
         return []
     if len(texts) == 1:
         return [f"A tone, no natural frequency: {texts[0]}."]
     return [f"Tones, no natural frequencies: {listed(texts)}."]
+
+
+def _mains_among_orders(findings: dict[str, Any]) -> list[str]:
+    """Lines of the mains among the orders of ``findings``, each in the channel where it is strongest."""
+    best: dict[float, dict[str, Any]] = {}
+    for record in findings.get("orders", []):
+        if "mains" not in str(record.get("explained_by") or "") or findings.get("motor"):
+            continue  # a motor has sentences of its own
+        if hertz_of_order(record, findings) is None:
+            continue
+        old = best.get(record["order"])
+        if old is None or float(record.get("amplitude") or 0) > float(old.get("amplitude") or 0):
+            best[record["order"]] = record
+    return [
+        f"{float(one['order']) * float(one['speed_rpm_at_max']) / 60.0:.2f} Hz "
+        f"({named(one['explained_by'], limit=NAME_CHARACTERS)}, {_level(findings, one)} in "
+        f"{named(one.get('channel', ''), limit=NAME_CHARACTERS)})"
+        for _, one in sorted(best.items())
+    ][:_SHOWN]
 
 
 def _broadband(findings: dict[str, Any]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.report.fixed_lines import hertz_of_order, is_electric
 from crankorder.report.notation import (
     estimate_text,
     frequency_text,
@@ -30,7 +31,7 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
         law, name = str(record.get("speed_law") or ""), order_name(record, findings)
         if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or "speed_law" not in record):
             square.append(name)
-        if law == "keeps its size" and _may_be_steady(record):
+        if law == "keeps its size" and _may_be_steady(record) and not is_electric(record):
             steady.append(name)
         if is_number(record.get("meets_hz")) and not is_in_doubt(float(record["meets_hz"]), findings):
             met.setdefault(float(record["meets_hz"]), []).append(name)
@@ -100,9 +101,14 @@ def _orders(names: list[str]) -> str:
 def lock_sentences(findings: dict[str, Any]) -> list[str]:
     """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
     slips, open_, longest, swept = [], [], 0.0, False
+    loose = []
     for _, record in sorted(_strongest(findings).items()):
-        name = order_name(record, findings)
-        if record.get("lock") == "slips":
+        name, hertz = order_name(record, findings), hertz_of_order(record, findings)
+        if is_electric(record):
+            continue
+        if hertz is not None:
+            loose.append(f"{hertz:.2f} Hz (order {estimate_text(record, 'order')})")
+        elif record.get("lock") == "slips":
             slips.append(f"{estimate_text(record, 'order')}")
         elif record.get("lock") == "undecided":
             open_.append(name)
@@ -113,6 +119,12 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
     if slips:
         verb = "slip" if len(slips) > 1 else "slips"
         sentences.append(f"{_orders(slips[:_SHOWN])} {verb}: no exact multiple of the half revolution.")
+    if loose:
+        are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
+        sentences.append(
+            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
+            f"whether {it} the shaft."
+        )
     if open_:
         which = "they are" if len(open_) > 1 else "it is"
         more = " and more" if len(open_) > _SHOWN else ""

@@ -16,6 +16,7 @@ from crankorder.report.notation import (
     nominal_order,
     number_text,
     order_name,
+    percent_text,
     unit_of,
 )
 
@@ -138,6 +139,32 @@ def _bands(findings: dict[str, Any], key: str) -> list[dict[str, Any]]:
         for band in findings.get(key) or []
         if is_number(band.get("low_rpm")) and is_number(band.get("high_rpm")) and band["high_rpm"] > band["low_rpm"]
     ]
+
+
+def doubt_sentences(findings: dict[str, Any]) -> list[str]:
+    """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
+    doubt = findings.get("speed_doubt")
+    if not doubt:
+        return []
+    reason = named(doubt, limit=4 * NAME_CHARACTERS)
+    return [f"The speed, read from the vibration, is in doubt, and with it every order, cause and crossing: {reason}."]
+
+
+def swing_sentences(findings: dict[str, Any]) -> list[str]:
+    """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
+    records = [one for one in findings.get("speed_swing") or [] if float(one["speed_rpm"]) > 0.0]
+    if not records:
+        return []
+    worst = max(records, key=lambda one: float(one["amplitude_rpm"]) / float(one["speed_rpm"]))
+    own = [one for one in records if one["recording"] == worst["recording"]][:_SHOWN]
+    rpm = float(worst["speed_rpm"])
+    said = [
+        f"order {number_text(float(one['order']))} by ± {number_text(float(one['amplitude_rpm']))} rpm "
+        f"({percent_text(float(one['amplitude_rpm']) / rpm)})"
+        for one in own
+    ]
+    where = f"{rpm:.0f} rpm ({named(worst['recording'], limit=NAME_CHARACTERS)})"
+    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}."]
 
 
 def not_judged_rpm(findings: dict[str, Any]) -> list[float]:

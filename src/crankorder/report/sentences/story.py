@@ -17,8 +17,15 @@ from crankorder.report.sentences.of_lines import (
     tone_sentences,
 )
 from crankorder.report.sentences.of_modes import mode_sentences
+from crankorder.report.sentences.of_motor import motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
-from crankorder.report.sentences.of_speeds import all_judged, avoid_sentences, free_sentences
+from crankorder.report.sentences.of_speeds import (
+    all_judged,
+    avoid_sentences,
+    doubt_sentences,
+    free_sentences,
+    swing_sentences,
+)
 
 __all__ = [
     "ALL_CLEAR", "NAME_CHARACTERS", "NOT_ASKED_FOR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",
@@ -68,6 +75,7 @@ def headline(findings: dict[str, Any]) -> list[str]:
     lines = line_sentences(findings)[: 1 + lies_above(findings)]
     bearings = bearing_sentences(findings)[:1]
     return [
+        *doubt_sentences(findings),
         *(bearings + lines if strikes(findings) else lines + bearings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
@@ -96,13 +104,16 @@ def story_of(findings: dict[str, Any]) -> Story:
         what=line_sentences(findings),
         why=[
             *law_sentences(findings),
+            *swing_sentences(findings),
             *mode_sentences(findings),
             *tone_sentences(findings),
+            *motor_sentences(findings),
             *bearing_sentences(findings, with_rule=False),
             *balance_sentences(findings),
         ],
         how_sure=[
             INTERVALS,
+            *doubt_sentences(findings),
             *([energy] if energy else []),
             *share_sentences(findings),
             *lock_sentences(findings),
@@ -195,7 +206,8 @@ def _unbalance_leads(findings: dict[str, Any]) -> bool:
     names = {str(record.get("channel")) for record in records}
     of = {name: [one for one in records if str(one.get("channel")) == name] for name in names}
     strongest = [max(group, key=lambda one: float(one["amplitude"])) for group in of.values()]
-    return any(str(record.get("explained_by")) == "unbalance" for record in strongest)
+    sure = not findings.get("speed_doubt")
+    return sure and any(str(record.get("explained_by")) == "unbalance" for record in strongest)
 
 
 def _repeat_sentences(findings: dict[str, Any]) -> list[str]:

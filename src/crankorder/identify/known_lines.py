@@ -1,0 +1,250 @@
+"""Lines of known frequency in the frames of recordings at held speeds: how large they are there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.lines.line_phasors import Recording, is_swept
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LOBE_BINS = 2.0
+"""Reciprocal frame lengths on each side of a line that the main lobe of a Hann window covers."""
+
+APART_CYCLES = 1.3
+"""Two lines that beat less often within the recording are one: a fit of both would trade one for the other."""
+
+SEEN_SIGMAS = 7.0
+"""Amplitude over its error along one axis from which a line is there: as the error comes from some 24 places beside it,
+noise makes one in ten million, (1 + 49 / 2 / 24)^-24."""
+
+BESIDE_CYCLES = tuple(range(2, 14))
+"""Where the noise beside a line is looked at, on both sides, in cycles per recording."""
+
+GRID_CYCLES = 0.25
+"""Step of the search for a frequency, in cycles per recording: between two of them a line loses at most 10 %."""
+
+LEAST_FRAMES = 6
+"""Fewer frames do not tell a line from the noise beside it."""
+
+Place = tuple[float, float]
+"""A line as the frequency in Hz that stays and the order of the shaft that it has beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Frames of a recording at one speed: ``spectrum`` (channels, frames, bins) of the orders ``axis`` (bins,).
+
+    ``turn`` (frames,) is the crank angle in rev of the middle of each, ``time_s`` when that was; ``revs`` their length;
+    ``rpm`` the mean speed; ``channels`` names.
+    """
+
+    spectrum: NDArray[np.complexfloating]
+    axis: Floats
+    turn: Floats
+    time_s: Floats
+    revs: float
+    rpm: float
+    channels: tuple[str, ...]
+
+    @property
+    def span_rev(self) -> float:
+        """Revolutions from the middle of the first frame to that of the last, and a frame more."""
+        return float(np.ptp(self.turn)) + self.revs
+
+    def order_of(self, place: Place) -> float:
+        """Order at the mean speed of a line at ``place``."""
+        return place[1] + place[0] * 60.0 / self.rpm
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A line at ``order`` of a recording: peak ``amplitude`` (channels,), and its standard ``error`` along one axis."""
+
+    order: float
+    amplitude: Floats
+    error: Floats
+
+    @property
+    def sigmas(self) -> float:
+        """Amplitude over its error in the channel that shows it best."""
+        return float(np.max(self.amplitude / np.maximum(self.error, 1e-300)))
+
+    @property
+    def seen(self) -> bool:
+        """Whether noise would not make it."""
+        return self.sigmas > SEEN_SIGMAS
+
+
+def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Sequence[str]) -> list[Held]:
+    """Those of ``recordings`` whose speed is known and held, with the orders ``axis`` and the names of ``channels``."""
+    made = []
+    for item in recordings:
+        speed = np.asarray(item.speed_rpm, dtype=np.float64)
+        whole = np.isfinite(item.spectrum.real).all(axis=(0, 2)) & np.isfinite(speed)
+        if np.count_nonzero(whole) < LEAST_FRAMES or is_swept(speed[whole]):
+            continue
+        turn, speed = item.centre_rev[whole], speed[whole]
+        pace = 60.0 / speed
+        time_s = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(turn))])
+        rpm = 60.0 * float(np.ptp(turn)) / float(time_s[-1])
+        spectrum = item.spectrum[:, whole]
+        made.append(Held(spectrum, axis, turn, time_s, item.revs, rpm, tuple(channels)))
+    return made
+
+
+def sightings(held: Held, places: Sequence[Place]) -> list[Sighting | None]:
+    """What lines at ``places`` are in the recording ``held``, all together; None beyond its orders.
+
+    Least squares over the frames and the bins that the lines reach, all of one neighbourhood together; whole and half
+    orders of the shaft that no place holds take part, so that none is taken for a line beside it. The error is told
+    by the same fit of what is left at places close by, where no line is known: what a carrier that wanders sets beside
+    itself counts as noise.
+    """
+    orders = np.array([held.order_of(place) for place in places])
+    found: list[Sighting | None] = [None] * len(places)
+    top = float(held.axis[-1]) - LOBE_BINS / held.revs
+    free = {k for k in range(len(places)) if LOBE_BINS / held.revs < orders[k] < top}
+    while free:
+        group = _neighbours(min(free, key=lambda k: orders[k]), free, orders, 4.0 * LOBE_BINS / held.revs)
+        free -= set(group)
+        for k, sighting in zip(group, _fitted(held, [places[k] for k in group]), strict=True):
+            found[k] = sighting
+    return found
+
+
+def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place]) -> tuple[float, float] | None:
+    """Frequency in Hz, between ``low_hz`` and ``high_hz``, of the strongest fixed line of ``held`` and its error.
+
+    ``others`` are lines that are known to be there: they are taken out first. None where noise would make it.
+    """
+    step = GRID_CYCLES / max(float(np.ptp(held.time_s)), 1e-9)
+    trial = np.arange(low_hz, high_hz + step, step)
+    known = [*others, *_shaft_orders(held, [(low_hz, 0.0), (high_hz, 0.0)], [])]
+    near = _bins(held, np.array([held.order_of((f, 0.0)) for f in (low_hz, high_hz)]))
+    if not near.size or len(trial) < 3:
+        return None
+    rest = _data(held, near)
+    if known:
+        waves = _waves(held, near, known)
+        rest = rest - waves @ np.linalg.lstsq(waves, rest, rcond=None)[0]
+    shapes = _waves(held, near, [(float(f), 0.0) for f in trial])
+    gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
+    power = np.square(np.abs(shapes.conj().T @ rest)) / gain[:, None]
+    total = np.maximum(np.square(np.abs(rest)).sum(axis=0), 1e-300)
+    score = (power / total).sum(axis=1)
+    # what lies within a cycle of a line that was taken out is its own rest
+    own = np.array([held.order_of((float(f), 0.0)) for f in trial])
+    for place in known:
+        score[np.abs(own - held.order_of(place)) * held.span_rev < APART_CYCLES] = 0.0
+    best = int(np.argmax(score))
+    if score[best] <= 0.0:
+        return None
+    frequency = _summit(trial, score, best)
+    sighting = sightings(held, [(frequency, 0.0), *others])[0]
+    if sighting is None or not sighting.seen:
+        return None
+    return frequency, np.sqrt(6.0) / (np.pi * sighting.sigmas * float(np.ptp(held.time_s)))
+
+
+def _summit(trial: Floats, score: Floats, best: int) -> float:
+    """Top of the parabola through three points of ``score``."""
+    if best in (0, len(trial) - 1):
+        return float(trial[best])
+    left, middle, right = score[best - 1 : best + 2]
+    bend = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+    return float(trial[best] + np.clip(shift, -0.5, 0.5) * (trial[1] - trial[0]))
+
+
+def _neighbours(first: int, free: set[int], orders: Floats, reach: float) -> list[int]:
+    """Those of ``free`` that stand in one chain with ``first``, no link longer than ``reach``."""
+    chain = [first]
+    for k in sorted(free - {first}, key=lambda k: orders[k]):
+        if orders[k] - orders[chain[-1]] <= reach:
+            chain.append(k)
+        elif orders[k] > orders[chain[-1]]:
+            break
+    return chain
+
+
+def _fitted(held: Held, places: list[Place]) -> list[Sighting]:
+    """Sightings of ``places`` that stand together; those too close to be told apart have the same one."""
+    orders = np.array([held.order_of(place) for place in places])
+    heads: list[int] = []
+    head_of = []
+    for k in range(len(places)):
+        same = [h for h in heads if abs(orders[k] - orders[h]) * held.span_rev < APART_CYCLES]
+        heads += [] if same else [k]
+        head_of.append(same[0] if same else k)
+    own = [places[h] for h in heads]
+    everything = [*own, *_shaft_orders(held, places, own)]
+    bins = _bins(held, orders)
+    waves, data = _waves(held, bins, everything), _data(held, bins)
+    amplitude = np.linalg.lstsq(waves, data, rcond=None)[0]
+    left = data - waves @ amplitude
+    all_orders = np.array([held.order_of(place) for place in everything])
+    errors = {h: _noise_beside(held, bins, places[h], left, all_orders) for h in heads}
+    size = {h: np.abs(amplitude[number]) for number, h in enumerate(heads)}
+    return [Sighting(float(orders[k]), size[h], errors[h]) for k, h in enumerate(head_of)]
+
+
+def _noise_beside(held: Held, bins: NDArray[np.int64], place: Place, left: Complex, lines: Floats) -> Floats:
+    """Root mean square along one axis (channels,) of what a line beside ``place`` would be in what is ``left``."""
+    seconds = held.span_rev * 60.0 / held.rpm
+    beside = [(place[0] + side * cycles / seconds, place[1]) for cycles in BESIDE_CYCLES for side in (-1.0, 1.0)]
+    clear = [
+        one for one in beside if np.min(np.abs(held.order_of(one) - lines)) * held.span_rev >= APART_CYCLES
+    ] or beside
+    shapes = _waves(held, bins, clear)
+    gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
+    power = np.square(np.abs(shapes.conj().T @ left) / gain[:, None])
+    return np.asarray(np.sqrt(0.5 * power.mean(axis=0)))
+
+
+def _shaft_orders(held: Held, places: Sequence[Place], own: Sequence[Place]) -> list[Place]:
+    """Half and whole orders near ``places`` that none of ``own`` is too close to."""
+    orders = np.array([held.order_of(place) for place in places])
+    reach = 2.0 * LOBE_BINS / held.revs
+    low, high = max(0.5, float(orders.min()) - reach), float(orders.max()) + reach
+    halves = 0.5 * np.arange(np.ceil(2.0 * low), np.floor(2.0 * high) + 1.0)
+    taken = np.array([held.order_of(place) for place in own])
+    return [
+        (0.0, float(half))
+        for half in halves
+        if not len(taken) or np.min(np.abs(taken - half)) * held.span_rev >= APART_CYCLES
+    ]
+
+
+def _bins(held: Held, orders: Floats) -> NDArray[np.int64]:
+    reach = LOBE_BINS / held.revs
+    return np.flatnonzero((held.axis >= orders.min() - reach) & (held.axis <= orders.max() + reach))
+
+
+def _data(held: Held, bins: NDArray[np.int64]) -> Complex:
+    """Phasors (frames x bins, channels)."""
+    chosen = held.spectrum[:, :, bins]
+    return np.asarray(chosen.reshape(len(chosen), -1).T, dtype=np.complex128)
+
+
+def _waves(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Complex:
+    """What lines of amplitude 1 at ``places`` are in each frame and bin: (frames x bins, places).
+
+    A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²),
+    and turns from frame to frame with its own phase less that of the bin.
+    """
+    axis = held.axis[bins]
+    made = np.empty((len(held.turn) * len(axis), len(places)), dtype=np.complex128)
+    pace = np.gradient(held.time_s, held.turn)
+    for number, (hertz, turns) in enumerate(places):
+        away = ((turns + hertz * pace)[:, None] - axis) * held.revs
+        pole = np.abs(np.abs(away) - 1.0) < 1e-6
+        shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
+        phase = (turns * held.turn + hertz * held.time_s)[:, None] - axis * held.turn[:, None]
+        made[:, number] = (shape * np.exp(2j * np.pi * (phase % 1.0))).ravel()
+    return made

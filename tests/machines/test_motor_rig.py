@@ -1,0 +1,104 @@
+"""What is said of drawn motors and of the mains: every line named, none made up, both said where two are at one place.
+
+Seeds are drawn afresh in the accuracy test; RIGS_SEED gives the same rigs again.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machines.motor_judge import Verdict, findings_of, judged, said_of
+from machines.motor_rig import CLASSES, RATE_HZ, MotorRig, draw_rig, samples
+
+LEAST_NAMED = 0.95
+"""Share of the lines of the mains and of motors that are named."""
+
+
+def short(rig: MotorRig) -> MotorRig:
+    """``rig`` with recordings of 20 s."""
+    return replace(rig, takes=tuple(replace(take, duration_s=20.0) for take in rig.takes))
+
+
+def test_the_rig_has_its_lines_where_the_nameplate_puts_them() -> None:
+    for seed in range(20):
+        rig = draw_rig(seed, "motor")
+        take = rig.takes[0]
+        turns, slip = take.rpm[0] / 60.0, rig.slips[0]
+        assert turns == pytest.approx(2.0 * rig.mains_hz / rig.poles * (1.0 - slip))
+        for line in take.lines:
+            away = 2.0 * slip * rig.mains_hz * line.side
+            if line.cause == "pole pass sideband of 1x":
+                assert line.at(take.rpm[0]) == pytest.approx(turns + away)
+            elif line.cause == "pole pass sideband of 2f":
+                assert line.at(take.rpm[0]) == pytest.approx(2.0 * rig.mains_hz + away)
+            elif line.cause == "bar pass":
+                assert line.at(take.rpm[0]) == pytest.approx(rig.rotor_bars * turns)
+
+
+def test_the_signal_holds_a_line_as_large_as_it_was_put_in() -> None:
+    rig = draw_rig(4, "stray mains")
+    take = replace(rig.takes[0], duration_s=20.0)
+    signal, _ = samples(rig, take, 0)
+    time_s = np.arange(len(signal)) / RATE_HZ
+    for line in take.lines:
+        wave = np.exp(-2j * np.pi * line.at(take.rpm[0]) * time_s)
+        assert 2.0 * abs(np.mean(signal * wave)) == pytest.approx(line.size, abs=0.03)
+
+
+@pytest.mark.parametrize("class_name", ["motor", "beside", "synchronous"])
+def test_a_drawn_rig_has_every_line_named_and_none_made_up(class_name: str, tmp_path: Path) -> None:
+    rig = short(draw_rig(14, class_name))
+    verdicts = judged(rig, findings_of(rig, tmp_path))
+    assert verdicts and not [one.words for one in verdicts if not one.good]
+
+
+def test_a_pump_at_49_2_hz_is_not_mains(tmp_path: Path) -> None:
+    rig = short(draw_rig(3, "none"))
+    take = rig.takes[0]
+    pump = replace(take.lines[0], cause="tone", hz=49.2, order=0.0, size=1.0)
+    said = said_of(findings_of(replace(rig, takes=(replace(take, lines=(*take.lines, pump)),)), tmp_path))
+    at_pump = [text for text, hertz, _, _ in said if abs(hertz - 49.2) < 0.1]
+    assert at_pump and not any("mains" in text or "shaft" in text for text in at_pump)
+
+
+def test_a_motor_that_cannot_turn_so_has_no_line_named(tmp_path: Path) -> None:
+    rig = replace(short(draw_rig(5, "motor")), poles=6)
+    rig = replace(rig, takes=tuple(replace(take, rpm=(1.4 * 40.0 * rig.supply_hz / 2,) * 2) for take in rig.takes))
+    found = findings_of(rig, tmp_path)["motor"]
+    assert "do not fit" in found["misfit"] and not found["lines"]
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
+    """Verdicts on 220 rigs, the classes in turn."""
+    first = int(os.environ.get("RIGS_SEED") or secrets.randbits(28))
+    print(f"RIGS_SEED={first}")
+    made: list[Verdict] = []
+    for number in range(220):
+        rig = draw_rig(first + number, CLASSES[number % len(CLASSES)])
+        made += judged(rig, findings_of(rig, tmp_path_factory.mktemp("rig")))
+    return made
+
+
+@pytest.mark.accuracy
+def test_no_part_of_a_machine_and_no_mains_are_made_up(campaign: list[Verdict]) -> None:
+    assert not [one.words for one in campaign if one.kind == "nothing made up" and not one.good]
+
+
+@pytest.mark.accuracy
+def test_lines_of_the_mains_and_of_motors_are_named(campaign: list[Verdict]) -> None:
+    named = [one for one in campaign if one.kind == "named"]
+    missed = [one.words for one in named if not one.good]
+    assert len(named) >= 300 and len(missed) <= (1.0 - LEAST_NAMED) * len(named), missed
+
+
+@pytest.mark.accuracy
+def test_where_mains_stand_on_an_order_both_are_said(campaign: list[Verdict]) -> None:
+    both = [one for one in campaign if one.kind == "both said"]
+    assert both and not [one.words for one in both if not one.good]
