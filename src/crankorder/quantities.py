@@ -15,7 +15,7 @@ import json
 from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
-from typing import Any, Literal, NewType, TypedDict
+from typing import Any, Literal, NewType, NotRequired, TypedDict
 
 import xarray as xr
 
@@ -76,12 +76,20 @@ Severity = Literal["info", "suspect", "bad"]
 
 
 class QualityFlag(TypedDict):
-    """One remark on a recording: which, what, how bad, and where or how much."""
+    """One remark on a recording: which, what, how bad, and where or how much.
+
+    Of a fault of one channel: its name, from when to when (s, or rev by crank angle), and whether that stretch or the
+    whole channel was left out of all averages, so that the rest of the recording could stay.
+    """
 
     recording: str
     flag: str
     severity: Severity
     detail: str
+    channel: NotRequired[str]
+    begin: NotRequired[float]
+    end: NotRequired[float]
+    left_out: NotRequired[Literal["stretch", "channel"]]
 
 
 def flags_of(dataset: xr.Dataset) -> list[QualityFlag]:

@@ -48,6 +48,22 @@ class IngestSettings(StageSettings):
     max_gap_fraction: Fraction
     max_missing_fraction: Fraction
     max_clipped_fraction: Fraction
+    plateau_exponent: Fraction
+    quiet_plateau: Fraction
+    spike_ratio: Annotated[float, Field(gt=1)]
+    spike_level: Positive
+    overload_ratio: Annotated[float, Field(gt=1)]
+    decay_share: Fraction
+    drift_ratio: Positive
+    drift_share: Fraction
+    dead_ratio: Fraction
+    dead_steps: Count
+    mains_share: Fraction
+    level_ratio: Annotated[float, Field(gt=1)]
+    level_jump_ratio: Annotated[float, Field(gt=1)]
+    max_lost_fraction: Fraction
+    lost_margin_s: Annotated[float, Field(ge=0)]
+    fewest_samples: Count
     rate_tolerance: Fraction
     time_jitter_samples: Fraction
     max_time_jitter_samples: Fraction

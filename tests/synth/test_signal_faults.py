@@ -49,8 +49,8 @@ def faulty(*faults: AnySignalFault, seed: int = 1, recording: str = "rpm_1000") 
 
 def found(samples: np.ndarray, name: str) -> list[tuple[str, str]]:
     """Flags and severities that the pipeline gives to a channel."""
-    flags = mend_signal(samples.copy(), name, Path("rpm_1000.h5"), settings=SETTINGS)
-    return [(flag["flag"], flag["severity"]) for flag in flags]
+    faults = mend_signal(samples.copy(), name, Path("rpm_1000.h5"), settings=SETTINGS)
+    return [(fault.flag, fault.severity) for fault in faults]
 
 
 def told(records: Records, name: str) -> list[tuple[str, str]]:

@@ -30,7 +30,8 @@ from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
-from crankorder.quantities import QualityFlag, Severity
+from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.quantities import QualityFlag, RecordingLevels, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
@@ -126,6 +127,7 @@ def _finish(
         if flag["flag"] == "frame_length_differs"
     ]
     told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
+    told += level_jumps(_levels(results), ratio=plan.settings.ingest.level_jump_ratio)
     findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
     findings["quality"] += contradiction_flags(findings)
     findings["speed_swing"] = _swing_records(results)
@@ -141,6 +143,18 @@ def _finish(
     # timings are no result: a full disk must not turn a finished test into a failed one
     with contextlib.suppress(OSError):
         write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
+
+
+def _levels(results: dict[Path, RecordingResult]) -> list[RecordedLevel]:
+    """Speed and level of every recording whose level was looked at."""
+    made = []
+    for path, result in results.items():
+        levels = result.frames.get(RecordingLevels)
+        speed = result.shaft["speed"].values
+        if levels is not None and np.isfinite(speed).any():
+            rms = dict(zip(levels["channel"].values.tolist(), levels["rms"].values.tolist(), strict=True))
+            made.append(RecordedLevel(path.name, (float(np.nanmin(speed)), float(np.nanmax(speed))), rms))
+    return made
 
 
 class _Clock:
@@ -218,14 +232,36 @@ def _collect(
 
 
 def _leave_out(results: dict[Path, RecordingResult], outcome: Outcome, severities: tuple[Severity, ...]) -> None:
-    """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages."""
+    """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages.
+
+    What a flag says was left out already, a channel or a stretch of it, does not take the recording along.
+    """
     for path, result in list(results.items()):
-        doubts = [flag for flag in result.flags if flag["severity"] in severities]
+        doubts = [
+            flag
+            for flag in result.flags
+            if flag["severity"] in severities and ("suspect" in severities or "left_out" not in flag)
+        ]
         if doubts:
             del results[path]
             found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
             problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
             outcome.faults.append(InputError(problem, file=path.name, found=found))
+            continue
+        outcome.faults += [
+            InputError("one channel left out of all averages", file=path.name, place=place, found=found)
+            for place, found in _channels_left_out(result.flags).items()
+        ]
+
+
+def _channels_left_out(flags: list[QualityFlag]) -> dict[str, str]:
+    """Why each channel was left out that was."""
+    found: dict[str, str] = {}
+    for flag in flags:
+        if flag.get("left_out") == "channel":
+            name, said = flag["channel"], f"{flag['flag']} ({flag['detail']})"
+            found[name] = f"{found[name]}; {said}" if name in found else said
+    return found
 
 
 KINEMATIC_SHARE = 1e-3

@@ -32,20 +32,22 @@ def load_kernels() -> bool:
     """
     import numpy as np
 
+    from crankorder.ingest import signal_survey
     from crankorder.settings import load_settings
     from crankorder.shaft import pulses
 
-    before = _compiled(pulses)
+    before = _compiled(pulses) + _compiled(signal_survey)
     absent = [name for name in UNUSED_BY_NUMBA if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: "cannot be imported", as documented
     try:
         trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
         shaft = load_settings().shaft
+        signal_survey.survey(trace, size=16)
         pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
     finally:
         for name in absent:
             del sys.modules[name]
-    return _compiled(pulses) > before
+    return _compiled(pulses) + _compiled(signal_survey) > before
 
 
 def _compiled(module: ModuleType) -> int:

@@ -16,6 +16,7 @@ from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.manifest import Channel, Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
+from crankorder.ingest.record_faults import Sampled, judged
 from crankorder.ingest.sampling import agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import conversion_factor, known_unit, unit_of
@@ -44,11 +45,44 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     _check_lengths(raw, manifest, path)
     _add_encoder(recording, raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
+    faults = []
     for channel, row in zip(manifest.channels, signals, strict=True):
-        flags += mend_signal(row, channel.name, path, settings=settings)  # sentinels are those of the file's own unit
+        faults.append(mend_signal(row, channel.name, path, settings=settings))  # sentinels: in the file's own unit
         _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
+    flags += judged(signals, faults, _sampled(recording, manifest), path, settings=settings)
     _add_signals(recording, signals, manifest)
     return Recording(with_flags(recording, flags))
+
+
+def _sampled(recording: xr.Dataset, manifest: Manifest) -> Sampled:
+    """How the signals of ``recording`` were sampled, and at which speed, for a look at their faults."""
+    attrs, by_angle = recording.attrs, manifest.sampling.domain == "crank_angle"
+    return Sampled(
+        names=[channel.name for channel in manifest.channels],
+        quantities=[channel.measured_quantity for channel in manifest.channels],
+        units=[channel.analysed_unit.name for channel in manifest.channels],
+        rate=float(attrs["samples_per_rev"] if by_angle else attrs["rate_hz"]),
+        start=attrs["start_deg"] / 360.0 if by_angle else float(attrs.get("start_s", 0.0)),
+        unit="rev" if by_angle else "s",
+        rate_hz=math.nan if by_angle else float(attrs["rate_hz"]),
+        shaft_hz=_mean_speed_hz(recording),
+    )
+
+
+def _mean_speed_hz(recording: xr.Dataset) -> float:
+    """Mean speed of the shaft as the pulses or the manifest tell it, 0 without a shaft, NaN where unknown."""
+    attrs = recording.attrs
+    if not attrs.get("has_shaft", 1):
+        return 0.0
+    if "speed_rpm" in attrs:
+        return float(attrs["speed_rpm"]) / 60.0
+    if "speed_signal" in recording:
+        return float(np.mean(recording["speed_signal"].values)) / 60.0
+    times = recording["pulse_time"].values if "pulse_time" in recording else np.empty(0)
+    teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
+    if times.size < 2 or not teeth > 0:
+        return math.nan
+    return float((times.size - 1) / (times[-1] - times[0]) / teeth / attrs.get("ratio", 1.0))
 
 
 def _wanted(manifest: Manifest) -> list[Source]:

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError
-from crankorder.ingest.rawfile import FloatArray, flag
-from crankorder.quantities import QualityFlag, Severity
+from crankorder.ingest.fault import Runs, SignalFault
+from crankorder.ingest.rawfile import FloatArray
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -38,30 +38,15 @@ class _Survey:
     has_nan: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Runs:
-    """Samples ``starts`` (runs,) to before ``ends`` (runs,), in order."""
-
-    starts: npt.NDArray[np.int64]
-    ends: npt.NDArray[np.int64]
-
-    @property
-    def lengths(self) -> npt.NDArray[np.int64]:
-        return self.ends - self.starts
-
-    def where(self, chosen: npt.NDArray[np.bool_]) -> _Runs:
-        return _Runs(self.starts[chosen], self.ends[chosen])
-
-
-def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSettings) -> list[QualityFlag]:
-    """Flags of ``signal``, shape (sample,), whose missing samples are bridged in place where they are few in a row.
+def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSettings) -> list[SignalFault]:
+    """Faults of ``signal``, shape (sample,), whose missing samples are bridged in place where they are few in a row.
 
     Samples of a longer gap become NaN, whatever stood there. ``name`` and ``path`` say which channel of which recording
     it is; ``settings`` say how many missing samples are few and what counts as clipping. Raises InputError where more
     are bridged than the spectrum bears, or more are missing than leave a recording to speak of.
     """
     survey = _survey(signal)
-    flags: list[QualityFlag] = []
+    flags: list[SignalFault] = []
     finite = not survey.has_nan and survey.low > -_FILL_ABOVE and survey.high < _FILL_ABOVE
     if not finite or survey.low in _SENTINELS or survey.high in _SENTINELS:
         missing = _runs(signal, _missing(signal))
@@ -69,12 +54,12 @@ def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSe
             flags += _without(signal, missing, name, path, settings)
             survey = _survey(signal)
     if survey.low == survey.high:
-        return [*flags, flag(path, "constant_signal", "bad", f"channel {name}: all samples equal {survey.low:.6g}")]
+        return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {survey.low:.6g}", is_lost=True)]
     # each fault needs so many samples that stand still: most signals have too few for any, and are done
     if survey.n_still >= 2 * (settings.clip_run_samples - 1):
-        flags += _clipping(signal, survey.low, survey.high, name, path, settings)
+        flags += _clipping(signal, survey.low, survey.high, settings)
     if survey.n_still >= settings.dropout_samples - 1:
-        flags += _dropout(signal, name, path, settings)
+        flags += _dropout(signal, settings)
     return flags
 
 
@@ -93,9 +78,9 @@ def _survey(signal: FloatArray) -> _Survey:
     return _Survey(float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs)), n_still, has_nan)
 
 
-def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> _Runs:
+def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Runs:
     """Runs of ``least`` samples or more in a row for which ``mask`` (of a block of samples) is true."""
-    found: list[_Runs] = []
+    found: list[Runs] = []
     begun = -1  # where the run that has not ended yet began
     for part in blocks(signal.size):
         chosen = mask(signal[part])
@@ -106,16 +91,20 @@ def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> _Runs:
         begun = int(turns[-1]) if turns.size % 2 else -1
         turns = turns[: turns.size // 2 * 2].reshape(-1, 2)
         turns = turns[turns[:, 1] - turns[:, 0] >= least]
-        found.append(_Runs(turns[:, 0], turns[:, 1]))
+        found.append(Runs(turns[:, 0], turns[:, 1]))
     if begun >= 0 and signal.size - begun >= least:
-        found.append(_Runs(np.array([begun]), np.array([signal.size])))
+        found.append(Runs(np.array([begun]), np.array([signal.size])))
+    return _joined(found)
+
+
+def _joined(found: list[Runs]) -> Runs:
     starts, ends = ([getattr(run, name) for run in found] for name in ("starts", "ends"))
     none = np.empty(0, dtype=np.int64)
-    return _Runs(np.concatenate([none, *starts]), np.concatenate([none, *ends]))
+    return Runs(np.concatenate([none, *starts]), np.concatenate([none, *ends]))
 
 
-def _dropout(signal: FloatArray, name: str, path: Path, settings: IngestSettings) -> list[QualityFlag]:
-    """Flag the longest stretch in which the signal stands still, whatever its level, if too long for chance."""
+def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
+    """Flag stretches in which the signal stands still, whatever its level, where the longest is too long for chance."""
     last = np.array([np.nan], dtype=signal.dtype)
 
     def still(piece: FloatArray) -> npt.NDArray[np.bool_]:
@@ -132,8 +121,8 @@ def _dropout(signal: FloatArray, name: str, path: Path, settings: IngestSettings
     if length < settings.dropout_fraction * signal.size:
         return []
     share = f"{length} samples ({length / signal.size:.1%})"
-    detail = f"channel {name}: the same value for {share} from sample {runs.starts[longest] - 1}"
-    return [flag(path, "dropout", "bad", detail)]
+    detail = f"the same value for {share} from sample {runs.starts[longest] - 1}"
+    return [SignalFault("dropout", "bad", detail, Runs(runs.starts - 1, runs.ends), is_lost=True)]
 
 
 def _missing(signal: FloatArray) -> Mask:
@@ -159,7 +148,7 @@ def _missing(signal: FloatArray) -> Mask:
     return missing
 
 
-def _without(signal: FloatArray, missing: _Runs, name: str, path: Path, settings: IngestSettings) -> list[QualityFlag]:
+def _without(signal: FloatArray, missing: Runs, name: str, path: Path, settings: IngestSettings) -> list[SignalFault]:
     """Bridge the short of the ``missing`` runs, make the others NaN, and flag both."""
     short = missing.where(missing.lengths <= settings.max_gap_samples)
     gaps = missing.where(missing.lengths > settings.max_gap_samples)
@@ -181,63 +170,83 @@ def _without(signal: FloatArray, missing: _Runs, name: str, path: Path, settings
     if gaps.starts.size:
         longest, count = int(np.argmax(gaps.lengths)), int(gaps.lengths.sum())
         detail = (
-            f"channel {name}: {count} samples ({count / signal.size:.2%}) missing in {gaps.starts.size} "
+            f"{count} samples ({count / signal.size:.2%}) missing in {gaps.starts.size} "
             f"gap{'s' * (gaps.starts.size > 1)}, the longest of {gaps.lengths[longest]} from sample "
             f"{gaps.starts[longest]}; what touches a gap is left out"
         )
-        flags.append(flag(path, "gap", "suspect", detail))
+        flags.append(SignalFault("gap", "suspect", detail, gaps))
     if short.starts.size:
         _bridge(signal, short)
-        detail = f"channel {name}: {bridged} missing samples bridged, first at sample {short.starts[0]}"
-        flags.append(flag(path, "non_finite_interpolated", "suspect", detail))
+        detail = f"{bridged} missing samples bridged, first at sample {short.starts[0]}"
+        flags.append(SignalFault("non_finite_interpolated", "suspect", detail, short))
     return flags
 
 
-def _bridge(signal: FloatArray, short: _Runs) -> None:
+def _bridge(signal: FloatArray, short: Runs) -> None:
     """Put a straight line between the neighbours of each of the ``short`` runs; at an end, the one there is."""
     for start, end in zip(short.starts, short.ends, strict=True):
         beside = [place for place in (start - 1, end) if 0 <= place < signal.size]
         signal[start:end] = np.interp(np.arange(start, end), beside, signal[beside])
 
 
-def _clipping(
-    signal: FloatArray, low: float, high: float, name: str, path: Path, settings: IngestSettings
-) -> list[QualityFlag]:
+def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSettings) -> list[SignalFault]:
     """Flag runs of equal samples at an extreme, where they are cut off and not the smooth top of a quantised signal."""
-    clipped, first, n_runs = 0, signal.size, 0
+    found: list[Runs] = []
+    step = np.nan
     for extreme in (low, high):
         at_extreme = _equal_to(signal.dtype.type(extreme))
         n_flat = sum(int(np.count_nonzero(at_extreme(signal[part]))) for part in blocks(signal.size))
         if n_flat < 2 * settings.clip_run_samples:
             continue
         flat = _runs(signal, at_extreme, least=settings.clip_run_samples)
-        flat = flat.where(_is_cut_off(signal, extreme, flat))
-        if flat.starts.size:
-            n_runs += flat.starts.size
-            clipped += int(flat.lengths.sum())
-            first = min(first, int(flat.starts[0]))
-    if n_runs < 2:
+        step = _rounding_step(signal) if np.isnan(step) else step
+        if flat.starts.size and n_flat > _just_inside(signal, extreme, step):
+            found.append(flat.where(_is_cut_off(signal, extreme, flat, step)))
+    runs = _joined(found)
+    if runs.starts.size < 2:
         return []
-    share = clipped / signal.size
-    severity: Severity = "bad" if share > settings.max_clipped_fraction else "suspect"
-    detail = f"channel {name}: {share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {first}"
-    return [flag(path, "clipped", severity, detail)]
+    share = int(runs.lengths.sum()) / signal.size
+    is_bad = share > settings.max_clipped_fraction
+    detail = f"{share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {runs.starts.min()}"
+    return [
+        SignalFault(
+            "clipped",
+            "bad" if is_bad else "suspect",
+            detail,
+            runs.merged(within=0, n_samples=signal.size),
+            is_lost=is_bad,
+        )
+    ]
 
 
 def _equal_to(level: np.floating) -> Mask:
     return lambda piece: np.asarray(piece == level)
 
 
-def _is_cut_off(signal: FloatArray, extreme: float, flat: _Runs) -> npt.NDArray[np.bool_]:
-    """Which ``flat`` runs the signal enters or leaves steeply.
+def _rounding_step(signal: FloatArray) -> float:
+    """Least change from one sample to the next."""
+    step = np.inf
+    for part in blocks(signal.size - 1):
+        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
+        step = min(step, float(steps.min(where=steps > 0, initial=np.inf)))
+    return step
+
+
+def _just_inside(signal: FloatArray, extreme: float, step: float) -> int:
+    """Samples within three rounding steps of the extreme: more than at it, unless the signal was cut off there."""
+    count = 0
+    for part in blocks(signal.size):
+        apart = np.abs(signal[part] - extreme)
+        count += int(np.count_nonzero((apart > 0.0) & (apart < 3.5 * step)))
+    return count
+
+
+def _is_cut_off(signal: FloatArray, extreme: float, flat: Runs, step: float) -> npt.NDArray[np.bool_]:
+    """Which ``flat`` runs the signal enters or leaves steeply, beside the rounding ``step``.
 
     The top of a parabola that rounding flattens over L samples has fallen by 4.5 rounding steps L samples further on.
     """
-    rounding_step = np.inf
-    for part in blocks(signal.size - 1):
-        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
-        rounding_step = min(rounding_step, float(steps.min(where=steps > 0, initial=np.inf)))
     before = np.abs(signal[np.maximum(flat.starts - flat.lengths, 0)] - extreme)
     after = np.abs(signal[np.minimum(flat.ends - 1 + flat.lengths, signal.size - 1)] - extreme)
-    steep: npt.NDArray[np.bool_] = np.fmax(before, after) > _STEEP_STEPS * rounding_step
+    steep: npt.NDArray[np.bool_] = np.fmax(before, after) > _STEEP_STEPS * step
     return steep

@@ -191,9 +191,10 @@ def _confidence(
 
 
 def _checked(signals: FloatArray) -> FloatArray:
-    """``signals`` as float64 rows, those that are constant left out."""
+    """``signals`` as float64 rows, those that are constant or lack samples left out."""
     signals = np.atleast_2d(np.asarray(signals, dtype=np.float64))
-    if not np.isfinite(signals).all():
+    signals = signals[np.isfinite(signals).all(axis=1)]
+    if not signals.size:
         raise InputError("the vibration holds samples that are not finite, so it tells no speed")
     signals = signals[np.ptp(signals, axis=1) > 0.0]
     if not signals.size:

@@ -1,0 +1,103 @@
+"""A useless channel is left out alone, a lost stretch alone: the rest of the recording stays in the averages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from crankorder.cli import main
+
+RATE, SECONDS = 5000.0, 10.0
+MANIFEST = """schema_version = 1
+[test]
+name = "left out"
+cycle = "rotor"
+[sampling]
+rate_hz = 5000.0
+[encoder]
+kind = "constant"
+[[channels]]
+name = "X"
+unit = "m/s2"
+[[channels]]
+name = "Y"
+unit = "m/s2"
+[recordings]
+files = ["*.h5"]
+speed_rpm = { "a.h5" = 1500.0, "b.h5" = 1800.0 }
+"""
+
+
+def signals(rpm: float, seed: int) -> np.ndarray:
+    time = np.arange(round(RATE * SECONDS)) / RATE
+    rng = np.random.default_rng(seed)
+    tones = [a * np.cos(2 * np.pi * k * rpm / 60.0 * time + k) for k, a in ((1, 3.0), (2, 1.0))]
+    return np.stack([np.sum(tones, axis=0), 0.5 * np.sum(tones, axis=0)]) + 0.05 * rng.normal(size=(2, time.size))
+
+
+def run(folder: Path, out: Path, spoil: dict[str, np.ndarray]) -> tuple[int, dict, xr.Dataset]:
+    folder.mkdir()
+    (folder / "run.toml").write_text(MANIFEST)
+    for name, rpm, seed in (("a", 1500.0, 1), ("b", 1800.0, 2)):
+        rows = signals(rpm, seed)
+        if name == "a":
+            for channel, values in spoil.items():
+                rows["XY".index(channel)] = values
+        with h5py.File(folder / f"{name}.h5", "w") as file:
+            for channel, row in zip("XY", rows, strict=True):
+                file[channel] = row.astype(np.float32)
+    outcome = CliRunner().invoke(main, ["run", str(folder), "--out", str(out), "-q"])
+    made = next(path.parent for path in out.glob("**/findings.json"))
+    order_map = xr.load_dataset(made / "results.nc", group="order_map", engine="h5netcdf")
+    return outcome.exit_code, json.loads((made / "findings.json").read_bytes()), order_map
+
+
+def amplitude(order_map: xr.Dataset, rpm: float, channel: str) -> float:
+    rows = order_map["amplitude"].sel(channel=channel).sel(order=1.0, method="nearest")
+    return float(rows.values[np.argmin(np.abs(order_map["speed"].values - rpm))])
+
+
+def test_a_dead_channel_is_left_out_alone(tmp_path: Path) -> None:
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": np.full(round(RATE * SECONDS), 1.5)})
+    assert status == 3
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "constant_signal"]
+    assert (flag["recording"], flag["channel"], flag["severity"], flag["left_out"]) == ("a.h5", "X", "bad", "channel")
+    assert np.isnan(amplitude(order_map, 1500.0, "X"))
+    assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
+    assert amplitude(order_map, 1800.0, "X") == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_lost_stretch_is_left_out_alone(tmp_path: Path) -> None:
+    lost = signals(1500.0, 1)[0]
+    lost[20_000:25_000] = 0.0
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": lost})
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "dropout"]
+    assert (flag["left_out"], flag["begin"], flag["end"]) == ("stretch", pytest.approx(4.0), pytest.approx(5.0))
+    assert status == 0
+    for channel, size in (("X", 3.0), ("Y", 1.5)):
+        assert amplitude(order_map, 1500.0, channel) == pytest.approx(size, rel=0.01)
+
+
+def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path: Path) -> None:
+    still = np.full(round(RATE * SECONDS), 1.5)
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": still, "Y": still})
+    assert status == 3
+    assert not [flag for flag in findings["quality"] if "left_out" in flag]
+    assert order_map["speed"].values.min() > 1700.0
+
+
+def test_an_overload_is_left_out_with_its_way_back(tmp_path: Path) -> None:
+    time = np.arange(round(RATE * SECONDS)) / RATE
+    row = signals(1500.0, 1)[0] + np.where(time < 3.0, 0.0, 100.0 * np.exp(-np.maximum(time - 3.0, 0.0) / 0.3))
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": row})
+    assert status == 0
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "iepe_overload"]
+    assert flag["left_out"] == "stretch"
+    assert flag["begin"] == pytest.approx(3.0, abs=0.05) and 3.8 < flag["end"] < 6.0
+    assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)

@@ -1,0 +1,96 @@
+"""Faults of a record: none made up in sound ones of many kinds, and each found from a stated size on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crankorder.ingest.record_faults import Sampled, judged
+from crankorder.ingest.signal_faults import mend_signal
+from crankorder.quantities import QualityFlag
+from crankorder.settings import load_settings
+from machines.faulty_records import FAULTS, Drawn, healthy
+
+SETTINGS = load_settings().ingest
+LARGE = {
+    "clipped": 0.2,
+    "spikes": 30.0,
+    "iepe_overload": 10.0,
+    "start_transient": 5.0,
+    "drift": 3.0,
+    "dead_sensor": 1000.0,
+    "copied_channel": 0.5,
+    "mains_only": 5.0,
+    "level_step": 2.5,
+}
+"""Size from which on a fault is asked for."""
+FOUND = {"clipped": 0.6, "spikes": 0.95, "mains_only": 0.7, "level_step": 0.6, "iepe_overload": 0.9}
+"""Share of the large faults that must be found; of those not named here 0.95."""
+
+
+def flags_of(drawn: Drawn) -> list[QualityFlag]:
+    """What the program says of ``drawn``, that is stored as float32 as a logger does."""
+    signals = drawn.signals.astype(np.float32)
+    names = [f"c{number}" for number in range(len(signals))]
+    known = [mend_signal(row, name, Path("a.h5"), settings=SETTINGS) for row, name in zip(signals, names, strict=True)]
+    sampled = Sampled(names, drawn.quantities, drawn.quantities, drawn.rate_hz, 0.0, "s", drawn.rate_hz, drawn.shaft_hz)
+    return judged(signals, known, sampled, Path("a.h5"), settings=SETTINGS)
+
+
+def draws(n: int, seed: int) -> list[np.random.Generator]:
+    return [np.random.default_rng([seed, k]) for k in range(n)]
+
+
+def check_healthy(n: int, seed: int) -> None:
+    told = [(drawn.kind, flag) for rng in draws(n, seed) for drawn in (healthy(rng),) for flag in flags_of(drawn)]
+    doubts = [(kind, flag["flag"], flag["detail"]) for kind, flag in told if flag["severity"] != "info"]
+    assert doubts == []
+
+
+def check_found(kind: str, n: int, seed: int) -> None:
+    sizes, hits, beside = [], [], Counter[str]()
+    for rng in draws(n, seed):
+        drawn = FAULTS[kind](rng)
+        flags = flags_of(drawn)
+        own = {flag["flag"] for flag in flags if flag["channel"] == ("c1" if kind == "copied_channel" else "c0")}
+        beside.update(own - {kind})
+        beside.update(f"{flag['flag']} elsewhere" for flag in flags if flag["channel"] not in ("c0", "c1"))
+        sizes.append(drawn.size)
+        hits.append(kind in own)
+    sizes, hits = np.array(sizes), np.array(hits)
+    edges = np.quantile(sizes, np.linspace(0.0, 1.0, 6))
+    parts = [(sizes >= low) & (sizes <= high) for low, high in pairwise(edges)]
+    rates = ", ".join(f"{sizes[p].min():.3g}…{sizes[p].max():.3g}: {hits[p].mean():.0%}" for p in parts)
+    print(f"\n{kind} (seed {seed}, {n}): {rates}; also told: {dict(beside)}")
+    large = sizes >= LARGE[kind]
+    assert np.mean(hits[large]) >= FOUND.get(kind, 0.95)
+
+
+def test_nothing_is_made_up_in_a_few_sound_records() -> None:
+    check_healthy(11, 2026)
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_few_large_faults_are_found(kind: str) -> None:
+    for number, rng in enumerate(draws(40, 7)):
+        drawn = FAULTS[kind](rng)
+        if drawn.size >= LARGE[kind] and kind in {flag["flag"] for flag in flags_of(drawn)}:
+            return
+        assert number < 39
+
+
+@pytest.mark.accuracy
+def test_nothing_is_made_up_in_sound_records() -> None:
+    seed = int(np.random.SeedSequence().entropy % 2**31)
+    print(f"\nsound records: seed {seed}")
+    check_healthy(300, seed)
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("kind", FAULTS)
+def test_faults_are_found_by_size(kind: str) -> None:
+    check_found(kind, 200, int(np.random.SeedSequence().entropy % 2**31))

@@ -1,0 +1,56 @@
+"""A channel whose gain changed between recordings at one speed is named; loads, sweeps and modes are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+
+NAMES = ("X", "Y", "Z")
+
+
+def recordings(rng: np.random.Generator, n_speeds: int = 6, n_each: int = 3) -> list[RecordedLevel]:
+    made = []
+    for speed in 500.0 * 1.1 ** np.arange(n_speeds):
+        level = rng.lognormal(0.0, 1.0, 3)
+        for number in range(n_each):
+            rms = dict(zip(NAMES, level * rng.lognormal(0.0, 0.1, 3), strict=True))
+            made.append(RecordedLevel(f"{speed:.0f}_{number}", (speed, speed * 1.002), rms))
+    return made
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("factor", [10.0, 0.1, 6.0])
+def test_a_changed_gain_is_named_with_its_factor(seed: int, factor: float) -> None:
+    rng = np.random.default_rng(seed)
+    levels = recordings(rng)
+    chosen = levels[rng.integers(len(levels))]
+    chosen.rms["Y"] *= factor
+    [flag] = level_jumps(levels, ratio=3.0)
+    assert (flag["recording"], flag["channel"], flag["severity"]) == (chosen.recording, "Y", "suspect")
+    told = float(flag["detail"].split("its level is ")[1].split()[0])
+    assert told == pytest.approx(factor, rel=0.6)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_of_two_recordings_both_are_named(seed: int) -> None:
+    levels = recordings(np.random.default_rng(seed), n_speeds=2, n_each=2)
+    levels[0].rms["Z"] *= 10.0
+    assert {flag["recording"] for flag in level_jumps(levels, ratio=3.0)} == {one.recording for one in levels[:2]}
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_nothing_is_told_of_sound_levels_a_load_a_sweep_or_other_speeds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    levels = recordings(rng)
+    assert level_jumps(levels, ratio=3.0) == []
+    loaded = [
+        RecordedLevel(one.recording, one.speed_rpm, {name: 5.0 * level for name, level in one.rms.items()})
+        for one in levels[:1]
+    ]
+    assert level_jumps([*loaded, *levels[1:]], ratio=3.0) == []
+    levels[0].rms["X"] *= 10.0
+    sweep = RecordedLevel(levels[0].recording, (300.0, 900.0), levels[0].rms)
+    assert level_jumps([sweep, *levels[1:]], ratio=3.0) == []
+    assert level_jumps(recordings(rng, n_speeds=12, n_each=1), ratio=3.0) == []
