@@ -17,7 +17,10 @@ SAME = 1e-6
 """Numbers within this share of each other are one: what a file rounds is no contradiction."""
 
 BESIDE = 0.01
-"""Share of a speed beyond the tested range that is as good as tested."""
+"""Share of the fastest speed beyond the tested range that is as good as tested …"""
+
+BESIDE_RPM = 30.0
+"""… or so many rpm: crossings count that far beside it."""
 
 APART = (
     ("Free of resonances:", "No speed of the tested range can be called free"),
@@ -164,7 +167,8 @@ def _of_crossings(findings: dict[str, Any]) -> Iterator[str]:
 def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
     """Whether a crossing, within its interval and the share of a speed that is as good as tested, lies in the range."""
     low, high = interval_of(record, "rpm") or (record["rpm"], record["rpm"])
-    return bool(low <= max(speeds) * (1.0 + BESIDE) and high >= min(speeds) * (1.0 - BESIDE))
+    spare = max(BESIDE * max(speeds), BESIDE_RPM)
+    return bool(low <= max(speeds) + spare and high >= min(speeds) - spare)
 
 
 def _of_speeds(findings: dict[str, Any]) -> Iterator[str]:

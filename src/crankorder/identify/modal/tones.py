@@ -51,6 +51,12 @@ SAME_SIGMAS = 4.0
 NEAR_BINS = 2
 """Bins on each side that hold a tone's power in a spectrum seen through a Hann window."""
 
+SHOWN, BESIDE_BINS = 0.1, 24
+"""Share of the largest excess over the bins on both sides with which a line counts as seen at a speed."""
+
+FEW_OF = 0.6
+"""Share of the speeds up to which a line is seen at some alone: a tone is there at all that let it be seen."""
+
 Array = NDArray[np.float64]
 
 
@@ -231,7 +237,41 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
                 "mains",
                 f"no damping, {multiple:.0f} times the mains frequency of {mains:g} Hz, the same at all speeds",
             )
-    return "tone", "no damping: as narrow as the window makes any tone; stays at all speeds"
+    rows = _rows_that_show(frequency_hz, floor)
+    if rows.any() and np.count_nonzero(rows) < FEW_OF * len(rows) and _on_half_orders(frequency_hz, rows, floor):
+        return (
+            "order",
+            "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it",
+        )
+    stays = "stays at all speeds" if rows.all() else f"stands out at {np.count_nonzero(rows)} of {len(rows)} speeds"
+    return "tone", f"no damping: as narrow as the window makes any tone; {stays}"
+
+
+def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:
+    """At which speeds the channel that shows a line at ``frequency_hz`` best has it: with a tenth of the most, or more.
+
+    A tone of a source of its own is there at all speeds, as large as ever; all where nothing can be compared.
+    """
+    at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
+    inner = slice(max(0, at - NEAR_BINS), at + NEAR_BINS + 1)
+    outer = np.r_[max(0, at - BESIDE_BINS) : inner.start, inner.stop : at + BESIDE_BINS]
+    outer = outer[outer < floor.cells.shape[2]]
+    cells = np.where(np.isfinite(floor.cells), floor.cells, 0.0) * floor.gain[:, :, None]
+    if not outer.size:
+        return np.ones(cells.shape[1], dtype=np.bool_)
+    level = np.median(cells[:, :, outer], axis=2)
+    excess = cells[:, :, inner].max(axis=2) - level
+    best = int(np.argmax((excess / np.maximum(level.max(axis=1, keepdims=True), 1e-300)).max(axis=1)))
+    return np.asarray(excess[best] >= SHOWN * max(float(excess[best].max()), 1e-300))
+
+
+def _on_half_orders(frequency_hz: float, rows: NDArray[np.bool_], floor: Floor) -> bool:
+    """Whether ``frequency_hz`` lies within a bin of a half order at every speed of ``rows``, and hardly by chance."""
+    halves_hz = floor.speed_rpm[rows] / 120.0
+    if not np.isfinite(halves_hz).all() or floor.seen.bin_hz > 0.1 * halves_hz.min():
+        return False
+    off = np.abs(frequency_hz - np.round(frequency_hz / halves_hz) * halves_hz)
+    return bool((off <= floor.seen.bin_hz + SPEED_SPREAD * frequency_hz).all())
 
 
 def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[Tone, ...]:
