@@ -173,3 +173,13 @@ def test_a_ball_is_looked_for_at_twice_its_spin_and_slip_is_slower_rolling():
     assert made_by(ball.expected, places["BPFO"], 3.5847, within=0.02) == ""
     assert made_by(4.5847, places["BPFO"], 3.5847, within=0.02) == "BPFO + 1 x shaft"
     assert made_by(2 * 3.5847, places["BPFO"], 3.5847, within=0.02) == "2 x BPFO"
+
+
+@pytest.mark.parametrize("off_percent", [0.0, 0.7, 1.4])
+def test_a_line_that_both_found_races_do_not_add_up_to_is_no_rolling_element_count(off_percent: float) -> None:
+    races = [agreed(ORDERS[name] * 0.997, line(ORDERS[name] * 0.997), lock="slips") for name in ("BPFO", "BPFI")]
+    count = 0.997 * (ORDERS["BPFO"] + ORDERS["BPFI"]) * (1.0 - off_percent / 100.0)
+    found = {one["line"] for one in records([*races, agreed(count, line(count), lock="slips")])}
+    assert found == {"BPFO", "BPFI"} | ({"N*fs"} if off_percent == 0.0 else set())
+    # without the races nothing contradicts it
+    assert {one["line"] for one in records([agreed(count, line(count), lock="slips")])} == {"N*fs"}
