@@ -54,3 +54,36 @@ def test_nothing_is_told_of_sound_levels_a_load_a_sweep_or_other_speeds(seed: in
     sweep = RecordedLevel(levels[0].recording, (300.0, 900.0), levels[0].rms)
     assert level_jumps([sweep, *levels[1:]], ratio=3.0) == []
     assert level_jumps(recordings(rng, n_speeds=12, n_each=1), ratio=3.0) == []
+
+
+def stepped(rng: np.random.Generator, n_speeds: int = 6) -> list[RecordedLevel]:
+    """One recording per speed: lines and modes make the level what they like, the floor grows with the speed."""
+    made, first, growth = [], rng.lognormal(0.0, 1.0, 3), rng.uniform(0.0, 2.0, 3)
+    for number, speed in enumerate(700.0 * 1.15 ** np.arange(n_speeds)):
+        floor = first * 1.15 ** (number * growth) * rng.lognormal(0.0, 0.1, 3)
+        level = dict(zip(NAMES, rng.lognormal(2.0, 1.0, 3), strict=True))
+        named = dict(zip(NAMES, floor, strict=True))
+        made.append(RecordedLevel(f"{speed:.0f}", (speed, speed * 1.001), level, named))
+    return made
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_with_one_recording_per_speed_the_floor_tells_the_changed_gain(seed: int, factor: float) -> None:
+    rng = np.random.default_rng(seed)
+    levels = stepped(rng)
+    assert level_jumps(levels, ratio=3.0) == []
+    chosen = levels[rng.integers(len(levels))]
+    chosen.floor["Y"] *= factor
+    [flag] = level_jumps(levels, ratio=3.0)
+    assert (flag["recording"], flag["channel"], flag["severity"]) == (chosen.recording, "Y", "suspect")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_load_that_raises_all_floors_is_no_gain(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    levels = stepped(rng)
+    chosen = levels[rng.integers(len(levels))]
+    for name in NAMES:
+        chosen.floor[name] *= 8.0
+    assert level_jumps(levels, ratio=3.0) == []

@@ -152,8 +152,11 @@ def _levels(results: dict[Path, RecordingResult]) -> list[RecordedLevel]:
         levels = result.frames.get(RecordingLevels)
         speed = result.shaft["speed"].values
         if levels is not None and np.isfinite(speed).any():
-            rms = dict(zip(levels["channel"].values.tolist(), levels["rms"].values.tolist(), strict=True))
-            made.append(RecordedLevel(path.name, (float(np.nanmin(speed)), float(np.nanmax(speed))), rms))
+            names = levels["channel"].values.tolist()
+            rms, floor = (dict(zip(names, levels[key].values.tolist(), strict=True)) for key in ("rms", "floor"))
+            # of the means of tenths: what a shaft does within a turn, and an encoder's edges, is no other speed
+            means = [float(np.nanmean(part)) for part in np.array_split(speed, 10) if np.isfinite(part).any()]
+            made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor))
     return made
 
 

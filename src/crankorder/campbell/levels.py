@@ -81,9 +81,10 @@ def recording_levels(
     high = np.where(usable, np.einsum("pck,pk->pc", np.nan_to_num(power), above), 0.0).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         rms, share = np.sqrt(total / usable.sum(axis=0)), high / total
+    floor = np.array([_floor(power[:, channel]) for channel in range(len(share))])
     peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(share))]
     ends = limit[np.isfinite(limit)]
-    return _dataset(recording, rms, share, peaks, np.nan if per_rev or not ends.size else float(ends.max()))
+    return _dataset(recording, rms, share, floor, peaks, np.nan if per_rev or not ends.size else float(ends.max()))
 
 
 def _rate_and_speeds(
@@ -164,10 +165,23 @@ def _stays(lobe: Floats, piece: int, place: int, rpm: Floats) -> bool:
     return len(sizes) > 1 and min(sizes) >= STEADY * float(np.mean(sizes))
 
 
-def _dataset(recording: xr.Dataset, rms: Floats, share: Floats, peaks: list[Peak], band_hz: float) -> xr.Dataset:
+def _floor(power: Floats) -> float:
+    """Root of the middling bin of the mean ``power`` (pieces, bins): what neither lines nor modes raise."""
+    whole = power[np.isfinite(power).all(axis=1)]
+    return float(np.sqrt(np.median(whole.mean(axis=0)))) if whole.size else math.nan
+
+
+def _dataset(
+    recording: xr.Dataset, rms: Floats, share: Floats, floor: Floats, peaks: list[Peak], band_hz: float
+) -> xr.Dataset:
     lines = np.array(peaks, dtype=np.float64).reshape(len(rms), len(Peak._fields))
     told = {
         "rms": (rms, "see unit", "root mean square without the mean"),
+        "floor": (
+            floor,
+            "see unit",
+            "root of the middling bin of the power spectrum, which lines do not raise",
+        ),
         "share_above": (share, "1", "share of the mean square above the band looked at"),
         "peak_above": (lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
         "peak_frequency": (lines[:, 1], "Hz", "its frequency"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,15 @@ _OTHERS_STAY = 0.25
 
 @dataclass(frozen=True)
 class RecordedLevel:
-    """One recording: its name, lowest and highest speed [rpm], and the root mean square by channel name."""
+    """One recording: its name, lowest and highest speed [rpm], and by channel name root mean square and ``floor``.
+
+    The floor is the root of the middling bin of the power spectrum, which neither lines nor modes raise.
+    """
 
     recording: str
     speed_rpm: tuple[float, float]
     rms: dict[str, float]
+    floor: dict[str, float] = field(default_factory=dict)
 
     @property
     def is_steady(self) -> bool:
@@ -54,7 +58,39 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float) -> list[Qualit
             flag = QualityFlag(recording=one.recording, flag="level_jump", severity="suspect", detail=detail)
             flag["channel"] = name
             found[one.recording, name] = flag
+    for flag in _floor_jumps(steady, ratio=ratio):
+        found.setdefault((flag["recording"], flag["channel"]), flag)
     return list(found.values())
+
+
+def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[QualityFlag]:
+    """Flags of recordings whose floor lies ``ratio`` times or more off both that are next in speed, in one channel.
+
+    A resonance raises the floor of a part of the spectrum, a load that of all channels: a gain that of one, everywhere.
+    """
+    names = [
+        name for name in (steady[0].floor if steady else ()) if all(one.floor.get(name, 0.0) > 0.0 for one in steady)
+    ]
+    if len(names) < 2 or len(steady) < 3:
+        return []
+    logs = np.log([[one.floor[name] for name in names] for one in steady])
+    below, above = logs[1:-1] - logs[:-2], logs[1:-1] - logs[2:]
+    # at either end two neighbours on one side must agree
+    first, last = (logs[:1] - logs[1:2], logs[:1] - logs[2:3]), (logs[-1:] - logs[-2:-1], logs[-1:] - logs[-3:-2])
+    one, other = (np.concatenate([first[k], (below, above)[k], last[k]]) for k in (0, 1))
+    apart = np.where(np.sign(one) == np.sign(other), np.sign(one) * np.minimum(np.abs(one), np.abs(other)), 0.0)
+    flags = []
+    for row, column in zip(*np.nonzero(np.abs(apart) > math.log(ratio)), strict=True):
+        if np.abs(np.delete(apart[row], column)).max() >= _OTHERS_STAY * abs(apart[row, column]):
+            continue
+        detail = (
+            f"channel {names[column]}: its noise floor is {math.exp(apart[row, column]):.3g} times that of the "
+            f"recordings next in speed, while the other channels stay: a gain or a range was changed"
+        )
+        flag = QualityFlag(recording=steady[row].recording, flag="level_jump", severity="suspect", detail=detail)
+        flag["channel"] = names[column]
+        flags.append(flag)
+    return flags
 
 
 def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:
