@@ -13,6 +13,7 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
+from crankorder.identify.lines.speed_proof import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.settings import load_settings
 from crankorder.shaft.folding import Fold
@@ -280,3 +281,14 @@ def test_a_tone_of_a_struck_race_at_one_speed_is_no_tone_of_its_own():
     (race,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", 5.4)], sources, [])
     assert harmonic_words([race], 2 * 5.4 - 1.0, 1e-4) == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
     assert harmonic_words([race], 4.93, 1e-4) == ""
+
+
+@pytest.mark.parametrize("has_first", [False, True])
+def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(has_first: bool) -> None:
+    """A shaft at 1480 rpm of which 1400 was stated: 1.057 and its multiples, and nothing at order 1."""
+    found = [dataclasses.replace(agreed(k * 1.0571, lock="slips"), reservation=NO_PULSES) for k in (1, 2, 7)]
+    found += [dataclasses.replace(agreed(1.0), reservation=NO_PULSES)] if has_first else []
+    said = texts(found, ROTOR)[1.0571]
+    assert said == (
+        "a second shaft at 1.057" if has_first else "a shaft at 1.057 times the stated speed, this one if that is wrong"
+    )

@@ -7,11 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.lines.speed_proof import NO_PULSES
 from crankorder.identify.sidebands import MESH_RATIO, meshes, other_shafts, sidebands
 
 Key = tuple[str, float]
 Words = dict[Key, tuple[str, str]]
 """Cause and evidence by channel and order."""
+
+FIRST_REACH = 0.005
+"""A line this near to order 1 is the shaft's own."""
 
 MESH = "gear mesh or blade passing: integer order with sidebands"
 
@@ -147,11 +151,17 @@ def _shafts(
     free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
     found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
     made: Words = {}
+    has_first = any(abs(agreed.order - 1.0) < FIRST_REACH for agreed in orders)
+    speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.reservation for agreed in free)
     for at, (first, multiple) in found.items():
         base = free[first].order
-        text = f"a second shaft at {base:.4g}"
         count = sum(1 for other, _ in found.values() if other == first)
         evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
+        if speed_may_be_wrong:
+            text = f"a shaft at {base:.4g} times the stated speed, this one if that is wrong"
+            evidence += "; nothing stands at order 1, and no pulses prove the speed"
+        else:
+            text = f"a second shaft at {base:.4g}"
         for key in open_lines(free[at]):
             made[key] = (text if multiple == 1 else f"harmonic {multiple} of {text}", evidence)
     return made

@@ -18,7 +18,13 @@ from crankorder.identify.lines.line_phasors import Recording, is_swept, recordin
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
-from crankorder.identify.lines.speed_proof import PROVEN_SPEED_ERROR, STATED_SPEED_ERROR, proves_speed, speed_source
+from crankorder.identify.lines.speed_proof import (
+    NO_PULSES,
+    PROVEN_SPEED_ERROR,
+    STATED_SPEED_ERROR,
+    proves_speed,
+    speed_source,
+)
 from crankorder.identify.lines.swept_company import NEAREST_BINS
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
@@ -341,7 +347,7 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     reasons = [found.reservation] if found.reservation else []
     if not test.speed_is_sure:
         error = float(np.hypot(error, STATED_SPEED_ERROR * order))
-        reasons.append("no encoder pulses: the number is as good as the speed from which the crank angle comes")
+        reasons.append(NO_PULSES)
     elif not test.by_pulses:
         error = float(np.hypot(error, PROVEN_SPEED_ERROR * order))
     by_phase = number.by_phase and test.speed_is_sure

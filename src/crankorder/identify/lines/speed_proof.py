@@ -12,6 +12,9 @@ from scipy.special import exp1
 from crankorder.identify.lines.order_lock import LEAST_SLIP, SURE, nearest_multiple, sure_half_width
 from crankorder.quantities import flags_of
 
+NO_PULSES = "no encoder pulses: the number is as good as the speed from which the crank angle comes"
+"""Reservation of an order whose speed was stated or read from something else than a shaft's pulses."""
+
 STATED_SPEED_ERROR = 0.002
 """Standard error, as a share, of a speed that no pulses tell: a plate's or a motor's whose load is not known, or that
 of a tachometer's output."""
