@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.orders.angle_errors import ERROR, OF_ONE_REV, AngleErrors, errors_along, errors_of_rows, stated_errors
+from crankorder.orders.angle_errors import (
+    ERROR,
+    LINES,
+    OF_ONE_REV,
+    AngleErrors,
+    errors_along,
+    errors_of_rows,
+    stated_errors,
+)
 
 
 def _shaft(error_rev: float, revs: int = 20) -> xr.Dataset:
@@ -56,4 +64,4 @@ def test_recordings_that_share_a_row_err_each_on_its_own() -> None:
 
 
 def test_an_angle_without_pulses_or_errors_adds_nothing() -> None:
-    assert stated_errors(xr.Dataset(), revs_per_frame=4.0) == {ERROR: 0.0, OF_ONE_REV: 0.0}
+    assert stated_errors(xr.Dataset(), revs_per_frame=4.0) == {ERROR: 0.0, OF_ONE_REV: 0.0, LINES: 0.0}

@@ -121,6 +121,12 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
         are, them = ("are no exact multiples", "them") if several else ("is no exact multiple", "it")
         why = f"what makes {them} slips, or turns in a ratio of its own"
         sentences.append(f"{_orders(slips[:_SHOWN])} {are} of the half revolution: {why}.")
+    if loose:
+        are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
+        sentences.append(
+            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
+            f"whether {it} the shaft."
+        )
     if open_:
         which = "they are" if len(open_) > 1 else "it is"
         more = " and more" if len(open_) > _SHOWN else ""
