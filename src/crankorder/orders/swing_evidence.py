@@ -194,16 +194,17 @@ def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
     """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for."""
     n = value.shape[1]
     step = 2 * harmonic
+    room = max(n - step, 0)  # a map of few orders has no neighbour for a high harmonic
     order = np.arange(n) / 2.0
     seen = np.where(np.isfinite(value.real), value, 0.0)
     u, v = np.zeros_like(seen), np.zeros_like(seen)
-    u[:, step:] = seen[:, : n - step] * order[: n - step]
+    u[:, step:] = seen[:, :room] * order[:room]
     # order m - k below 0 is the line above it, turned the other way
     for place in range(1, min(step, n)):
         u[:, place] = -order[step - place] * seen[:, step - place].conj() if step - place < n else 0.0
-    v[:, : n - step] = seen[:, step:] * order[step:]
+    v[:, :room] = seen[:, step:] * order[step:]
     weight = np.where(np.isfinite(value.real) & (noise > 0.0), 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
-    weight[:, n - step :] = 0.0  # what lies above is not known
+    weight[:, room:] = 0.0  # what lies above is not known
     weight[:, 0] = 0.0
     u, v = -1j * np.pi * u, -1j * np.pi * v
 
