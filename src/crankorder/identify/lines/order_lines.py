@@ -141,7 +141,8 @@ def _stronger(
 def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, reservation = search.false_alarm_probability, ""
-    together = _seen_together(search, channel, peak) if len(seen) < needed else seen
+    alone = len(seen) >= needed or _is_swept(search)
+    together = seen if alone else _seen_together(search, channel, peak)
     if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
         seen = together
     elif len(seen) < needed:

@@ -133,6 +133,8 @@ def doubt_about(
         return f"its frequency is known to {100.0 * NORMAL_95 * error / f:.1f} % only"
     if prominence_db < WEAK_AT_ONE_DB and at_one_speed(floor, settings=settings):
         return f"stands only {prominence_db:.1f} dB out of the floor, at one speed: modulated orders look so"
+    if n_shown < 2 and zeta_error > WELL_KNOWN * zeta and at_one_speed(floor, settings=settings):
+        return "seen in one channel at one speed, its damping not well known: modulated orders look so"
     if prominence_db < WEAK_DB and zeta_error > WELL_KNOWN * zeta:
         return f"stands only {prominence_db:.1f} dB out of the floor"
     return ""
