@@ -31,6 +31,7 @@ from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, RecordingLevels, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
@@ -129,8 +130,8 @@ def _finish(
     told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
     told += level_jumps(_levels(results), ratio=plan.settings.ingest.level_jump_ratio)
     findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
+    findings["speed_swing"] = _swing_records(results, findings["quality"])
     findings["quality"] += contradiction_flags(findings)
-    findings["speed_swing"] = _swing_records(results)
     groups = {**made.datasets, "shaft": _shaft_summary(results)}
     outcome.accuracy = _accuracy_text(made.datasets.get("order_map"))
     stated = {**provenance, "quality": findings["quality"]}
@@ -365,14 +366,19 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
     return summary.assign(trace_variables(shafts))
 
 
-def _swing_records(results: dict[Path, RecordingResult]) -> list[dict[str, Any]]:
-    """Swing of the speed of every recording within its cycle, by order, the largest first; only what is certain."""
+def _swing_records(results: dict[Path, RecordingResult], flags: list[QualityFlag]) -> list[dict[str, Any]]:
+    """Swing of the speed of every recording within its cycle, by order, the largest first; only what is certain.
+
+    What ``flags`` say that the encoder itself makes is no motion of the shaft.
+    """
+    of_encoder = {order for order, name in NAMES.items() if any(flag["flag"] == f"encoder_{name}" for flag in flags)}
     records = []
     for path, result in results.items():
         swing = speed_swing(result.shaft)
         if swing is None:
             continue
-        for place in sorted(np.flatnonzero(swing.told).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
+        sure = swing.told & ~np.isin(swing.orders, list(of_encoder))
+        for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
             records.append(
                 {
                     "recording": printable(path.name),

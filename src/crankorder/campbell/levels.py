@@ -28,7 +28,6 @@ BLOCK = 64
 LINE_RATIO = 100.0
 """Energy of a line over that of as many bins of the floor about it: in so few pieces noise does not reach it."""
 
-
 RING_BINS = 8
 """Bins beside a line where it is gone, and a mode that noise makes ring is not."""
 
@@ -43,10 +42,14 @@ TRIED = 20
 
 
 class Peak(NamedTuple):
-    """The strongest line above the band: peak amplitude, frequency [Hz] or NaN, order or NaN, speed [rpm] or NaN."""
+    """The strongest line above the band: peak amplitude, frequency and the band's end there [Hz], order, speed [rpm].
+
+    NaN is what is not known.
+    """
 
     amplitude: float = 0.0
     frequency_hz: float = math.nan
+    band_hz: float = math.nan
     order: float = math.nan
     speed_rpm: float = math.nan
 
@@ -143,7 +146,8 @@ def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_r
             value = float(power[piece, around] @ bins[around] / power[piece, around].sum())
             speed = float(rpm[piece])
             hertz, order = (math.nan, value) if per_rev else (value, 60.0 * value / speed)
-            return Peak(math.sqrt(2.0 * float(lobe[piece, place])), hertz, order, speed)
+            band = math.nan if per_rev else float(limit[piece])
+            return Peak(math.sqrt(2.0 * float(lobe[piece, place])), hertz, band, order, speed)
     return Peak()
 
 
@@ -160,8 +164,9 @@ def _stays(lobe: Floats, piece: int, place: int, rpm: Floats) -> bool:
     sizes = []
     for other in others[(others >= 0) & (others < len(lobe))].tolist():
         middle = round(place * float(rpm[other] / rpm[piece])) if known else place
-        if LOBE_BINS < middle < lobe.shape[1] - LOBE_BINS:
-            sizes.append(float(lobe[other, middle - 1 : middle + 2].max()))
+        size = float(lobe[other, middle - 1 : middle + 2].max()) if 0 < middle < lobe.shape[1] - 1 else math.nan
+        if math.isfinite(size):  # a piece with a gap tells nothing
+            sizes.append(size)
     return len(sizes) > 1 and min(sizes) >= STEADY * float(np.mean(sizes))
 
 
@@ -177,16 +182,13 @@ def _dataset(
     lines = np.array(peaks, dtype=np.float64).reshape(len(rms), len(Peak._fields))
     told = {
         "rms": (rms, "see unit", "root mean square without the mean"),
-        "floor": (
-            floor,
-            "see unit",
-            "root of the middling bin of the power spectrum, which lines do not raise",
-        ),
+        "floor": (floor, "see unit", "root of the middling bin of the power spectrum, which lines do not raise"),
         "share_above": (share, "1", "share of the mean square above the band looked at"),
         "peak_above": (lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
         "peak_frequency": (lines[:, 1], "Hz", "its frequency"),
-        "peak_order": (lines[:, 2], "1", "its order"),
-        "peak_speed": (lines[:, 3], "min-1", "the speed there"),
+        "peak_band": (lines[:, 2], "Hz", "where the band ended at that speed"),
+        "peak_order": (lines[:, 3], "1", "its order"),
+        "peak_speed": (lines[:, 4], "min-1", "the speed there"),
     }
     variables = {
         name: ("channel", values, {"units": units, "long_name": text}) for name, (values, units, text) in told.items()

@@ -21,7 +21,6 @@ DOMINATES = 5.0
 """So many times the other: load may halve or double a stated pressure, and a structure answers forces and moments
 differently."""
 
-
 GAS_ORDERS = (0.5, 1.5, 2.5, 3.5)
 """Two or more of these half orders tell of gas in a four-stroke engine: nothing else makes its cycle felt so."""
 

@@ -38,6 +38,7 @@ def _record(name: str, levels: list[xr.Dataset]) -> dict[str, Any]:
         "share_above": float(energy @ share[known] / energy.sum()) if energy.sum() > 0.0 else None,
         "amplitude_above": amplitude if amplitude > 0.0 else None,
         "frequency_hz_above": _told(strongest["peak_frequency"]),
+        "band_hz_there": _told(strongest["peak_band"]),
         "order_above": _told(strongest["peak_order"]),
         "speed_rpm_above": _told(strongest["peak_speed"]),
     }

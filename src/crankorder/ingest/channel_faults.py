@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from crankorder.fft.windows import hann
 from crankorder.ingest.fault import SignalFault
 from crankorder.ingest.rawfile import FloatArray
 from crankorder.ingest.signal_survey import Floats, Survey
@@ -57,8 +58,8 @@ def find_dead(
     """Faults by number of the ``signals`` (channel, sample) that hold noise alone while others see the machine.
 
     Only channels of one of ``groups`` (units) are compared, by their ``surveys`` and ``settings``. Dead is one far
-    below the middle of the others in which none of
-    the strongest lines of the loudest stands out, whether it toggles between a few steps of the converter or not.
+    below the middle of the others in which none of the strongest lines of the loudest stands out, whether it toggles
+    between a few steps of the converter or not.
     """
     size = np.array([root_mean_square(each) for each in surveys])
     found: dict[int, SignalFault] = {}
@@ -90,7 +91,7 @@ def _shows_lines(quiet: FloatArray, loud: FloatArray) -> bool:
     """Whether one of the strongest lines of ``loud`` stands out in ``quiet``, or ``loud`` has none."""
     length = min(_LOOK, quiet.size)
     starts = np.unique(np.linspace(0, quiet.size - length, 4).astype(np.int64))
-    window = np.hanning(length)
+    window = hann(length).values
     powers = []
     for signal in (quiet, loud):
         pieces = np.stack([signal[start : start + length] for start in starts]).astype(np.float64)
@@ -123,8 +124,7 @@ def find_mains_only(
     """Faults by number of the channels that hold mains, its multiples and noise, while others hold other lines.
 
     ``surveys`` of channels sampled at ``rate_hz``, judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none;
-    NaN where unknown, and then nothing is told, nor where an order of the
-    shaft lies on mains.
+    NaN where unknown, and then nothing is told, nor where an order of the shaft lies on mains.
     """
     if not math.isfinite(shaft_hz) or len(surveys) < 2:
         return {}
@@ -151,7 +151,7 @@ def find_mains_only(
 
 def _mains_power(series: Floats, series_hz: float, mains_hz: float) -> Floats:
     """Mean square (channel,) of mains and its multiples in ``series`` (channel, sample)."""
-    window = np.hanning(series.shape[1])
+    window = hann(series.shape[1]).values
     turn = np.exp(-2j * np.pi * mains_hz / series_hz * np.arange(series.shape[1]))
     power, turns = np.zeros(len(series)), np.ones_like(turn)
     for _ in range(int(min(_MULTIPLES, 0.45 * series_hz / mains_hz))):
@@ -162,7 +162,7 @@ def _mains_power(series: Floats, series_hz: float, mains_hz: float) -> Floats:
 
 def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:
     """Mean square of the lines in ``row`` that lie on no multiple of mains."""
-    window = np.hanning(len(row))
+    window = hann(len(row)).values
     power = 2.0 * np.square(np.abs(np.fft.rfft(row * window))) / (len(row) * float(window @ window))
     frequency = np.arange(len(power)) * (series_hz / len(row))
     width = 4.0 * series_hz / len(row)

@@ -58,9 +58,8 @@ def judged(
     """Flags of the ``signals`` (channel, sample), of which what is lost becomes NaN in place and spikes are bridged.
 
     ``known`` faults by channel were found before; the recording, ``sampled`` so, lies at ``path``; ``settings`` say
-    what
-    counts. A channel of which most is lost is
-    left out alone; where that is so of all channels they stay as they are, for the recording is left out as a whole.
+    what counts. A channel of which most is lost is left out alone; where that is so of all channels they stay as they
+    are, for the recording is left out as a whole.
     """
     faults = [
         [fault for fault in own if not (fault.flag == "clipped" and _is_square(fault, quantity, signals.shape[1]))]
@@ -123,8 +122,7 @@ def _beside_each_other(
     alive = [k for k, own in enumerate(faults) if not any(f.is_lost and not f.at.starts.size for f in own)]
     vibrating = [k for k in alive if sampled.quantities[k] in VIBRATION]
     rows, units = [surveys[k] for k in vibrating], [sampled.units[k] for k in vibrating]
-    told: list[tuple[list[int], dict[int, SignalFault]]] = [(alive, find_copies(signals, sampled.names))]
-    told[0] = (list(range(len(signals))), told[0][1])
+    told = [(list(range(len(signals))), find_copies(signals, sampled.names))]
     if len(vibrating) > 1:
         chosen = signals if len(vibrating) == len(signals) else signals[vibrating]
         told.append((vibrating, find_dead(chosen, rows, units, settings=settings)))

@@ -33,8 +33,8 @@ def find_smoothed_clipping(
     """Clipping of ``signal`` (sample,) at levels that no two samples need share; only a doubt where one side has it.
 
     ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be
-    smaller on the plateaus than between them for it to be "bad", and the quantity
-    one that has no plateaus of its own (``without_doubt``).
+    smaller on the plateaus than between them for it to be "bad", and the quantity one that has no plateaus of its own
+    (``without_doubt``).
     """
     samples = _strongest(signal, survey)
     if samples.size < _PIECE:
@@ -55,7 +55,7 @@ def find_smoothed_clipping(
     is_sure = without_doubt and len(found) == 2 and all(side[2] < settings.quiet_plateau for side in found)
     detail = (
         f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
-        "the filter, so odd multiples of its lines are made up"
+        "the filter, so odd multiples of its lines may be made up"
     )
     return SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)
 

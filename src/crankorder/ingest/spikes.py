@@ -33,8 +33,8 @@ def find_spikes(
     """The spikes of ``signal`` (sample,), their samples and, one after the other, what these would be without them.
 
     ``survey`` and ``settings`` say where to look and what stands out. A polynomial through 20 neighbours predicts
-    the middle; the spike stands ``spike_ratio`` times further off it than
-    any neighbour does, and above the root mean square of the signal. A strike or a knock rings through the neighbours.
+    the middle; the spike stands ``spike_ratio`` times further off it than any neighbour does, and above the root mean
+    square of the signal. A strike or a knock rings through the neighbours.
     With ``may_pulse`` spikes that all look alike are taken for the signal itself.
     """
     places = _candidates(signal, survey)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any, TypedDict
 
+from crankorder.identify.mains_orders import ALIKE_SPEEDS
 from crankorder.report.notation import interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
 _SAME_SHARE = 0.002  # … or this share of its frequency
 _DAMPED = ("mode", "undecided", "natural")
 
-
-ALIKE_SPEEDS = 1.005
-"""Fastest over slowest speed up to which an order and a fixed frequency are one line."""
 _ELECTRIC = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")
 
 

@@ -45,8 +45,9 @@ def above_sentence(findings: dict[str, Any], record: dict[str, Any]) -> str:
     at = f" at {rpm:.0f} rpm" if is_number(rpm) else ""
     level = f"{number_text(float(record['amplitude_above']))} {unit_of(findings, record)}".strip()
     recipe = GEAR_RECIPE if order is not None and order <= GEAR_ORDER else FULL_RECIPE
+    end = _band(record.get("band_hz_there"))
     return (
-        f"The strongest line in {where} lies above the band that was looked at{_band(record)}: about "
+        f"The strongest line in {where} lies above the band that was looked at{end}: about "
         f"{', '.join(places)}{at}, about {level}. The recipe {recipe} looks there."
     )
 
@@ -57,24 +58,19 @@ def share_sentences(findings: dict[str, Any]) -> list[str]:
     if not known:
         return []
     known.sort(key=lambda record: -float(record["share_above"]))
+    end = known[0].get("band_hz")
     much = [record for record in known if float(record["share_above"]) >= _WORTH_SAYING]
     if not much:
-        return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{_band(known[0])}."]
+        return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{_band(end)}."]
     said = [f"{percent_text(float(one['share_above']))} of that of {_name(one)}" for one in much[:_MANY]]
     more = ", less in the others" if len(known) > min(len(much), _MANY) else ""
-    return [f"Energy above the band looked at{_band(known[0])}: {listed(said)}{more}."]
+    return [f"Energy above the band looked at{_band(end)}: {listed(said)}{more}."]
 
 
 def _name(record: dict[str, Any]) -> str:
     return named(record["channel"], limit=NAME_CHARACTERS)
 
 
-def _band(record: dict[str, Any]) -> str:
+def _band(hertz: object) -> str:
     """``" (to 500 Hz)"``; nothing where the end is not known as a frequency."""
-    return f" (to {frequency_text(float(record['band_hz']))} Hz)" if is_number(record.get("band_hz")) else ""
-
-
-def up_to(record: dict[str, Any]) -> str:
-    """``" up to 500 Hz"``, of the band of a ``record`` of the levels."""
-    known = is_number(record.get("band_hz"))
-    return f" up to {frequency_text(float(record['band_hz']))} Hz" if known else " in the band that was looked at"
+    return f" (to {frequency_text(float(hertz))} Hz)" if is_number(hertz) else ""

@@ -21,7 +21,7 @@ from crankorder.report.notation import (
     percent_text,
     unit_of,
 )
-from crankorder.report.sentences.of_levels import above_sentence, stronger_above, up_to
+from crankorder.report.sentences.of_levels import above_sentence, stronger_above
 
 _MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
 _MANY = 3  # channels that a summary names one by one
@@ -117,7 +117,7 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
     order, tone = _strongest_order(findings, channel), strongest_tone(findings, channel)
     largest = max((float(one["amplitude"]) for one in (order, tone) if one is not None), default=0.0)
     above = stronger_above(findings, channel, largest)
-    where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else up_to(above))
+    where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else " in the band that was looked at")
     if tone is not None and (order is None or float(tone["amplitude"]) > float(order["amplitude"])):
         text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:
