@@ -31,13 +31,19 @@ from crankorder.ingest.recording import read_recording
 from crankorder.orders.envelope import recording_envelope
 from crankorder.orders.envelope_map import envelope_map
 from crankorder.orders.followed import followed_tracks, with_followed
-from crankorder.orders.frames import order_frames
+from crankorder.orders.frames import order_frames, sweeps
 from crankorder.orders.map import order_map
 from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
 from crankorder.orders.synchronous_cycles import cycle_average, cycle_averages
 from crankorder.orders.tracks import followed_orders, order_tracks
-from crankorder.orders.true_angle import Swings, frames_in_true_angle, swings_of_test, tracks_in_true_angle
+from crankorder.orders.true_angle import (
+    Swings,
+    angle_in_truth,
+    frames_in_true_angle,
+    swings_of_test,
+    tracks_in_true_angle,
+)
 from crankorder.quantities import (
     BandRecording,
     CampbellMap,
@@ -56,6 +62,7 @@ from crankorder.quantities import (
     RecordingLevels,
     RecordingTracks,
     ShaftAngle,
+    ShownAngle,
     check_dataset,
     flags_of,
     with_flags,
@@ -81,6 +88,7 @@ AllRecordingLevels = NewType("AllRecordingLevels", list[xr.Dataset])
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
     BandRecording: "recording",
+    ShownAngle: "shaft_angle",
     ShaftAngle: "shaft_angle",
     OrderFrames: "order_frames",
     FrequencyFrames: "frequency_frames",
@@ -128,11 +136,11 @@ def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recor
 
 
 @stage
-def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShaftAngle:
+def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShownAngle:
     """Crank angle and speed from the pulses of ``recording`` and ``knowledge`` of its shaft (``settings`` of shaft)."""
     angle = shaft_angle(recording, settings=settings.shaft, knowledge=knowledge)
     if recording.attrs.get("encoder_kind") == "vibration" or not angle.attrs.get("has_shaft", 1):
-        return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
+        return ShownAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
     audit = reference_audit(
         angle,
@@ -143,7 +151,7 @@ def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -
         irregularity={} if angle.attrs.get("in_cycle_filled") else None,
     )
     remarks = [*audit.remarks, *silent_ends(recording, angle)]
-    return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
+    return ShownAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
 
 
 @stage
@@ -153,9 +161,9 @@ def pattern(recording: Recording, settings: Settings) -> LinePattern:
 
 
 @stage
-def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRecording:
-    """``recording`` limited to the band that orders and map need at the speeds of ``shaft`` (``settings`` of both)."""
-    fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
+def band(recording: Recording, shown: ShownAngle, settings: Settings) -> BandRecording:
+    """``recording`` limited to the band that orders and map need at the speeds of ``shown`` (``settings`` of both)."""
+    fastest_hz = float(np.nan_to_num(shown["speed"].values).max()) / 60.0
     frames = frames_wanted(settings)
     by_order = settings.orders.max_order * fastest_hz if {OrderFrames, RecordingCycles} & set(frames) else 0.0
     by_name = max(settings.orders.track_orders, default=0.0) * fastest_hz if RecordingTracks in frames else 0.0
@@ -167,6 +175,17 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
         tolerance=(1.0 - METHOD_SHARE) * settings.orders.tolerance,
     )
     return BandRecording(limited)
+
+
+@stage
+def true_angle(band: BandRecording, shown: ShownAngle, settings: Settings) -> ShaftAngle:
+    """Angle ``shown`` by the encoder without the swing that the orders of ``band`` prove (``settings`` of orders).
+
+    In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more.
+    """
+    if not sweeps(shown, settings.orders):
+        return ShaftAngle(shown)
+    return ShaftAngle(angle_in_truth(shown, order_frames(band, shown, settings=settings.orders)))
 
 
 @stage
@@ -313,6 +332,7 @@ OF_RECORDING = (
     ingest,
     shaft,
     band,
+    true_angle,
     frames_by_order,
     frames_by_frequency,
     tracks_of_recording,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -22,6 +23,9 @@ ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"
 
 LINES = "angle_lines_per_rev"
 """Attribute of frames: lines or samples of the encoder per crank revolution; 0 where the angle rests on none."""
+
+TAKEN = "angle_swing_taken_rev"
+"""Attribute of angle, frames and tracks: by harmonic, what was taken out of the swing that the encoder shows."""
 
 MANY_LINES = 360.0
 """Lines per revolution of an encoder by whose pulses samples were taken: so many or more."""
@@ -59,10 +63,11 @@ class AngleErrors:
         return AngleErrors(self.random[:, None], self.mean[:, None])
 
 
-def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, float]:
+def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Any]:
     """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
     error, of_one = _errors(shaft, revs_per_frame)
-    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft)}
+    taken = {TAKEN: shaft.attrs[TAKEN]} if TAKEN in shaft.attrs else {}
+    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft), **taken}
 
 
 def _lines_per_rev(shaft: xr.Dataset) -> float:

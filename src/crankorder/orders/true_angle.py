@@ -12,14 +12,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.angle_errors import LINES
+from crankorder.orders.angle_errors import LINES, TAKEN
 from crankorder.orders.angle_swing import HARMONICS, Swing, given_by_neighbours, in_true_angle, modulation
 from crankorder.orders.phase_marks import one_mark
 from crankorder.orders.swing_evidence import rows_of, swings_of
-from crankorder.quantities import QualityFlag, with_flags
+from crankorder.quantities import QualityFlag, flags_of, with_flags
 
-LEFT, TAKEN = "angle_swing_left_rev", "angle_swing_taken_rev"
-"""Attributes of frames and tracks: by harmonic, what of the angle's swing may be left, and what was taken out."""
+LEFT = "angle_swing_left_rev"
+"""Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
 
 GIVEN = "given_by_swing"
 """Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
@@ -28,6 +28,9 @@ LINES_PER_HARMONIC = 8.0
 """Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
 
 WHOLE = 1e-6
+
+STEPS = 4
+"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
 
 NAMES = {1: "eccentricity", 2: "ovality"}
 """What makes a swing so often per turn; the others are of uneven lines."""
@@ -60,6 +63,44 @@ def swings_of_test(frames: Sequence[xr.Dataset]) -> Swings:
     return Swings(made, shared)
 
 
+def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset) -> xr.Dataset:
+    """ShaftAngle ``shown`` by an encoder, without the swings that the OrderFrames ``frames`` made by it prove.
+
+    Where the speed sweeps, sidebands of orders that nobody follows reach into those that are followed: the angle itself
+    has to be true. Unchanged where nothing is proved.
+    """
+    own = swings_of_test([frames]).of.get(str(frames.attrs["recording"]), ())
+    taken = _taken(own)
+    if not taken:
+        return shown
+    angle = shown["crank_angle"].values.astype(np.float64)
+    true = angle.copy()
+    for _ in range(STEPS):
+        true = angle - _error(taken, true)
+    speed = shown["speed"].values / (1.0 + _error(taken, true, slope=True))
+    left = np.sqrt(0.5 * sum(one.error_rev**2 for one in own if one.proved))
+    made = shown.assign(
+        crank_angle=(shown["crank_angle"].dims, true, shown["crank_angle"].attrs),
+        speed=(shown["speed"].dims, speed, shown["speed"].attrs),
+        standard_error=(
+            shown["standard_error"].dims,
+            np.hypot(shown["standard_error"].values, left),
+            shown["standard_error"].attrs,
+        ),
+    ).assign_attrs({TAKEN: _stated(own)[TAKEN]})
+    recording = str(frames.attrs["recording"])
+    return with_flags(made, [*flags_of(shown), *(_flag(recording, one, "the angle") for one in own if one.proved)])
+
+
+def _error(taken: dict[int, complex], angle: NDArray[np.float64], *, slope: bool = False) -> NDArray[np.float64]:
+    """Error [rev] of the angle shown at the true ``angle`` [rev] by the swings ``taken``, or its ``slope``."""
+    total = np.zeros(angle.shape)
+    for harmonic, size in taken.items():
+        turn = 2j * np.pi * harmonic
+        total += (size * (turn if slope else 1.0) * np.exp(turn * angle)).real
+    return total
+
+
 def frames_in_true_angle(frames: Sequence[xr.Dataset], swings: Swings) -> list[xr.Dataset]:
     """``frames`` (OrderFrames) without the sidebands of the swings that are proved; the first carries the flags."""
     made = []
@@ -71,7 +112,7 @@ def frames_in_true_angle(frames: Sequence[xr.Dataset], swings: Swings) -> list[x
             per_order = int(item.attrs["revs_per_frame"])
             values = in_true_angle(spectrum.values, bins_per_order=per_order, swings=taken)
             item = item.assign(spectrum=(spectrum.dims, values.astype(spectrum.dtype), spectrum.attrs))
-        made.append(item.assign_attrs(_stated(own)) if own else item)
+        made.append(item.assign_attrs(_stated(own, item)) if own else item)
     flags = swing_flags(swings)
     if flags and made:
         made[0] = with_flags(made[0].copy(), flags)
@@ -94,7 +135,7 @@ def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list
         item = item.assign(
             {"amplitude": (amplitude.dims, values, amplitude.attrs), GIVEN: (amplitude.dims, given, words)}
         )
-        made.append(item.assign_attrs(_stated(own)))
+        made.append(item.assign_attrs(_stated(own, item)))
     return made
 
 
@@ -124,7 +165,7 @@ def swing_flags(swings: Swings) -> list[QualityFlag]:
     return flags
 
 
-def _flag(recording: str, swing: Swing) -> QualityFlag:
+def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -> QualityFlag:
     size, half = 360.0 * abs(swing.size), 360.0 * 1.959964 * swing.error_rev
     name = NAMES.get(swing.harmonic, f"uneven lines ({swing.harmonic} per turn)")
     carriers = ", ".join(f"{order:g}" for order in swing.carriers[:6])
@@ -134,9 +175,10 @@ def _flag(recording: str, swing: Swing) -> QualityFlag:
         f"{name} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
         f"{size + half:.3g}°) at {phase:.0f}°: orders {carriers} have sidebands {swing.harmonic} beside them that are "
         f"their order times one and the same error of the angle (chance {swing.chance:.1g}). They are no machine part "
-        "and are taken out of orders and tracks; what may be left is in the intervals. The recipe calibrated-encoder "
-        "takes it out of the angle itself"
+        f"and are taken out of {taken_from}; what may be left is in the intervals"
     )
+    if taken_from != "the angle":
+        detail += ". The recipe calibrated-encoder takes it out of the angle itself"
     flag = f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}"
     return {"recording": recording, "flag": flag, "severity": "info", "detail": detail}
 
@@ -145,8 +187,11 @@ def _taken(own: Sequence[Swing]) -> dict[int, complex]:
     return {swing.harmonic: swing.size for swing in own if swing.proved}
 
 
-def _stated(own: Sequence[Swing]) -> dict[str, list[float]]:
-    return {LEFT: [one.left_rev for one in own], TAKEN: [abs(one.size) if one.proved else 0.0 for one in own]}
+def _stated(own: Sequence[Swing], item: xr.Dataset | None = None) -> dict[str, list[float]]:
+    """Attributes that state the swings ``own``, beside what was taken from the angle of ``item`` before."""
+    before = np.zeros(len(own)) if item is None else np.atleast_1d(item.attrs.get(TAKEN, np.zeros(len(own))))
+    now = np.array([abs(one.size) if one.proved else 0.0 for one in own])
+    return {LEFT: [one.left_rev for one in own], TAKEN: np.maximum(before, now).tolist()}
 
 
 def _brought_back(
