@@ -65,3 +65,9 @@ def test_a_second_shaft_is_told_by_its_multiples():
     assert other_shafts([1.005, 2.017], [5e-4] * 2) == {}
     assert other_shafts([1.005], [5e-4]) == {}
     assert other_shafts([1.0, 2.0], [0.2] * 2) == {}  # errors so large that any line would fit
+
+
+def test_the_largest_of_a_whole_row_of_low_harmonics_is_no_mesh() -> None:
+    harmonics = dict.fromkeys(range(1, 13), 1.0)
+    assert meshes(harmonics | {6: 5.0}) == []  # a V12 fires six times per turn
+    assert meshes({k: size for k, size in harmonics.items() if k > 2} | {6: 5.0}) == [6]

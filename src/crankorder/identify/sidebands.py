@@ -22,6 +22,9 @@ SIGMAS = 3.0
 LEAST_TEETH = 6
 """Fewer teeth or blades than this are not told from the harmonics of a shaft."""
 
+MOST_FIRINGS = 12
+"""Engines fire so often per turn at most: 24 cylinders of four strokes, 12 of two."""
+
 MESH_RATIO = 2.0
 """A mesh stands so many times above the lines one shaft order beside it."""
 
@@ -123,7 +126,8 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
     ``amplitude_of`` gives the peak amplitudes of the whole orders of one channel. Six teeth or more, a line one shaft
     order below and above, at half of it or less, and nothing within five orders that is as large: harmonics of a shaft
     fall off from the first and have no such summit, or a mode makes one. Where no order is missing from the first up to
-    the line, what stands beside it may be harmonics as well: then it has to be twice as large as all within five.
+    the line, what stands beside it may be harmonics of the shaft as well: then it has to be twice as large as all within
+    five, and above the orders at which engines fire, of which any may be the largest.
     """
     found = []
     for order, amplitude in amplitude_of.items():
@@ -131,7 +135,8 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
         if order < LEAST_TEETH or None in sides:
             continue
         beside = [amplitude_of.get(order + step, 0.0) for step in range(-5, 6) if step]
-        if all(below in amplitude_of for below in range(1, order)) and amplitude < MESH_RATIO * max(beside):
+        whole = all(below in amplitude_of for below in range(1, order))
+        if whole and (order <= MOST_FIRINGS or amplitude < MESH_RATIO * max(beside)):
             continue
         largest_side = max(side for side in sides if side is not None)
         if amplitude >= MESH_RATIO * largest_side and amplitude > max(beside):

@@ -21,6 +21,10 @@ from crankorder.shaft.uneven import Wheel, displaced_teeth, gap_is_absent, times
 
 # A short interval that completes one tooth with its neighbour, within this share of it, was cut by a false pulse.
 SPLIT_SHARE = 0.25
+# Intervals scatter by chance up to so many standard deviations of their jitter: within them nothing is lost or false.
+JITTER_SIGMAS = 6.0
+# Median of the absolute value of a normal variable, in standard deviations.
+MEDIAN_OF_NORMAL = 0.6745
 # A tooth lost at the same place in this share of the revolutions is damage, not chance.
 DAMAGE_SHARE = 0.5
 # Neighbouring intervals that differ by less than this factor are those of a shaft that runs.
@@ -131,7 +135,12 @@ def _followed_even(
     step = np.diff(time_s)
     near = step[: 4 * window + 8]
     usual = float(np.median(near))
-    ratios = settings.double_pulse_ratio, settings.lost_pulse_ratio
+    reach = JITTER_SIGMAS * math.sqrt(2.0) * _jitter(step)
+    ratios = (
+        min(settings.double_pulse_ratio, 1.0 - reach),
+        max(settings.lost_pulse_ratio, 1.0 + reach),
+        min(1.0 + SPLIT_SHARE, 2.0 - reach),
+    )
 
     def counted(times: FloatArray, recent: FloatArray) -> tuple[IntArray, IntArray]:
         kept, tooth = np.zeros(times.size, dtype=np.int64), np.zeros(times.size, dtype=np.int64)
@@ -147,6 +156,14 @@ def _followed_even(
     before, back = counted(-time_s[start::-1], step[start : start + window][::-1].copy())
     kept = np.concatenate([start - before[:0:-1], start + after])
     return kept, np.concatenate([-back[:0:-1], number]) + back[-1]
+
+
+def _jitter(step: FloatArray) -> float:
+    """Standard deviation of a pulse as a share of the interval ``step`` (intervals,), lost and false ones apart."""
+    if step.size < 3:
+        return 0.0
+    change = np.abs(np.diff(step)) / np.maximum(0.5 * (step[1:] + step[:-1]), np.finfo(np.float64).tiny)
+    return float(np.median(change)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
 
 
 def _steady_start(step: FloatArray, window: int) -> int:
@@ -223,7 +240,7 @@ def _check_times(time_s: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count(time_s, recent, double_ratio, lost_ratio, slack_s, kept, tooth):  # type: ignore[no-untyped-def]
+def _count(time_s, recent, double_ratio, lost_ratio, whole_ratio, slack_s, kept, tooth):  # type: ignore[no-untyped-def]
     """Fill in which pulses are ``kept`` and the number of the ``tooth`` of each one of them; how many they are.
 
     The time of one tooth is followed as the mean over ``recent``, the last few intervals, the oldest first.
@@ -246,7 +263,7 @@ def _count(time_s, recent, double_ratio, lost_ratio, slack_s, kept, tooth):  # t
                     if abs(time_s[i] - expected) < abs(last - expected):
                         kept[m - 1], last = i, time_s[i]
                 continue
-            if i + 1 < n and time_s[i + 1] - last < (1.0 + SPLIT_SHARE) * tooth_s:
+            if i + 1 < n and time_s[i + 1] - last < whole_ratio * tooth_s:
                 continue
         elif interval <= 0.0:
             continue
