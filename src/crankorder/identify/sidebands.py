@@ -126,8 +126,8 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
     ``amplitude_of`` gives the peak amplitudes of the whole orders of one channel. Six teeth or more, a line one shaft
     order below and above, at half of it or less, and nothing within five orders that is as large: harmonics of a shaft
     fall off from the first and have no such summit, or a mode makes one. Where no order is missing from the first up to
-    the line, what stands beside it may be harmonics of the shaft as well: then it has to be twice as large as all within
-    five, and above the orders at which engines fire, of which any may be the largest.
+    the line, what stands beside it may be harmonics of the shaft as well: then it has to be twice as large as all of
+    these, and above the orders at which engines fire, of which any may be the largest.
     """
     found = []
     for order, amplitude in amplitude_of.items():
