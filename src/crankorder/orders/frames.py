@@ -129,7 +129,10 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np
 
 
 def sweeps(shaft: xr.Dataset, settings: OrderSettings) -> bool:
-    """Whether the speed of ``shaft`` (ShaftAngle) changes along the recording as :func:`is_swept` says."""
+    """Whether the speed of ``shaft`` (ShaftAngle) changes along the recording as :func:`is_swept` says.
+
+    ``settings``: of orders.
+    """
     if not shaft.attrs.get("has_shaft", 1) or shaft.attrs.get("domain", "time") == "crank_angle":
         return False
     first, last = shaft["time"].values[[0, -1]]
