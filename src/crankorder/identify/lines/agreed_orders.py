@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
@@ -329,8 +330,6 @@ def _joined(found: list[tuple[float, float, float]]) -> _Number:
 
 def _between(order: Floats, variance: Floats) -> float:
     """Variance between recordings beyond their own such that the weighted scatter is as large as expected."""
-    from scipy.optimize import brentq  # loads slowly
-
     freedom = len(order) - 1
 
     def over(extra: float) -> float:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import gammaincc, stdtr
 
 from crankorder.identify.found import OrderLine
@@ -180,8 +181,6 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
 
 def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
     """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
-    from scipy.optimize import brentq  # loads slowly
-
     residual, error = residual[kept], error[kept]
     freedom = max(len(residual) - 2, 1)
 
@@ -268,7 +267,6 @@ def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
 
 def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> float:
     """True less seen amplitude, in errors, at which a ``share`` of what is above ``cut`` is above what was seen."""
-    from scipy.optimize import brentq  # loads slowly
 
     def above(true: float) -> float:
         """Chance of more than what was seen, given that it is above the cut, less the share wanted."""
