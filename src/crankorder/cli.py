@@ -152,6 +152,8 @@ def _run_plans(
         from crankorder.batch.execute import run_test
         from crankorder.batch.index import publish_index, summary
 
+        if any("findings" in plan.settings.report.results for plan in plans):
+            import crankorder.identify.findings  # noqa: F401  # while no garbage is looked for
         gc.enable()
         outcomes = []
         for plan in plans:

@@ -23,7 +23,6 @@ from crankorder.campbell.map import campbell_map
 from crankorder.fft.band import band_limited
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
-from crankorder.identify.findings import find
 from crankorder.identify.lines.swept_orders import swept_orders
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
@@ -296,6 +295,8 @@ def findings(
     ``followed``: orders through each sweep; ``levels``: of each recording, with what lies above the band.
     ``settings``: of identify, and of orders for the floor.
     """
+    from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
+
     maps = (order_map, campbell, frames, envelope)
     return Findings(find(*maps, test=test, sources=sources, settings=settings, followed=followed, levels=levels))
 

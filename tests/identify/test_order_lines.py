@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.lines.line_evidence import is_steady, log_chance_of_kurtosis
-from crankorder.identify.lines.order_lines import UNRESOLVED, _has_fixed_frequency, order_lines
+from crankorder.identify.lines.order_lines import _has_fixed_frequency, order_lines
+from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.line_frames import PER_REV, angle_of, frames_of, wave

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.angle_swing import given_by_neighbours, in_true_angle
-from crankorder.orders.swing_evidence import Rows, rows_of, swings_of
+from crankorder.orders.swing_evidence import Rows, _median, rows_of, swings_of
 
 PER_ORDER = 8
 
@@ -110,3 +110,15 @@ def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
             lines[9.0 * multiple + 1] = 0.5j * multiple * turned * size
             lines[9.0 * multiple - 1] = 0.5j * multiple * np.conj(turned) * size
         assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng))[0].proved
+
+
+@pytest.mark.parametrize("per_row", [1, 2, 5, 8, 9])
+def test_the_noise_is_the_median_of_what_is_known(per_row: int) -> None:
+    rng = np.random.default_rng(per_row)
+    power = rng.exponential(size=(7, 30, per_row))
+    power[rng.random(power.shape) < 0.3] = np.nan
+    power[0, :3], power[1, 0, 0] = np.nan, np.inf
+    known = np.where(np.isfinite(power), power, np.nan)
+    empty = np.isnan(known).all(axis=-1, keepdims=True)
+    plain = np.nanmedian(np.where(empty, np.inf, known), axis=-1) / np.log(2.0)
+    np.testing.assert_array_equal(_median(power), plain)

@@ -10,6 +10,7 @@ from scipy.special import fdtrc, gammaincc
 from crankorder.orders.envelope import recording_envelope
 from crankorder.orders.envelope_combs import MOST_NATS, NEAR_TRIALS, Comb, comb_nats, look_nats, looked_at
 from crankorder.orders.envelope_lines import middles
+from crankorder.orders.envelope_looks import served
 from crankorder.orders.envelope_map import envelope_map
 from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings
@@ -58,6 +59,19 @@ def test_sidebands_are_evidence_only_of_what_comes_and_goes():
         nats[0, np.searchsorted(bins, round(order / STEP))] = 6.0
     one, both = (comb_nats(nats, bins, comb, step=STEP, free=ALL[: len(bins)]).max() for comb in (plain, swelling))
     assert both > one + 5.0
+
+
+def test_channels_tried_together_show_what_each_shows_alone():
+    rng = np.random.default_rng(8)
+    combs = (Comb(3.2, 3.4), Comb(5.1, 5.3, 1.0), Comb(0.38, 0.42))
+    bins = looked_at(combs, step=STEP, n_orders=1921)
+    ratio, count = rng.gamma(2.0, 1.0, (3, 4, bins.size)), rng.uniform(2.0, 30.0, 3)
+    free = rng.random(1921) < 0.9
+    together = served(ratio, combs, bins, step=STEP, count=count, worth=20.0, free=free)
+    for row, own, shown in zip(ratio, count, together.swapaxes(0, 1), strict=True):
+        nats = look_nats(row, bins, count=float(own), floor_worth=20.0, free=free[bins])
+        alone = [comb_nats(nats, bins, comb, step=STEP, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
+        np.testing.assert_array_equal(shown, alone)
 
 
 def test_medians_by_a_sort_are_medians():

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.identify.lines.order_lines import UNRESOLVED
+from crankorder.identify.said import UNRESOLVED
 from crankorder.report.contradictions import contradictions
 from crankorder.report.notation import (
     estimate_text,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.findings import SCHEMA_VERSION
+from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
 

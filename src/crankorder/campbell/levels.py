@@ -22,6 +22,8 @@ PIECES, LENGTH = 12, 8192
 LOBE_BINS = 2
 """Bins on each side of a peak that hold a tone's energy with a Hann window."""
 
+_LOBE = range(LOBE_BINS, -LOBE_BINS - 1, -1)
+
 BLOCK = 64
 """Bins over whose median the floor about a line is taken."""
 
@@ -128,45 +130,74 @@ def _power(signals: NDArray[np.floating], starts: NDArray[np.int64], length: int
 
 def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_rev: bool) -> Peak:
     """The strongest line of a channel's ``power`` (pieces, bins) above the ``limit`` (pieces,) of each piece."""
-    whole = power.shape[1] // BLOCK * BLOCK
-    if not whole or not len(power):
+    if power.shape[1] < BLOCK or not len(power):
         return Peak()
-    shifted = np.stack([np.roll(power, shift, axis=1) for shift in range(-LOBE_BINS, LOBE_BINS + 1)])
-    lobe = shifted.sum(axis=0)
-    floor = np.median(power[:, :whole].reshape(len(power), -1, BLOCK), axis=2) / math.log(2.0)
-    floor = np.pad(np.repeat(floor, BLOCK, axis=1), ((0, 0), (0, power.shape[1] - whole)), mode="edge")
-    ring = np.maximum(np.roll(lobe, RING_BINS, axis=1), np.roll(lobe, -RING_BINS, axis=1))
-    inside = (bins > limit[:, None] + bins[LOBE_BINS]) & (bins < bins[-RING_BINS - LOBE_BINS])
-    with np.errstate(invalid="ignore"):
-        clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
-        at = np.argwhere(inside & clear & (power >= shifted.max(axis=0)))
-    for piece, place in at[np.argsort(-lobe[at[:, 0], at[:, 1]])][:TRIED].tolist():
-        if _stays(lobe, piece, place, rpm):
+    at = _sharp(power, bins, limit)
+    lobe = _lobe(power, *at.T)
+    for piece, place in at[np.argsort(-lobe)][:TRIED].tolist():
+        if _stays(power, piece, place, rpm):
             around = slice(place - LOBE_BINS, place + LOBE_BINS + 1)
             value = float(power[piece, around] @ bins[around] / power[piece, around].sum())
             speed = float(rpm[piece])
             hertz, order = (math.nan, value) if per_rev else (value, 60.0 * value / speed)
             band = math.nan if per_rev else float(limit[piece])
-            return Peak(math.sqrt(2.0 * float(lobe[piece, place])), hertz, band, order, speed)
+            size = math.sqrt(2.0 * float(_lobe(power, np.array(piece), np.array(place))))
+            return Peak(size, hertz, band, order, speed)
     return Peak()
 
 
-def _stays(lobe: Floats, piece: int, place: int, rpm: Floats) -> bool:
+def _sharp(power: Floats, bins: Floats, limit: Floats) -> NDArray[np.int64]:
+    """Pieces and bins (peaks, 2) of ``power`` above the ``limit`` of each piece that tower over floor and ring."""
+    first = int(np.searchsorted(bins, limit.min())) // BLOCK
+    last = power.shape[1] // BLOCK - 1
+    blocks = power[:, first * BLOCK : (last + 1) * BLOCK].reshape(len(power), -1, BLOCK)
+    if not blocks.size:
+        return np.empty((0, 2), dtype=np.int64)
+    top = blocks.max(axis=2)
+    top[:, -1] = power[:, last * BLOCK :].max(axis=1)  # the rest at the end has the floor of the last block
+    # a median costs most, and where fewer than half of a block lie that far below its peak, there is no line in it
+    below = blocks <= (top * ((1.0 + 1e-9) * math.log(2.0) / LINE_RATIO))[:, :, None]
+    piece, block = np.nonzero(np.count_nonzero(below, axis=2) >= BLOCK // 2)
+    floor = np.median(blocks[piece, block], axis=1) / math.log(2.0)
+    place = np.minimum((block[:, None] + first) * BLOCK + np.arange(2 * BLOCK), power.shape[1] - 1)
+    ends = np.where(block + first == last, power.shape[1] - RING_BINS - LOBE_BINS, (block + first + 1) * BLOCK)
+    pieces, floor = np.broadcast_to(piece[:, None], place.shape), np.broadcast_to(floor[:, None], place.shape)
+    found = (place < ends[:, None]) & (power[pieces, place] * (1.0 + 1e-9) > LINE_RATIO * floor)
+    pieces, place, floor = pieces[found], place[found], floor[found]
+    lobe = _lobe(power, pieces, place)
+    ring = np.maximum(_lobe(power, pieces, place - RING_BINS), _lobe(power, pieces, place + RING_BINS))
+    clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
+    clear &= bins[place] > limit[pieces] + bins[LOBE_BINS]
+    clear &= bins[place] < bins[-RING_BINS - LOBE_BINS]
+    clear &= power[pieces, place] >= np.max(
+        [power[pieces, (place + shift) % power.shape[1]] for shift in _LOBE], axis=0
+    )
+    return np.stack([pieces[clear], place[clear]], axis=1)
+
+
+def _lobe(power: Floats, piece: NDArray[np.int64], place: NDArray[np.int64]) -> Floats:
+    """Energy of the lobe about bin ``place`` of each ``piece`` of ``power``; the axis of bins is a ring."""
+    n = power.shape[1]
+    return np.asarray(sum(power[piece, (place + shift) % n] for shift in _LOBE))
+
+
+def _stays(power: Floats, piece: int, place: int, rpm: Floats) -> bool:
     """Whether a line at bin ``place`` of a ``piece`` is there in the others too, where its order or frequency puts it.
 
     Noise that makes a mode ring comes and goes from piece to piece, and stays at its frequency where the speed sweeps.
     """
     known = np.isfinite(rpm).all()
-    alike = np.abs(rpm / rpm[piece] - 1.0) <= HELD if known else np.ones(len(lobe), dtype=bool)
+    alike = np.abs(rpm / rpm[piece] - 1.0) <= HELD if known else np.ones(len(power), dtype=bool)
     others = (
         np.flatnonzero(alike) if np.count_nonzero(alike) >= FEWEST_ALIKE else np.array([piece - 1, piece, piece + 1])
     )
     sizes = []
-    for other in others[(others >= 0) & (others < len(lobe))].tolist():
+    for other in others[(others >= 0) & (others < len(power))].tolist():
         middle = round(place * float(rpm[other] / rpm[piece])) if known else place
-        size = float(lobe[other, middle - 1 : middle + 2].max()) if 0 < middle < lobe.shape[1] - 1 else math.nan
-        if math.isfinite(size):  # a piece with a gap tells nothing
-            sizes.append(size)
+        if 0 < middle < power.shape[1] - 1:
+            size = float(_lobe(power, np.array(other), np.arange(middle - 1, middle + 2)).max())
+            if math.isfinite(size):  # a piece with a gap tells nothing
+                sizes.append(size)
     return len(sizes) > 1 and min(sizes) >= STEADY * float(np.mean(sizes))
 
 

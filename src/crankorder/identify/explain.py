@@ -16,9 +16,10 @@ from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import growth, largest
 from crankorder.identify.mains import mains_words, multiple_on, nearest_multiple
-from crankorder.identify.mains_orders import ALIKE_SPEEDS, mains_orders
+from crankorder.identify.mains_orders import mains_orders
 from crankorder.identify.motors import LineSeen, named_by, words_of
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
+from crankorder.identify.said import ALIKE_SPEEDS, ONE_SPEED
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
 from crankorder.settings import IdentifySettings
@@ -44,9 +45,6 @@ EITHER = "gas cycle or engine kinematics"
 UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
 """Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own
 eccentricity at any speed; 2 in acceleration, and in all other quantities that of the force."""
-
-ONE_SPEED = "too few speeds to tell how it grows"
-"""What is said of an order of which nothing tells whether it grows as an unbalance does."""
 
 NO_MOTION = ("pressure", "voltage", "current", "temperature")
 """In these quantities order 1 is no motion, and no sign of an unbalance."""

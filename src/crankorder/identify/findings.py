@@ -36,6 +36,7 @@ from crankorder.identify.motors import (
     without_known,
 )
 from crankorder.identify.records import line_records, mode_records, order_records
+from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
@@ -43,8 +44,6 @@ from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import IdentifySettings, Settings
-
-SCHEMA_VERSION = 1
 
 
 def find(

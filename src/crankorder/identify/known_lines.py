@@ -238,13 +238,12 @@ def _waves(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Comp
     A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²),
     and turns from frame to frame with its own phase less that of the bin.
     """
-    axis = held.axis[bins]
-    made = np.empty((len(held.turn) * len(axis), len(places)), dtype=np.complex128)
-    pace = np.gradient(held.time_s, held.turn)
-    for number, (hertz, turns) in enumerate(places):
-        away = ((turns + hertz * pace)[:, None] - axis) * held.revs
-        pole = np.abs(np.abs(away) - 1.0) < 1e-6
-        shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
-        phase = (turns * held.turn + hertz * held.time_s)[:, None] - axis * held.turn[:, None]
-        made[:, number] = (shape * np.exp(2j * np.pi * (phase % 1.0))).ravel()
-    return made
+    axis, turn = held.axis[bins][:, None], held.turn[:, None]
+    hertz, turns = np.array(places, dtype=np.float64).reshape(-1, 2).T
+    pace = np.gradient(held.time_s, held.turn)[:, None]
+    away = ((turns + hertz * pace)[:, None] - axis) * held.revs
+    pole = np.abs(np.abs(away) - 1.0) < 1e-6
+    shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
+    phase = (turns * turn + hertz * held.time_s[:, None])[:, None] - axis * turn[:, None]
+    made: Complex = shape * np.exp(2j * np.pi * (phase - np.floor(phase)))
+    return made.reshape(-1, len(places))

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.mains import ALONE, mains_words, nearest_multiple
+from crankorder.identify.said import ALIKE_SPEEDS
 from crankorder.settings import IdentifySettings
-
-ALIKE_SPEEDS = 1.005
-"""Fastest over slowest speed up to which a line of fixed frequency keeps its order."""
 
 FEWEST = 3
 """Multiples of one mains frequency that must be there where neither it nor its double is …"""

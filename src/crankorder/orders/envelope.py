@@ -284,7 +284,8 @@ def _band_of_combs(
     """Band (row of ``seen``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
     step = float(frames.order[1])
     worth = floor_worth(step, 1.0 / frames.revs)
-    shown = served(seen, combs, bins, step=step, count=n_independent, worth=worth, free=free).max(axis=0)
+    count = np.array([n_independent])
+    shown = served(seen[None], combs, bins, step=step, count=count, worth=worth, free=free)[:, 0].max(axis=0)
     if shown.max() < np.log(seen.size / SURE_OF_COMB):
         return None
     # a wider band that shows it as well holds more of the resonance

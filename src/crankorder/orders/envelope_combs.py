@@ -69,6 +69,7 @@ class Comb(NamedTuple):
         return np.arange(self.low, self.high + 0.5 * step / TRIALS_PER_BIN, step / TRIALS_PER_BIN)
 
 
+@lru_cache(maxsize=64)
 def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> NDArray[np.int64]:
     """Bins (looks,) of a spectrum of ``n_orders`` bins ``step`` apart that tell whether one of ``combs`` is there.
 
@@ -91,7 +92,9 @@ def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> NDArray
         for low, high in spans:
             first, last = int(low / step) - SPARE_BINS, int(high / step) + SPARE_BINS
             seen[max(first, 0) : max(last + 2, 0)] = True
-    return np.flatnonzero(seen)
+    bins = np.flatnonzero(seen)
+    bins.flags.writeable = False  # all who ask get the same
+    return bins
 
 
 def look_nats(

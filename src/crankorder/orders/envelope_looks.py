@@ -124,20 +124,20 @@ def _bands_of(
         ]
     )
     best = np.zeros((len(combs), ratio.shape[2]))
-    rows = [(float(count[c, s]), s, ratio[c, s]) for c in range(ratio.shape[0]) for s in range(ratio.shape[1])]
-    several = np.log(max(len(rows), 1))
-    if len(rows) > 1:
+    several = np.log(max(count.size, 1))
+    if count.size > 1:
         weight = count[:, :, None, None] * free[None, :, None, bins]
         own = weight.sum(axis=(0, 1))
         mean = (weight * ratio).sum(axis=(0, 1)) / np.maximum(own, 1e-9)
         counts = np.zeros(len(order), dtype=np.bool_)
         counts[bins] = own[0] >= 0.5 * count.sum()
         worth = floor_worth(step, 1.0 / max(revs))
-        best = served(mean, combs, bins, step=step, count=float(count.sum()), worth=worth, free=counts)
-    for weight_of, speed, row in rows:
+        total = np.array([float(count.sum())])
+        best = served(mean[None], combs, bins, step=step, count=total, worth=worth, free=counts)[:, 0]
+    for speed in range(ratio.shape[1]):
         worth = floor_worth(step, 1.0 / revs[speed])
-        own = served(row, combs, bins, step=step, count=weight_of, worth=worth, free=free[speed])
-        best = np.maximum(best, own - several)
+        shown = served(ratio[:, speed], combs, bins, step=step, count=count[:, speed], worth=worth, free=free[speed])
+        best = np.maximum(best, shown.max(axis=1) - several)
     # bands come widest first, level by level: a wider one that shows it as well holds more of the resonance
     return [int(np.flatnonzero(each >= WIDER_SHARE * each.max())[0]) for each in best]
 
@@ -148,20 +148,24 @@ def served(
     bins: NDArray[np.int64],
     *,
     step: float,
-    count: float,
+    count: Array,
     worth: float,
     free: NDArray[np.bool_],
 ) -> Array:
-    """Nats (combs, bands) of the best trial of each of ``combs`` in each row of ``ratio`` (bands, looks).
+    """Nats (combs, rows, bands) of the best trial of each of ``combs`` in each of ``ratio`` (rows, bands, looks).
 
     Parameters
     ----------
     ratio : power over the floor at the ``bins`` (looks,) of spectra with bins ``step`` orders apart
-    count : independent spectra that each is the mean of
+    count : (rows,), independent spectra that each is the mean of
     worth : independent bins that its floor is worth
     free : (orders,), bins off the multiples of the cycle's order and of mains
     """
-    nats = look_nats(ratio, bins, count=count, floor_worth=worth, free=free[bins])
-    return np.array(
-        [comb_nats(nats, bins, comb, step=step, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
+    nats = np.concatenate(
+        [
+            look_nats(row, bins, count=float(own), floor_worth=worth, free=free[bins])
+            for row, own in zip(ratio, count, strict=True)
+        ]
     )
+    best = [comb_nats(nats, bins, comb, step=step, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
+    return np.array(best).reshape(len(combs), *ratio.shape[:2])

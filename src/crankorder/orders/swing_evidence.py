@@ -115,8 +115,11 @@ def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
 def _median(power: Floats) -> Floats:
     """Mean of noise by the median of its ``power`` over the last axis; infinite where nothing is known."""
     known = np.isfinite(power)
-    some = np.where(known.any(axis=-1, keepdims=True), np.where(known, power, np.nan), np.inf)
-    return np.asarray(np.nanmedian(some, axis=-1) / np.log(2.0))
+    count = known.sum(axis=-1, keepdims=True)
+    # sorted, for np.nanmedian takes ten times as long where so few are in a row
+    ordered = np.sort(np.where(known, power, np.inf), axis=-1)
+    lower, upper = (np.take_along_axis(ordered, place // 2, axis=-1) for place in (np.maximum(count - 1, 0), count))
+    return np.asarray(0.5 * (lower + upper)[..., 0] / np.log(2.0))
 
 
 def _mean_of_frames(grid: Complex, noise: Floats) -> tuple[Complex, Floats]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypedDict
 
-from crankorder.identify.mains_orders import ALIKE_SPEEDS
+from crankorder.identify.said import ALIKE_SPEEDS
 from crankorder.report.notation import interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …

@@ -278,18 +278,16 @@ def line_chances(
         return np.zeros((*spectra.count.shape, 0)), np.zeros(0)
     ratio, free = spectra.serving(place).ratio, spectra.free()
     trials = TRIALS_SHARE * spectra.bands_tried * bins * WAYS
-    alone = np.array(
+    alone = np.stack(
         [
-            [
-                _comb_chances(spectra, ratio[c, s], place, span, float(spectra.count[c, s]), worth, free[s])
-                for s, worth in enumerate(spectra.floor_worth)
-            ]
-            for c in range(len(ratio))
-        ]
+            _comb_chances(spectra, ratio[:, s], place, span, spectra.count[:, s], worth, free[s])
+            for s, worth in enumerate(spectra.floor_worth)
+        ],
+        axis=1,
     )
     mean, total, counts = spectra.mean(ratio)
     own = float((spectra.count * spectra.floor_worth[None]).sum()) / max(float(spectra.count.sum()), 1e-9)
-    together = _comb_chances(spectra, mean, place, span, total, own, counts)
+    together = _comb_chances(spectra, mean[None], place, span, np.array([total]), own, counts)[0]
     return alone * spectra.count.size * trials, together * trials
 
 
@@ -298,18 +296,27 @@ def _comb_chances(
     ratio: NDArray[np.float64],
     place: Place,
     span: slice,
-    count: float,
+    count: NDArray[np.float64],
     worth: float,
     free: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Chances (bins of ``span``) of the harmonics in ``ratio`` (orders,) whose first is nearest to each bin."""
+    """Chances (rows, bins of ``span``) of the harmonics in ``ratio`` (rows, orders) whose first is nearest to each bin.
+
+    Each row is the mean of ``count`` (rows,) spectra with a floor of ``worth``; the bins ``free`` count.
+    """
     step, comb = float(spectra.order[1]), place.comb
-    looks = looked_at((comb,), step=step, n_orders=len(ratio))
-    nats = look_nats(ratio[None, looks], looks, count=count, floor_worth=worth, free=free[looks])
-    chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks])[0])
+    looks = looked_at((comb,), step=step, n_orders=ratio.shape[1])
+    nats = np.concatenate(
+        [
+            look_nats(row[None, looks], looks, count=float(own), floor_worth=worth, free=free[looks])
+            for row, own in zip(ratio, count, strict=True)
+        ]
+    )
+    chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks]))
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
-    made = np.ones(span.stop - span.start)
-    np.minimum.at(made, nearest - span.start, chance)
+    made = np.ones((len(ratio), span.stop - span.start))
+    for row, own_chance in zip(made, chance, strict=True):
+        np.minimum.at(row, nearest - span.start, own_chance)
     return made * TRIALS_PER_BIN
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
@@ -258,6 +257,8 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
 
 def _together(parts: Sequence[_Part]) -> _Part:
     """Channels of one block, which share the slip, the turns of the force and the poles."""
+    from scipy.linalg import block_diag
+
     return replace(
         parts[0],
         left=np.concatenate([one.left for one in parts]),

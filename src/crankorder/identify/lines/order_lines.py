@@ -17,6 +17,7 @@ from crankorder.identify.lines.kept_phase import keeps_its_phase
 from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
+from crankorder.identify.said import UNRESOLVED
 from crankorder.settings import IdentifySettings, OrderSettings
 
 NEIGHBOUR_ORDERS = 0.25
@@ -34,11 +35,6 @@ LEAST_BINS = 0.01
 SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
-
-UNRESOLVED = (
-    "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
-)
-"""What is said of a peak that no rule names and beside which all that is named is weaker."""
 
 SWELLING_RATIO = 400.0
 """A line that swells and fades must stand 26 dB over its floor: then a resonance would leave more than noise …"""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_widths, interval
-from crankorder.identify.lines.order_lines import UNRESOLVED
+from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.track_rows import OrderRows, TrackReader
 from crankorder.orders.tracks import all_tracked, track_order
 from crankorder.settings import OrderSettings

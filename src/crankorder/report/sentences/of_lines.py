@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from crankorder.identify.lines.order_lines import UNRESOLVED
+from crankorder.identify.said import UNRESOLVED
 from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, TypedDict
 
-from crankorder.identify.explain import ONE_SPEED
+from crankorder.identify.said import ONE_SPEED
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences

@@ -1,0 +1,15 @@
+"""What findings say that pages read again: apart from what finds it, so that pages are written without loading that."""
+
+SCHEMA_VERSION = 1
+"""Of ``findings.json``."""
+
+ALIKE_SPEEDS = 1.005
+"""Fastest over slowest speed up to which a line of fixed frequency keeps its order."""
+
+ONE_SPEED = "too few speeds to tell how it grows"
+"""What is said of an order of which nothing tells whether it grows as an unbalance does."""
+
+UNRESOLVED = (
+    "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
+)
+"""What is said of a peak that no rule names and beside which all that is named is weaker."""
