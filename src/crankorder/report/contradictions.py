@@ -45,7 +45,7 @@ def contradictions(findings: dict[str, Any]) -> tuple[str, ...]:
     The fields of each record are held against one another, records against those of other lists, and the sentences of
     the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
     """
-    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_sentences)
+    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_quality, _of_sentences)
     return tuple(words for check in checks for words in check(findings))
 
 
@@ -200,6 +200,13 @@ def _of_bearings(findings: dict[str, Any]) -> Iterator[str]:
         if record.get("lock") == "locked" and _is_damage(record) and record.get("seen_in") != "envelope":
             yield f"{name}: damage, and locked to the shaft"
         yield from (f"{name}: {words}" for words in _outside(record))
+
+
+def _of_quality(findings: dict[str, Any]) -> Iterator[str]:
+    """What is flagged as of another gain must not take part in amplitudes, their growth, and modes told by these."""
+    for flag in findings.get("quality", []):
+        if flag.get("flag") == "level_jump" and flag.get("left_out") != "channel":
+            yield f"{flag.get('channel')} of {flag.get('recording')}: its gain was changed, and it took part"
 
 
 def _is_damage(record: dict[str, Any]) -> bool:
