@@ -74,6 +74,25 @@ def test_a_motor_that_cannot_turn_so_has_no_line_named(tmp_path: Path) -> None:
     assert "do not fit" in found["misfit"] and not found["lines"]
 
 
+@pytest.mark.parametrize("off", [0.011, -0.008])
+def test_a_slip_is_not_told_by_a_stated_speed_that_the_shaft_speaks_against(off: float, tmp_path: Path) -> None:
+    rig = short(replace(draw_rig(14, "motor"), condition="healthy"))
+    rpm = rig.takes[0].rpm[0] * (1.0 + off)
+
+    def stated(folder: Path) -> None:
+        text = (folder / "run.toml").read_text(encoding="utf-8")
+        before, after = text.split("[encoder]")
+        motor = after[after.index("[motor]") :]
+        names = f'files = ["rec_*.h5"]\nspeed_rpm = {{ "rec_000.h5" = {rpm!r} }}'
+        before = before.replace('files = ["rec_*.h5"]', names)
+        (folder / "run.toml").write_text(f'{before}[encoder]\nkind = "constant"\n{motor}', encoding="utf-8")
+
+    motor = findings_of(rig, tmp_path, then=stated)["motor"]
+    assert motor["speed_doubt"] and motor["speeds"][0]["slip"] is None
+    told = float(motor["speed_doubt"].split("slips by ")[1].split(" %")[0])
+    assert told == pytest.approx(100.0 * rig.slips[0], abs=0.06)
+
+
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
     """Verdicts on 220 rigs, the classes in turn."""

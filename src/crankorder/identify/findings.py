@@ -17,6 +17,7 @@ from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
+from crankorder.identify.known_lines import Held
 from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
@@ -25,6 +26,7 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
+from crankorder.identify.motor_doubts import with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
 from crankorder.identify.motors import (
     LineSeen,
@@ -71,7 +73,8 @@ def find(
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     flags = _flags(order_map, campbell)
     doubt = speed_doubt(flags)
-    motor, known = _electric(order_map, frames, sources, settings)
+    held = held_of(frames, order_map)
+    motor, known = _electric(held, order_map, sources, settings)
     in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
@@ -80,7 +83,9 @@ def find(
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
+    explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
     causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    motor = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
     tested = _tested_rpm(order_map, campbell)
     found, speeds = _speeds(orders, modal, tested, unit, sources, asked)
     speeds = speeds if doubt is None else without_free(speeds)
@@ -161,10 +166,9 @@ def _orders_in_map(
 
 
 def _electric(
-    order_map: xr.Dataset, frames: Sequence[xr.Dataset], sources: Sources, settings: Settings
+    held: Sequence[Held], order_map: xr.Dataset, sources: Sources, settings: Settings
 ) -> tuple[MotorFound | None, tuple[LineSeen, ...]]:
     """The motor as it was found, if one is stated, and its lines; else mains that several speeds show."""
-    held = held_of(frames, order_map)
     if sources.motor is None:
         return None, mains_seen(held, settings=settings.identify)
     found = motor_found(sources.motor, held, order_map, settings=settings.identify)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from crankorder.identify.explain_families import IF_WRONG
+from crankorder.identify.mains import multiple_in
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
@@ -15,6 +17,9 @@ HALF = 0.5
 
 SAME = 1e-6
 """Numbers within this share of each other are one: what a file rounds is no contradiction."""
+
+SAME_LINE_HZ = 0.01
+"""Frequencies that lie as near are those of one line."""
 
 BESIDE = 0.01
 """Share of the fastest speed beyond the tested range that is as good as tested …"""
@@ -45,7 +50,17 @@ def contradictions(findings: dict[str, Any]) -> tuple[str, ...]:
     The fields of each record are held against one another, records against those of other lists, and the sentences of
     the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
     """
-    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_quality, _of_sentences)
+    checks = (
+        _of_orders,
+        _of_modes,
+        _of_crossings,
+        _of_speeds,
+        _of_bearings,
+        _of_mains,
+        _of_motor,
+        _of_quality,
+        _of_sentences,
+    )
     return tuple(words for check in checks for words in check(findings))
 
 
@@ -202,6 +217,31 @@ def _of_bearings(findings: dict[str, Any]) -> Iterator[str]:
         yield from (f"{name}: {words}" for words in _outside(record))
 
 
+def _of_mains(findings: dict[str, Any]) -> Iterator[str]:
+    """Two lines of one recording that are one multiple of the mains: a supply has one frequency."""
+    lines: dict[tuple[str, float | None], list[tuple[float, float, float]]] = {}
+    for record in findings.get("orders", []):
+        rpm, ends, words = record.get("speed_rpm_at_max"), interval_of(record, "order"), str(record.get("explained_by"))
+        if multiple_in(words) is not None and is_number(rpm) and ends is not None:
+            middle, low, high = (float(one) * float(rpm) / 60.0 for one in (record["order"], *ends))
+            lines.setdefault((words, round(float(rpm), 3)), []).append((middle, low, high))
+    for record in findings.get("modes", []):
+        words, ends = str(record.get("explained_by")), interval_of(record, "frequency_hz")
+        if multiple_in(words) is not None and ends is not None:
+            lines.setdefault((words, None), []).append((float(record["frequency_hz"]), *ends))
+    for (words, _), places in lines.items():
+        below, above = min(places), max(places)
+        if above[0] - below[0] > SAME_LINE_HZ and above[1] > below[2]:
+            yield f"{words} at {below[0]:.6g} Hz and at {above[0]:.6g} Hz: a supply has one frequency"
+
+
+def _of_motor(findings: dict[str, Any]) -> Iterator[str]:
+    """A slip told by a speed that the lines of the shaft speak against."""
+    told = [one for one in (findings.get("motor") or {}).get("speeds") or [] if is_number(one.get("slip"))]
+    if told and any(IF_WRONG in str(record.get("explained_by")) for record in findings.get("orders", [])):
+        yield "the motor's slip is told, and lines of the shaft say that the speed may be wrong"
+
+
 def _of_quality(findings: dict[str, Any]) -> Iterator[str]:
     """What is flagged as of another gain must not take part in amplitudes, their growth, and modes told by these."""
     for flag in findings.get("quality", []):
@@ -230,3 +270,16 @@ def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
     decided = [mode for mode in findings.get("modes", []) if not is_tone(mode) and not is_undecided(mode)]
     if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
         yield "natural frequencies are named, and none is decided"
+
+
+_CHECKS = (
+    _of_orders,
+    _of_modes,
+    _of_crossings,
+    _of_speeds,
+    _of_bearings,
+    _of_mains,
+    _of_motor,
+    _of_quality,
+    _of_sentences,
+)
