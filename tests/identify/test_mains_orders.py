@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.explain import explained
+from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
@@ -104,3 +105,13 @@ def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz: flo
     between = at_speed(60.0 * (100.0 + 0.4 * away_hz) / rpm, rpm, lock="undecided", error=2e-5)
     assert said(between, longest_rev=1000.0) == ["twice mains or order 2"]
     assert said(between, longest_rev=1e6) == ["twice mains"]
+
+
+def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
+    rpm = 1713.0
+    mains, tone = at_speed(6000.0 / rpm, rpm), at_speed(60.0 * 87.3 / rpm, rpm)
+    second, doubtful = at_speed(2.0, rpm, lock="locked"), at_speed(60.0 * 41.0 / rpm, rpm, lock="undecided")
+    swept = agreed(3.3, line(3.3), lock="slips")
+    orders = (mains, tone, second, doubtful, swept)
+    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
+    assert going_with_speed(orders, causes) == (second, swept)

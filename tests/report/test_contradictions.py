@@ -110,6 +110,17 @@ def _another_gain_that_takes_part(findings: Findings) -> None:
     findings["quality"].append({"recording": "a.h5", "flag": "level_jump", "severity": "suspect", "channel": "Y"})
 
 
+def _two_amplifications(findings: Findings) -> None:
+    avoid = findings["speeds_to_avoid"][0]
+    for record in findings["crossings"]:
+        if (record["order"], record["mode_hz"]) == (avoid["order"], avoid["mode_hz"]):
+            record.update(amplification=9.3, amplification_ci95=[8.0, 10.0])
+
+
+def _a_crossing_of_the_mains(findings: Findings) -> None:
+    _order(findings, findings["crossings"][0]["order"])["explained_by"] = "twice mains"
+
+
 MADE: dict[Callable[[Findings], None], str] = {
     _slips_on_a_multiple: "slips, and its interval holds 5.5",
     _locked_off_every_multiple: "holds no multiple",
@@ -126,6 +137,8 @@ MADE: dict[Callable[[Findings], None], str] = {
     _excited_and_no_such_mode: "no such natural frequency is listed",
     _free_and_to_avoid: "to be avoided",
     _free_and_open: "not known",
+    _two_amplifications: "amplified 9.3 times, and 12 times where it is to be avoided",
+    _a_crossing_of_the_mains: "a line of fixed frequency moves with the speed",
     _two_mains: "mains at 49.94 Hz and at 50 Hz: a supply has one frequency",
     _a_slip_by_a_wrong_speed: "slip is told",
     _another_gain_that_takes_part: "its gain was changed, and it took part",

@@ -16,6 +16,7 @@ from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
+from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.known_lines import Held
 from crankorder.identify.levels import level_records
@@ -41,7 +42,7 @@ from crankorder.identify.records import line_records, mode_records, order_record
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
-from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import IdentifySettings, Settings
@@ -87,7 +88,7 @@ def find(
     causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
     motor = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
     tested = _tested_rpm(order_map, campbell)
-    found, speeds = _speeds(orders, modal, tested, unit, sources, asked)
+    found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked)
     speeds = speeds if doubt is None else without_free(speeds)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
@@ -124,7 +125,8 @@ def _speeds(
     """Crossings of the orders and the stated gears with the modes, and what they make of the speeds."""
     stated = [order for _, order in sources.gears]
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
-    return found, speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
+    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
+    return as_avoided(found, speeds.avoid), speeds
 
 
 def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:

@@ -47,3 +47,11 @@ def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySetti
         if multiple <= ALONE and abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz:
             return int(multiple), mains
     return None
+
+
+_OF_THE_FIELD = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")
+
+
+def is_electric(text: str) -> bool:
+    """Whether the words ``text`` of a cause name the mains or the field of a motor, and no order of the shaft."""
+    return (text.startswith(_OF_THE_FIELD) or " x mains" in text) and " or order" not in text

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from crankorder.identify.explain_families import IF_WRONG
-from crankorder.identify.mains import multiple_in
+from crankorder.identify.mains import is_electric, multiple_in
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
@@ -175,8 +175,22 @@ def _of_crossings(findings: dict[str, Any]) -> Iterator[str]:
             yield f"{name}: verdict {verdict!r}, and excited is {excited}"
         if record.get("in_range") is True and speeds and not _reaches(record, speeds):
             yield f"{name}: in the tested range, and at {record['rpm']:.0f} rpm"
+        yield from (f"{name}: {words}" for words in _of_meeting(record, findings))
         if excited and not any(abs(record["mode_hz"] / hz - 1.0) < SAME for hz in known):
             yield f"{name}: excited, and no such natural frequency is listed"
+
+
+def _of_meeting(record: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
+    """A crossing against the speed to avoid that it is, and against what its order is called."""
+    order, mode_hz, times = record["order"], record["mode_hz"], record.get("amplification")
+    for other in findings.get("speeds_to_avoid") or []:
+        same = other.get("order") == order and other.get("mode_hz") == mode_hz
+        twice = other.get("amplification")
+        if same and is_number(times) and is_number(twice) and abs(times - twice) > SAME * max(times, twice):
+            yield f"amplified {times:.3g} times, and {twice:.3g} times where it is to be avoided"
+    texts = [str(one.get("explained_by")) for one in findings.get("orders", []) if one.get("order") == order]
+    if any(is_electric(text) for text in texts):
+        yield "a line of fixed frequency moves with the speed"
 
 
 def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
