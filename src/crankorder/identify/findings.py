@@ -27,7 +27,7 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
-from crankorder.identify.motor_doubts import with_rivals, with_speed_judged
+from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
 from crankorder.identify.motors import (
     LineSeen,
@@ -87,6 +87,7 @@ def find(
     explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
     causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
     motor = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
+    motor = with_bars_judged(motor, in_map, causes, order_map)
     tested = _tested_rpm(order_map, campbell)
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked)
     speeds = speeds if doubt is None else without_free(speeds)

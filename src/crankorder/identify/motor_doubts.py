@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import xarray as xr
 
+from crankorder.engine.motor import BAR_PASS
 from crankorder.identify.explain import Causes
-from crankorder.identify.explain_families import IF_WRONG
+from crankorder.identify.explain_families import BY_ITSELF, IF_WRONG
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
@@ -18,6 +19,12 @@ from crankorder.identify.one_mains import OR_ANOTHER
 
 MOST_TURNS = 4
 """Multiples of the shaft's turns up to which a line that may be one speaks for the speed: higher ones are hit often."""
+
+LEAST_BARS = 12
+"""Fewer bars no rotor has; whole orders below are the shaft's own."""
+
+SIDE_REACH = 0.005
+"""Orders within which a line is a sideband: what the supply wanders by in a recording moves it by less."""
 
 
 def with_speed_judged(
@@ -56,6 +63,55 @@ def with_rivals(found: MotorFound | None, causes: Causes) -> MotorFound | None:
         for item in found.seen
     )
     return replace(found, seen=seen)
+
+
+def with_bars_judged(
+    found: MotorFound | None, orders: Sequence[AgreedOrder], causes: Causes, order_map: xr.Dataset
+) -> MotorFound | None:
+    """``found`` with the doubt of its stated ``rotor_bars``, where no bar pass stands there and another count has one.
+
+    Bars that pass stand at a whole order of the rotor, with twice mains on both sides of it: that tells another count.
+    A single whole order so high without such sides says only what the count would be if it were that.
+    """
+    if found is None or found.motor.rotor_bars is None or found.misfit or found.speed_doubt:
+        return found
+    ratio, stated = found.motor.shaft_ratio, found.motor.rotor_bars
+    in_band = stated * ratio < float(order_map["order"].values[-1])
+    if not in_band or any(item.line.name.endswith(BAR_PASS) for item in found.seen):
+        return found
+    counts = {
+        round(one.order / ratio): one
+        for one in orders
+        if one.lock == "locked" and _is_bare(one, causes) and abs(one.order / ratio - round(one.order / ratio)) < 1e-6
+    }
+    high = {count: one for count, one in counts.items() if count >= LEAST_BARS and count != stated}
+    paired = [count for count, one in high.items() if _has_sides(one, orders, found.supply_hz)]
+    nothing = f"no bar pass stands at order {stated * ratio:.4g}, where {stated} bars as stated would put it"
+    if len(paired) == 1:
+        at = paired[0] * ratio
+        said = f"{nothing}; order {at:.4g} stands with twice mains on both sides, as that of {paired[0]} bars would"
+        return replace(found, bars_doubt=said)
+    if len(high) == 1 and not paired:
+        (count,) = high
+        return replace(found, bars_doubt=f"{nothing}; if order {count * ratio:.4g} is the bar pass, there are {count}")
+    return found
+
+
+def _is_bare(agreed: AgreedOrder, causes: Causes) -> bool:
+    """Whether nothing but that it is an order of the shaft is known of a line."""
+    return all(causes.orders[line.channel, agreed.order].text in BY_ITSELF for line in agreed.lines)
+
+
+def _has_sides(carrier: AgreedOrder, orders: Sequence[AgreedOrder], supply_hz: float | None) -> bool:
+    """Whether lines stand at twice the supply on both sides of ``carrier``, at one speed."""
+    sides: dict[int, set[float]] = {-1: set(), 1: set()}
+    for one in orders:
+        for rpm in {float(rpm) for line in one.lines for rpm in line.speed_rpm} if supply_hz else ():
+            for side, speeds in sides.items():
+                away = abs(one.order - carrier.order - side * 2.0 * float(supply_hz or 0.0) * 60.0 / rpm)
+                if away <= max(SIDE_REACH, Z95 * one.order_error):
+                    speeds.add(rpm)
+    return bool(sides[-1] & sides[1])
 
 
 def _agrees(agreed: AgreedOrder) -> bool:

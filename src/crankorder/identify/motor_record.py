@@ -20,6 +20,7 @@ def motor_record(found: MotorFound) -> dict[str, Any]:
         "rotor_bars": found.motor.rotor_bars,
         "misfit": found.misfit,
         "speed_doubt": found.speed_doubt,
+        "bars_doubt": found.bars_doubt,
         "speeds": [
             {
                 "speed_rpm": one.speed_rpm,

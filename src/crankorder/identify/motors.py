@@ -77,9 +77,9 @@ class LineSeen:
 class MotorFound:
     """A stated ``motor`` as the recordings show it: supply in Hz with its half width, measured or as stated.
 
-    ``speeds`` are those of the recordings; ``misfit`` says, where it is not empty, why no line is named, and
-    ``speed_doubt`` why the slip is not known. ``least`` are lines that are not there: name, channel, and the amplitude
-    from which they would have been seen.
+    ``speeds`` are those of the recordings; ``misfit`` says, where it is not empty, why no line is named,
+    ``speed_doubt`` why the slip is not known, ``bars_doubt`` why the stated rotor bars may be wrong. ``least`` are
+    lines that are not there: name, channel, and the amplitude from which they would have been seen.
     """
 
     motor: Motor
@@ -90,6 +90,7 @@ class MotorFound:
     seen: tuple[LineSeen, ...]
     misfit: str = ""
     speed_doubt: str = ""
+    bars_doubt: str = ""
     least: tuple[tuple[str, str, float], ...] = ()
 
 

@@ -25,6 +25,8 @@ def motor_sentences(findings: dict[str, Any]) -> list[str]:
     if motor.get("misfit"):
         return [f"No line of the motor is named: {named(motor['misfit'], limit=400)}."]
     sentences = _slip(motor)
+    if motor.get("bars_doubt"):
+        sentences.append(f"The stated count of rotor bars may be wrong: {named(motor['bars_doubt'], limit=400)}.")
     lines = [line for line in motor.get("lines") or [] if is_number(line.get("frequency_hz"))]
     sentences += [text for name in (SHAFT_SIDES, FIELD_SIDES) if (text := _sides(name, lines, motor, findings))]
     own = [line for line in _strongest(lines) if line["name"] not in _SPEAKS_FOR]
