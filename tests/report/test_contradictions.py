@@ -92,6 +92,12 @@ def _struck_and_no_alarm(findings: Findings) -> None:
     ]
 
 
+def _a_doubt_that_names_no_tone(findings: Findings) -> None:
+    mode = findings["modes"][0]
+    mode.update(explained_by="undecided", undecided="no order passes it")
+    findings["modes"].append({**mode, "damping_ratio": None, "undecided": "", "explained_by": "tone"})
+
+
 def _two_mains(findings: Findings) -> None:
     lines = [_order(findings, order) for order in (1.0, 2.0)]
     for record, hertz in zip(lines, (49.94, 50.0), strict=True):
@@ -139,6 +145,7 @@ MADE: dict[Callable[[Findings], None], str] = {
     _free_and_open: "not known",
     _two_amplifications: "amplified 9.3 times, and 12 times where it is to be avoided",
     _a_crossing_of_the_mains: "a line of fixed frequency moves with the speed",
+    _a_doubt_that_names_no_tone: "may be a natural frequency, and tone at",
     _two_mains: "mains at 49.94 Hz and at 50 Hz: a supply has one frequency",
     _a_slip_by_a_wrong_speed: "slip is told",
     _another_gain_that_takes_part: "its gain was changed, and it took part",

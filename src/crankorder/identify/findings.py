@@ -38,6 +38,7 @@ from crankorder.identify.motors import (
     with_mains_tones,
     without_known,
 )
+from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
@@ -86,6 +87,7 @@ def find(
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
     explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
     causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    modal = with_neighbours_named(modal, in_map, causes)
     motor = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
     motor = with_bars_judged(motor, in_map, causes, order_map)
     tested = _tested_rpm(order_map, campbell)
@@ -156,7 +158,7 @@ def _orders_and_modes(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    return in_map, with_mains_tones(modal, known, in_map)
+    return in_map, without_doubles(with_mains_tones(modal, known, in_map))
 
 
 def _orders_in_map(

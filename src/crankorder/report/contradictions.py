@@ -7,6 +7,7 @@ from typing import Any
 
 from crankorder.identify.explain_families import IF_WRONG
 from crankorder.identify.mains import is_electric, multiple_in
+from crankorder.identify.one_cause import MAY_BE_ALL
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
@@ -146,8 +147,17 @@ def _of_modes(findings: dict[str, Any]) -> Iterator[str]:
             yield f"{name}: a natural frequency, and not decided"
         if record.get("explained_by") == "mode":
             yield from (f"{name}: a natural frequency, and {words}" for words in _tones_at(record, findings))
+        if _may_be_a_tone(record):
+            yield from (f"{name}: may be a natural frequency, and {words}" for words in _tones_at(record, findings))
         if record.get("reached_by_orders") == [] and _is_excited(record, findings):
             yield f"{name}: no order reaches it, and a crossing there is excited"
+
+
+def _may_be_a_tone(record: dict[str, Any]) -> bool:
+    """Whether a natural frequency is open, known well enough to stand at one place, and names no line there."""
+    ends, doubt = interval_of(record, "frequency_hz"), str(record.get("undecided") or "")
+    narrow = ends is not None and ends[1] - ends[0] <= BESIDE * ends[1]
+    return bool(doubt) and narrow and not is_tone(record) and MAY_BE_ALL not in doubt
 
 
 def _tones_at(mode: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
