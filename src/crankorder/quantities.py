@@ -76,6 +76,10 @@ Truth = NewType("Truth", dict[str, Any])
 Severity = Literal["info", "suspect", "bad"]
 
 
+WHICH_IS_RIGHT = "which is right"
+"""Words of flags of recordings that differ, none of which is known to be wrong."""
+
+
 class QualityFlag(TypedDict):
     """One remark on a recording: which, what, how bad, and where or how much.
 

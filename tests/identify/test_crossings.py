@@ -118,6 +118,7 @@ def test_a_crossing_outside_the_tested_range_is_only_listed():
     record = table([agreed(2.0)], fit(mode(100.0)))[2.0, 100.0]
     assert not record.in_range and not record.excited
     assert record.verdict == "outside the tested range" and record.amplification is None
+    assert record.evidence.startswith("extrapolated")
     assert record.amplification_predicted == pytest.approx(1 / 0.03)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.explain import explained
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.following import going_with_speed
+from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
@@ -32,8 +33,9 @@ def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e
     return dataclasses.replace(made, lines=(one,))
 
 
-def said(*orders: AgreedOrder) -> list[str]:
-    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
+def said(*orders: AgreedOrder, longest_rev: float = np.inf, tones: tuple[Tone, ...] = ()) -> list[str]:
+    sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "longest_rev": longest_rev}
+    causes = explained(orders, fit(tones=tones), [], settings=SETTINGS, **sources)
     return [causes.orders["A", one.order].text for one in orders]
 
 
@@ -75,3 +77,41 @@ def test_lines_on_two_mains_frequencies_are_said_to_be_one_or_a_tone() -> None:
 
 def test_an_order_at_many_speeds_is_no_mains() -> None:
     assert said(agreed(2.0, line(2.0))) == ["shaft harmonic"]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rpm, multiple, apart = rng.uniform(1200.0, 2900.0), int(rng.integers(1, 3)), rng.uniform(0.03, 0.08)
+    first = 50.0 * multiple + rng.uniform(-0.05, 0.05)
+    words = f"{'twice mains' if multiple == 2 else 'mains'} or another tone"
+    assert said(at_speed(60.0 * first / rpm, rpm), at_speed(60.0 * (first + apart) / rpm, rpm)) == [words] * 2
+    # in two recordings the supply may have moved
+    other = rpm * 1.02
+    both = said(at_speed(60.0 * first / rpm, rpm), at_speed(60.0 * (first + apart) / other, other))
+    assert both == [words.split(" or ")[0]] * 2
+
+
+def test_of_two_lines_at_twice_mains_the_double_of_the_first_is_it() -> None:
+    rpm = 1713.0
+    hertz = (49.98, 99.96, 100.04)
+    assert said(*(at_speed(60.0 * one / rpm, rpm) for one in hertz)) == ["mains", "twice mains", "unexplained"]
+
+
+@pytest.mark.parametrize("away_hz", [-0.04, 0.03])
+def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz: float) -> None:
+    """Twice mains beside 2 x 2999 rpm in 20 s: what is found lies between the two, and holds neither."""
+    rpm = 60.0 * (50.0 + 0.5 * away_hz)
+    between = at_speed(60.0 * (100.0 + 0.4 * away_hz) / rpm, rpm, lock="undecided", error=2e-5)
+    assert said(between, longest_rev=1000.0) == ["twice mains or order 2"]
+    assert said(between, longest_rev=1e6) == ["twice mains"]
+
+
+def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
+    rpm = 1713.0
+    mains, tone = at_speed(6000.0 / rpm, rpm), at_speed(60.0 * 87.3 / rpm, rpm)
+    second, doubtful = at_speed(2.0, rpm, lock="locked"), at_speed(60.0 * 41.0 / rpm, rpm, lock="undecided")
+    swept = agreed(3.3, line(3.3), lock="slips")
+    orders = (mains, tone, second, doubtful, swept)
+    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
+    assert going_with_speed(orders, causes) == (second, swept)

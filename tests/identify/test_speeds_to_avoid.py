@@ -11,7 +11,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
 from crankorder.identify.responses import held_amplitudes
 from crankorder.identify.speed_records import avoided_records, band_records
-from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
@@ -120,8 +120,9 @@ def test_the_amplification_beside_a_peak_is_that_of_its_channel_and_never_below_
     assert item.amplification == pytest.approx(truth, rel=1e-3)
     low, high = item.amplification_ci95
     assert SETTINGS.free_amplification < low < truth < high
-    (met,) = found
-    assert met.amplification is None or met.amplification_ci95[1] > 3.0, met
+    (met,) = as_avoided(found, verdicts.avoid)
+    assert (met.amplification, met.amplification_ci95) == (item.amplification, item.amplification_ci95)
+    assert "B" in met.channels and met.evidence.startswith("in B, where it is largest")
 
 
 def test_a_peak_that_the_fit_does_not_know_is_at_least_what_was_measured():

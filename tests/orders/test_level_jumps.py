@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.quantities import WHICH_IS_RIGHT
 
 NAMES = ("X", "Y", "Z")
 
@@ -38,6 +39,28 @@ def test_of_two_recordings_both_are_named(seed: int) -> None:
     levels = recordings(np.random.default_rng(seed), n_speeds=2, n_each=2)
     levels[0].rms["Z"] *= 10.0
     assert {flag["recording"] for flag in level_jumps(levels, ratio=3.0)} == {one.recording for one in levels[:2]}
+
+
+def test_where_no_majority_agrees_all_are_left_out_and_that_is_said() -> None:
+    levels = recordings(np.random.default_rng(3), n_speeds=1, n_each=4)
+    for one in levels[:2]:
+        one.rms["Z"] *= 10.0
+    flags = level_jumps(levels, ratio=3.0)
+    assert {flag["recording"] for flag in flags} == {one.recording for one in levels}
+    assert all(flag["left_out"] == "channel" and WHICH_IS_RIGHT in flag["detail"] for flag in flags)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_of_two_alike_those_next_in_speed_tell_which_is_wrong(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    levels = recordings(rng, n_speeds=6, n_each=2)
+    for one in levels:
+        one.floor.update({name: one.speed_rpm[0] * rng.lognormal(0.0, 0.05) for name in NAMES})
+    chosen = levels[rng.integers(len(levels))]
+    chosen.rms["Z"] *= 10.0
+    chosen.floor["Z"] *= 10.0
+    [flag] = level_jumps(levels, ratio=3.0)
+    assert flag["recording"] == chosen.recording and WHICH_IS_RIGHT not in flag["detail"]
 
 
 @pytest.mark.parametrize("seed", range(50))

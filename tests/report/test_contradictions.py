@@ -92,6 +92,41 @@ def _struck_and_no_alarm(findings: Findings) -> None:
     ]
 
 
+def _a_doubt_that_names_no_tone(findings: Findings) -> None:
+    mode = findings["modes"][0]
+    mode.update(explained_by="undecided", undecided="no order passes it")
+    findings["modes"].append({**mode, "damping_ratio": None, "undecided": "", "explained_by": "tone"})
+
+
+def _two_mains(findings: Findings) -> None:
+    lines = [_order(findings, order) for order in (1.0, 2.0)]
+    for record, hertz in zip(lines, (49.94, 50.0), strict=True):
+        order = 60.0 * hertz / 1500.0
+        record.update(explained_by="mains", speed_rpm_at_max=1500.0, lock="slips", order=order, revs_to_decide=None)
+        record.update(order_ci95=[order - 1e-6, order + 1e-6])
+
+
+def _a_slip_by_a_wrong_speed(findings: Findings) -> None:
+    words = "a shaft at 0.99 times the stated speed, this one if that is wrong"
+    _order(findings, 2.0).update(explained_by=words)
+    findings["motor"] = {"speeds": [{"slip": 0.01, "speed_rpm": 1485.0}]}
+
+
+def _another_gain_that_takes_part(findings: Findings) -> None:
+    findings["quality"].append({"recording": "a.h5", "flag": "level_jump", "severity": "suspect", "channel": "Y"})
+
+
+def _two_amplifications(findings: Findings) -> None:
+    avoid = findings["speeds_to_avoid"][0]
+    for record in findings["crossings"]:
+        if (record["order"], record["mode_hz"]) == (avoid["order"], avoid["mode_hz"]):
+            record.update(amplification=9.3, amplification_ci95=[8.0, 10.0])
+
+
+def _a_crossing_of_the_mains(findings: Findings) -> None:
+    _order(findings, findings["crossings"][0]["order"])["explained_by"] = "twice mains"
+
+
 MADE: dict[Callable[[Findings], None], str] = {
     _slips_on_a_multiple: "slips, and its interval holds 5.5",
     _locked_off_every_multiple: "holds no multiple",
@@ -108,6 +143,12 @@ MADE: dict[Callable[[Findings], None], str] = {
     _excited_and_no_such_mode: "no such natural frequency is listed",
     _free_and_to_avoid: "to be avoided",
     _free_and_open: "not known",
+    _two_amplifications: "amplified 9.3 times, and 12 times where it is to be avoided",
+    _a_crossing_of_the_mains: "a line of fixed frequency moves with the speed",
+    _a_doubt_that_names_no_tone: "may be a natural frequency, and tone at",
+    _two_mains: "mains at 49.94 Hz and at 50 Hz: a supply has one frequency",
+    _a_slip_by_a_wrong_speed: "slip is told",
+    _another_gain_that_takes_part: "its gain was changed, and it took part",
     _struck_and_no_alarm: "no bearing alarm, and another line of it is called damage",
 }
 

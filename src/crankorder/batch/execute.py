@@ -15,6 +15,7 @@ import xarray as xr
 
 from crankorder.batch.ahead import Helper
 from crankorder.batch.calibrate import knowledge_of
+from crankorder.batch.changed_gains import without_changed_gains
 from crankorder.batch.lean import load_kernels
 from crankorder.batch.plan import TestPlan
 from crankorder.batch.store import (
@@ -30,9 +31,8 @@ from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
-from crankorder.orders.level_jumps import RecordedLevel, level_jumps
 from crankorder.orders.true_angle import NAMES
-from crankorder.quantities import QualityFlag, RecordingLevels, Severity
+from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import toml_table
@@ -90,6 +90,7 @@ def run_test(
             return outcome
         first_run = load_kernels()
         results = _analyse(plan, hashes, jobs, outcome, progress, one_first=first_run)
+        results = without_changed_gains(results, ratio=plan.settings.ingest.level_jump_ratio)
         clock.lap("recordings")
         _leave_out(results, outcome, ("bad", "suspect") if strict else ("bad",))
         if not results:
@@ -128,7 +129,6 @@ def _finish(
         if flag["flag"] == "frame_length_differs"
     ]
     told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
-    told += level_jumps(_levels(results), ratio=plan.settings.ingest.level_jump_ratio)
     findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
     findings["speed_swing"] = _swing_records(results, findings["quality"])
     findings["quality"] += contradiction_flags(findings)
@@ -144,21 +144,6 @@ def _finish(
     # timings are no result: a full disk must not turn a finished test into a failed one
     with contextlib.suppress(OSError):
         write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
-
-
-def _levels(results: dict[Path, RecordingResult]) -> list[RecordedLevel]:
-    """Speed and level of every recording whose level was looked at."""
-    made = []
-    for path, result in results.items():
-        levels = result.frames.get(RecordingLevels)
-        speed = result.shaft["speed"].values
-        if levels is not None and np.isfinite(speed).any():
-            names = levels["channel"].values.tolist()
-            rms, floor = (dict(zip(names, levels[key].values.tolist(), strict=True)) for key in ("rms", "floor"))
-            # of the means of tenths: what a shaft does within a turn, and an encoder's edges, is no other speed
-            means = [float(np.nanmean(part)) for part in np.array_split(speed, 10) if np.isfinite(part).any()]
-            made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor))
-    return made
 
 
 class _Clock:
@@ -262,7 +247,7 @@ def _channels_left_out(flags: list[QualityFlag]) -> dict[str, str]:
     """Why each channel was left out that was."""
     found: dict[str, str] = {}
     for flag in flags:
-        if flag.get("left_out") == "channel":
+        if flag.get("left_out") == "channel" and flag["severity"] == "bad":
             name, said = flag["channel"], f"{flag['flag']} ({flag['detail']})"
             found[name] = f"{found[name]}; {said}" if name in found else said
     return found

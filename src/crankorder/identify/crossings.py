@@ -30,6 +30,9 @@ SHAPE_SHARE = 0.05
 SAME_RESPONSE = 1e-3
 """Distance within which two numbers are one order."""
 
+EXTRAPOLATED = "extrapolated: no speed there was tested, and order and natural frequency are taken to stay as they are"
+"""Evidence of a crossing outside the tested range."""
+
 SAME_STATED = 0.01
 """Share of a stated order within which a found one is that."""
 
@@ -84,6 +87,7 @@ def crossings(
     made += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
     for order in missing:
         made += [one for whirl in modal.whirls if (one := unmeasured_whirl(order, whirl, speed_rpm, settings))]
+    made = [item if item.in_range else replace(item, evidence=EXTRAPOLATED) for item in made]
     return tuple(sorted(made, key=lambda item: (item.rpm, item.order)))
 
 

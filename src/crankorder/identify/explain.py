@@ -14,10 +14,12 @@ from crankorder.identify.explain_families import BY_ITSELF, Words, explain_famil
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import half_width
+from crankorder.identify.known_lines import APART_CYCLES
 from crankorder.identify.lines.growth import growth, largest
-from crankorder.identify.mains import mains_words, multiple_on, nearest_multiple
+from crankorder.identify.mains import mains_words, multiple_in, multiple_on, nearest_multiple
 from crankorder.identify.mains_orders import mains_orders
 from crankorder.identify.motors import LineSeen, named_by, words_of
+from crankorder.identify.one_mains import OR_ANOTHER, claims_of, doubtful
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
 from crankorder.identify.said import ALIKE_SPEEDS, ONE_SPEED
 from crankorder.identify.sidebands import sidebands
@@ -96,6 +98,7 @@ def explained(
     folds: Sequence[ShownFold] = (),
     known: Sequence[LineSeen] = (),
     of_encoder: Words | None = None,
+    longest_rev: float = np.inf,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
@@ -117,6 +120,7 @@ def explained(
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
     of_encoder : lines that the encoder may make (:func:`crankorder.identify.encoder_sidebands.encoder_sidebands`)
+    longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
@@ -130,7 +134,7 @@ def explained(
     for key, (text, evidence) in (of_encoder or {}).items():
         if causes[key].text in BY_ITSELF:
             causes[key] = Cause(text, evidence)
-    causes |= _electric(orders, causes, modal, known, sources, settings)
+    causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
     families = explain_families(
         orders,
         {key: cause.text for key, cause in causes.items()},
@@ -142,7 +146,24 @@ def explained(
     modes = tuple(
         Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
     )
-    return Causes(causes, modes, _explained_tones(modal.tones, races, _one_speed(orders), known, settings))
+    tones = _explained_tones(modal.tones, races, _one_speed(orders), known, settings)
+    return _with_one_mains(Causes(causes, modes, tones), orders, modal.tones)
+
+
+def _with_one_mains(causes: Causes, orders: tuple[AgreedOrder, ...], tones: Sequence[Tone]) -> Causes:
+    """``causes`` of ``orders`` and ``tones`` of which no two are one multiple of the mains at two frequencies."""
+    texts = {order: cause.text for (_, order), cause in causes.orders.items() if multiple_in(cause.text) is not None}
+    claims = claims_of(orders, tones, texts, [cause.text for cause in causes.tones])
+    of_orders, of_tones = dict(causes.orders), list(causes.tones)
+    for claim, (rival, is_beaten) in doubtful(claims).items():
+        beside = f"{rival.hertz:.6g} Hz stands beside {claim.hertz:.6g} Hz, and a supply has one frequency"
+        words = f"{mains_words(claim.multiple)} or {OR_ANOTHER}"
+        if claim.tone is not None:
+            of_tones[claim.tone] = Cause("tone" if is_beaten else words, beside)
+        for key, cause in causes.orders.items():
+            if claim.tone is None and key[1] == claim.order and multiple_in(cause.text) is not None:
+                of_orders[key] = Cause("unexplained" if is_beaten else words, beside)
+    return Causes(of_orders, causes.modes, tuple(of_tones))
 
 
 MAY_BE_MAINS = ("unbalance", "shaft harmonic", "half order of the four-stroke cycle")
@@ -156,9 +177,10 @@ def _electric(
     known: Sequence[LineSeen],
     sources: Sources,
     settings: IdentifySettings,
+    longest_rev: float,
 ) -> dict[tuple[str, float], Cause]:
     """Causes of the lines of the mains and of the motor; with what else each may be, where the data do not tell."""
-    of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
+    of_cycle = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
     tones_hz = [tone.frequency_hz for tone in modal.tones if tone.kind == "mains"]
     exact = [order for order, multiple in of_cycle.items() if multiple is not None]
     told = {
@@ -190,6 +212,15 @@ def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: 
     if of_cycle is None or cause.text in MAY_BE_MAINS or sure:
         return Cause(f"{cause.text} or {electric.text}", evidence)
     return cause
+
+
+def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> float | None:
+    """:func:`multiple_of_cycle`, or that beside which ``agreed`` may be two lines that no recording parts."""
+    multiple = multiple_of_cycle(agreed, revs_per_cycle)
+    if multiple is not None or agreed.lock != "undecided" or not np.isfinite(longest_rev):
+        return multiple
+    nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
+    return nearest if abs(agreed.order - nearest) * longest_rev < APART_CYCLES else None
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:

@@ -22,6 +22,9 @@ MESH = "gear mesh or blade passing: integer order with sidebands"
 BY_ITSELF = ("unexplained", "shaft harmonic")
 """Words for lines that a mesh beside them explains better."""
 
+IF_WRONG = "this one if that is wrong"
+"""Words of a shaft that may be the one whose speed was stated."""
+
 NEAR_MODE = 0.06
 """A line within this share of a natural frequency may stand out because of it."""
 
@@ -158,7 +161,7 @@ def _shafts(
         count = sum(1 for other, _ in found.values() if other == first)
         evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
         if speed_may_be_wrong:
-            text = f"a shaft at {base:.4g} times the stated speed, this one if that is wrong"
+            text = f"a shaft at {base:.4g} times the stated speed, {IF_WRONG}"
             evidence += "; nothing stands at order 1, and no pulses prove the speed"
         else:
             text = f"a second shaft at {base:.4g}"

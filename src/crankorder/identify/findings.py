@@ -16,7 +16,9 @@ from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import explained
 from crankorder.identify.folds import fold_flags, shown_folds
+from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
+from crankorder.identify.known_lines import Held
 from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
@@ -25,6 +27,7 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
+from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
 from crankorder.identify.motors import (
     LineSeen,
@@ -35,12 +38,13 @@ from crankorder.identify.motors import (
     with_mains_tones,
     without_known,
 )
+from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
 from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
-from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import IdentifySettings, Settings
@@ -70,7 +74,8 @@ def find(
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     flags = _flags(order_map, campbell)
     doubt = speed_doubt(flags)
-    motor, known = _electric(order_map, frames, sources, settings)
+    held = held_of(frames, order_map)
+    motor, known = _electric(held, order_map, sources, settings)
     in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
@@ -79,9 +84,13 @@ def find(
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
+    explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
     causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    modal = with_neighbours_named(modal, in_map, causes)
+    motor = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
+    motor = with_bars_judged(motor, in_map, causes, order_map)
     tested = _tested_rpm(order_map, campbell)
-    found, speeds = _speeds(orders, modal, tested, unit, sources, asked)
+    found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked)
     speeds = speeds if doubt is None else without_free(speeds)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
@@ -118,7 +127,8 @@ def _speeds(
     """Crossings of the orders and the stated gears with the modes, and what they make of the speeds."""
     stated = [order for _, order in sources.gears]
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
-    return found, speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
+    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
+    return as_avoided(found, speeds.avoid), speeds
 
 
 def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
@@ -147,7 +157,7 @@ def _orders_and_modes(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    return in_map, with_mains_tones(modal, known, in_map)
+    return in_map, without_doubles(with_mains_tones(modal, known, in_map))
 
 
 def _orders_in_map(
@@ -160,10 +170,9 @@ def _orders_in_map(
 
 
 def _electric(
-    order_map: xr.Dataset, frames: Sequence[xr.Dataset], sources: Sources, settings: Settings
+    held: Sequence[Held], order_map: xr.Dataset, sources: Sources, settings: Settings
 ) -> tuple[MotorFound | None, tuple[LineSeen, ...]]:
     """The motor as it was found, if one is stated, and its lines; else mains that several speeds show."""
-    held = held_of(frames, order_map)
     if sources.motor is None:
         return None, mains_seen(held, settings=settings.identify)
     found = motor_found(sources.motor, held, order_map, settings=settings.identify)

@@ -10,6 +10,8 @@ from crankorder.settings import IdentifySettings
 ALONE = 2
 """Multiples of the mains up to this stand alone: stray fields make the first, every magnetic circuit the second."""
 
+_LOW_WORDS = {1: "mains", 2: "twice mains"}
+
 
 def nearest_multiple(
     frequency_hz: NDArray[np.float64] | float, mains_hz: float, *, settings: IdentifySettings
@@ -24,7 +26,15 @@ def nearest_multiple(
 
 def mains_words(multiple: int) -> str:
     """What a line at ``multiple`` times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
-    return {1: "mains", 2: "twice mains"}.get(multiple, f"{multiple} x mains")
+    return _LOW_WORDS.get(multiple, f"{multiple} x mains")
+
+
+def multiple_in(text: str) -> int | None:
+    """Multiple of the mains that the words ``text`` of a cause name; None where they name anything else as well."""
+    if text in _LOW_WORDS.values():
+        return next(multiple for multiple, words in _LOW_WORDS.items() if words == text)
+    number, _, rest = text.partition(" ")
+    return int(number) if number.isdigit() and rest == "x mains" else None
 
 
 def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> tuple[int, float] | None:
@@ -39,6 +49,9 @@ def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySetti
     return None
 
 
-def is_mains(text: str) -> bool:
-    """Whether the words ``text`` of a cause name mains and nothing else."""
-    return text in ("mains", "twice mains") or text.endswith(" x mains")
+_OF_THE_FIELD = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")
+
+
+def is_electric(text: str) -> bool:
+    """Whether the words ``text`` of a cause name the mains or the field of a motor, and no order of the shaft."""
+    return (text.startswith(_OF_THE_FIELD) or " x mains" in text) and " or order" not in text

@@ -19,13 +19,15 @@ def motor_record(found: MotorFound) -> dict[str, Any]:
         "poles": found.motor.poles,
         "rotor_bars": found.motor.rotor_bars,
         "misfit": found.misfit,
+        "speed_doubt": found.speed_doubt,
+        "bars_doubt": found.bars_doubt,
         "speeds": [
             {
                 "speed_rpm": one.speed_rpm,
                 "synchronous_rpm": one.synchronous_rpm,
-                "slip": one.slip,
-                "slip_ci95": [one.slip - one.slip_half, one.slip + one.slip_half],
-                "pole_pass_hz": one.pole_pass_hz,
+                "slip": None if found.speed_doubt else one.slip,
+                "slip_ci95": None if found.speed_doubt else [one.slip - one.slip_half, one.slip + one.slip_half],
+                "pole_pass_hz": None if found.speed_doubt else one.pole_pass_hz,
                 "fits": one.fits,
             }
             for one in found.speeds

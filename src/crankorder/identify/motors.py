@@ -77,7 +77,8 @@ class LineSeen:
 class MotorFound:
     """A stated ``motor`` as the recordings show it: supply in Hz with its half width, measured or as stated.
 
-    ``speeds`` are those of the recordings; ``misfit`` says, where it is not empty, why no line is named. ``least`` are
+    ``speeds`` are those of the recordings; ``misfit`` says, where it is not empty, why no line is named,
+    ``speed_doubt`` why the slip is not known, ``bars_doubt`` why the stated rotor bars may be wrong. ``least`` are
     lines that are not there: name, channel, and the amplitude from which they would have been seen.
     """
 
@@ -88,6 +89,8 @@ class MotorFound:
     speeds: tuple[MotorSpeed, ...]
     seen: tuple[LineSeen, ...]
     misfit: str = ""
+    speed_doubt: str = ""
+    bars_doubt: str = ""
     least: tuple[tuple[str, str, float], ...] = ()
 
 
@@ -165,7 +168,7 @@ def motor_found(motor: Motor, held: Sequence[Held], order_map: xr.Dataset, *, se
     )
     good = [number for number, speed in enumerate(speeds) if speed.fits]
     if speeds and not good:
-        return replace(made, speeds=speeds, misfit=_misfit(motor, speeds, supply))
+        return replace(made, speeds=speeds, misfit=_misfit(motor, speeds, supply, stated=stated))
     chosen, with_f = [held[k] for k in good], [own[k] for k in good]
     seen = _all_seen(motor, chosen, with_f, stated, bool(told))
     least = () if stated or not told else _least(motor, chosen, with_f, seen)
@@ -216,13 +219,14 @@ def _speed(motor: Motor, held: Held, supply_hz: float, supply_half_hz: float, st
     return MotorSpeed(held.rpm, synchronous, slip, slip_half, 2.0 * slip * supply_hz)
 
 
-def _misfit(motor: Motor, speeds: tuple[MotorSpeed, ...], supply_hz: float) -> str:
+def _misfit(motor: Motor, speeds: tuple[MotorSpeed, ...], supply_hz: float, *, stated: bool) -> str:
     worst = max(speeds, key=lambda one: abs(one.slip))
     turns = worst.speed_rpm * motor.shaft_ratio
     way = "faster than" if worst.slip < 0.0 else f"{100.0 * worst.slip:.3g} % below"
+    or_stated = ", the stated speed is wrong" if stated else ""
     return (
         f"the motor would turn at {turns:.4g} rpm, {way} the {worst.synchronous_rpm:.4g} rpm of {motor.poles} poles at "
-        f"{supply_hz:.4g} Hz: the poles, shaft_ratio or supply_hz do not fit, or it is driven"
+        f"{supply_hz:.4g} Hz: the poles, shaft_ratio or supply_hz do not fit{or_stated}, or it is driven"
     )
 
 

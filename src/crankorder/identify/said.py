@@ -13,3 +13,6 @@ UNRESOLVED = (
     "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
 )
 """What is said of a peak that no rule names and beside which all that is named is weaker."""
+
+MAY_BE_ALL = "stands there, and may be all of it"
+"""What is said of a natural frequency at which a line stands that something else makes."""

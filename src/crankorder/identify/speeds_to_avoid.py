@@ -109,9 +109,12 @@ def speeds_to_avoid(
     largest = _largest(orders)
     in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
     met = [_cost(item, orders, modal, in_unit, settings) for item in found if _counts(item)]
-    met += lone_peaks(
+    lone = lone_peaks(
         orders, modal, met, largest=largest, in_unit=in_unit, unit=unit, factor=settings.free_amplification
     )
+    numbered = {(item.order, item.mode_hz) for item in found if item.amplification is not None}
+    # a meeting that has a number of its own keeps that one: the reason says how the peak stands over its neighbours
+    met += [replace(one, amplification=None) if (one.orders[0], one.modes_hz[0]) in numbered else one for one in lone]
     avoid = sorted((_joined(group) for group in _overlapping(met)), key=lambda item: (-item.cost, item.rpm))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -124,6 +127,35 @@ def speeds_to_avoid(
     ]
     free, rest = _split(opened, speed_rpm, settings)
     return SpeedVerdicts(tuple(avoid), free, rest)
+
+
+def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tuple[Crossing, ...]:
+    """``found`` with the amplification that the speed to ``avoid`` states of the same meeting: that of its peak.
+
+    One meeting has one number, in the channel in which it is worst.
+    """
+    told = {
+        (item.orders[0], item.modes_hz[0]): item for item in avoid if item.amplification_ci95 and item.amplification
+    }
+    return tuple(
+        _as_peak(item, told[item.order, item.mode_hz]) if (item.order, item.mode_hz) in told else item for item in found
+    )
+
+
+def _as_peak(item: Crossing, peak: AvoidedSpeed) -> Crossing:
+    if peak.amplification is None or peak.amplification_ci95 is None:
+        return item
+    low, high = peak.amplification_ci95
+    times = f"{peak.amplification:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
+    words = f"in {peak.channel}, where it is largest, {times} what it is without the mode"
+    kept = [part for part in item.evidence.split("; ") if part.startswith("chance")]
+    return replace(
+        item,
+        amplification=peak.amplification,
+        amplification_ci95=peak.amplification_ci95,
+        channels=tuple(sorted({*item.channels, peak.channel})),
+        evidence="; ".join([words, *kept]),
+    )
 
 
 def _is_vague(item: Crossing) -> bool:

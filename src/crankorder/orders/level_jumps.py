@@ -38,29 +38,48 @@ class RecordedLevel:
 
 def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float) -> list[QualityFlag]:
     """Flags of those ``levels`` where a channel's lies ``ratio`` times or more off that of most recordings at like
-    speed.
+    speed, or its floor off those next in speed: that channel of that recording is to be left out.
 
-    The other channels (one at least) must stay. Of two recordings alone nobody knows which is wrong: both are named.
+    The other channels (one at least) must stay. Where no majority of the recordings at like speed agrees, nor those
+    next in speed, nobody knows which is wrong: all are named.
     """
     found: dict[tuple[str, str], QualityFlag] = {}
     steady = sorted((one for one in levels if one.is_steady), key=lambda one: one.speed_rpm)
+    by_floor = {(flag["recording"], flag["channel"]): flag for flag in _floor_jumps(steady, ratio=ratio)}
     for group in _groups(steady):
         names = [name for name in group[0].rms if all(one.rms.get(name, 0.0) > 0.0 for one in group)]
         if len(names) < 2 or len(group) < 2:
             continue
         logs = np.log([[one.rms[name] for name in names] for one in group])
-        for row, column, factor in _outliers(logs, math.log(ratio)):
-            one, name = group[row], names[column]
-            detail = (
-                f"channel {name}: its level is {factor:.3g} times that of the other recordings at "
-                f"{np.mean(one.speed_rpm):.4g} rpm, while the other channels stay: a gain or a range was changed"
-            )
-            flag = QualityFlag(recording=one.recording, flag="level_jump", severity="suspect", detail=detail)
-            flag["channel"] = name
-            found[one.recording, name] = flag
-    for flag in _floor_jumps(steady, ratio=ratio):
-        found.setdefault((flag["recording"], flag["channel"]), flag)
-    return list(found.values())
+        for column, name in enumerate(names):
+            rows = {row: jump for row, at, jump in _outliers(logs, math.log(ratio)) if at == column}
+            beside = [row for row, one in enumerate(group) if (one.recording, name) in by_floor]
+            for row, jump, undecided in _wrong_of(rows, beside, len(group)):
+                one = group[row]
+                what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
+                what += f" at {np.mean(one.speed_rpm):.4g} rpm"
+                found[one.recording, name] = _flag(one.recording, name, what, undecided=undecided)
+    return list((by_floor | found).values())
+
+
+def _wrong_of(rows: dict[int, float], beside: list[int], count: int) -> list[tuple[int, float, bool]]:
+    """Recordings to be left out of ``count`` at like speed, the logarithms of their factors, and whether that is open.
+
+    ``rows`` are those apart from the middle one with their logarithms, ``beside`` those apart from others in speed.
+    """
+    if 2 * len(rows) < count:
+        return [(row, jump, False) for row, jump in rows.items()]
+    back = -float(np.mean(list(rows.values())))
+    told = 0 < 2 * len(beside) <= count
+    return [(row, rows.get(row, back), not told) for row in (beside if told else range(count))]
+
+
+def _flag(recording: str, channel: str, what: str, *, undecided: bool = False) -> QualityFlag:
+    but = ", and nothing tells {WHICH_IS_RIGHT}" if undecided else ""
+    detail = f"channel {channel}: {what}, while the other channels stay: a gain or a range was changed{but}"
+    flag = QualityFlag(recording=recording, flag="level_jump", severity="suspect", detail=detail)
+    flag["channel"], flag["left_out"] = channel, "channel"
+    return flag
 
 
 def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[QualityFlag]:
@@ -83,13 +102,8 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
     for row, column in zip(*np.nonzero(np.abs(apart) > math.log(ratio)), strict=True):
         if np.abs(np.delete(apart[row], column)).max() >= _OTHERS_STAY * abs(apart[row, column]):
             continue
-        detail = (
-            f"channel {names[column]}: its noise floor is {math.exp(apart[row, column]):.3g} times that of the "
-            f"recordings next in speed, while the other channels stay: a gain or a range was changed"
-        )
-        flag = QualityFlag(recording=steady[row].recording, flag="level_jump", severity="suspect", detail=detail)
-        flag["channel"] = names[column]
-        flags.append(flag)
+        what = f"its noise floor is {math.exp(apart[row, column]):.3g} times that of the recordings next in speed"
+        flags.append(_flag(steady[row].recording, names[column], what))
     return flags
 
 
@@ -104,12 +118,13 @@ def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:
 
 
 def _outliers(logs: NDArray[np.float64], least: float) -> list[tuple[int, int, float]]:
-    """Recording, channel and factor of the ``logs`` (recording, channel) that jump."""
-    apart = logs - np.median(logs, axis=0) if len(logs) > 2 else logs - logs[::-1]
+    """Recording, channel and logarithm of the factor of the ``logs`` (recording, channel) that jump."""
+    # the lower of two middle ones: between two halves that differ nothing lies
+    apart = logs - np.sort(logs, axis=0)[(len(logs) - 1) // 2]
     found = []
     for row, column in zip(*np.nonzero(np.abs(apart) > least), strict=True):
         jump = float(apart[row, column])
         others = np.delete(apart[row], column)
         if np.abs(others).max() < _OTHERS_STAY * abs(jump):
-            found.append((int(row), int(column), math.exp(jump)))
+            found.append((int(row), int(column), jump))
     return found

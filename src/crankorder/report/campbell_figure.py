@@ -18,6 +18,7 @@ from crankorder.report.drawing.labels import EdgeLabel, fitted, label_right, lab
 from crankorder.report.drawing.palette import (
     DOUBT_DASHES,
     FAINT,
+    HALF_ORDER,
     INK,
     LARGE,
     MAINS,
@@ -95,19 +96,27 @@ def campbell_figure(
     circles = _draw_crossings(panel, findings, channel)
     _draw_notes(panel, one)
     _label_edges(panel, guides or orders, modes, findings)
-    keys = (
-        [Key("order, for orientation", FAINT)] if guides else _keys(orders=bool(orders), modes=modes, circles=circles)
-    )
+    keys = [Key("order, for orientation", FAINT)] if guides else _keys(orders=orders, modes=modes, circles=circles)
     draw_keys(drawing, _LEFT, [*keys, *strip_keys(findings)], room_in=settings.width_in - _LEFT - _NOTE)
     _title(drawing, findings, channel, settings=settings)
     return drawing
 
 
 def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dict[str, Any]]:
-    """Order records of a ``channel`` in ``findings``, the ``limit`` strongest, by order."""
+    """Order records of a ``channel`` in ``findings``, the ``limit`` strongest and as many of its half orders, by order.
+
+    The half orders of a four-stroke cycle are what sets it apart: strong whole ones must not hide them.
+    """
     records = [record for record in findings.get("orders", []) if record.get("channel") == channel]
     records.sort(key=lambda record: -float(record.get("amplitude") or 0))
-    return sorted(records[:limit], key=lambda record: float(record["order"]))
+    half = [record for record in records[limit:] if is_of_cycle(record)]
+    return sorted([*records[:limit], *half[:limit]], key=lambda record: float(record["order"]))
+
+
+def is_of_cycle(record: dict[str, Any]) -> bool:
+    """Whether an order ``record`` is a half order that combustion or the camshaft of a four-stroke engine makes."""
+    cause = str(record.get("explained_by") or "")
+    return bool(record.get("half_order")) and ("gas cycle" in cause or "half order" in cause)
 
 
 def _map_of(campbell: xr.Dataset, channel: str, settings: ReportSettings) -> _Map:
@@ -268,15 +277,18 @@ def _order_labels(
     for number, record in enumerate(orders):
         order, text = float(record["order"]), order_name(record, findings)
         bold = loudest > 0 and float(record.get("amplitude") or 0) == loudest
+        colour = HALF_ORDER if is_of_cycle(record) else INK
         if f_low <= order * high / 60 <= f_high:
-            top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), text, INK, number, bold))
+            top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), text, colour, number, bold))
         elif low < 60 * f_high / order < high:
-            side.append(EdgeLabel(float(panel.at(f_high, 60 * f_high / order)[0, 1]), text, INK, number, bold))
+            side.append(EdgeLabel(float(panel.at(f_high, 60 * f_high / order)[0, 1]), text, colour, number, bold))
     return top, side
 
 
-def _keys(*, orders: bool, modes: list[dict[str, Any]], circles: bool) -> list[Key]:
+def _keys(*, orders: list[dict[str, Any]], modes: list[dict[str, Any]], circles: bool) -> list[Key]:
     keys = [Key("order found (bold: strongest)", INK)] if orders else []
+    if any(is_of_cycle(record) for record in orders):
+        keys.append(Key("half order: combustion or camshaft", HALF_ORDER))
     if any(not is_tone(mode) and not is_undecided(mode) for mode in modes):
         keys.append(Key("natural frequency", MODE, MODE_DASHES))
     if any(is_undecided(mode) for mode in modes):

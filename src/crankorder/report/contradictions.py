@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from crankorder.identify.explain_families import IF_WRONG
+from crankorder.identify.mains import is_electric, multiple_in
+from crankorder.identify.said import MAY_BE_ALL
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
@@ -15,6 +18,9 @@ HALF = 0.5
 
 SAME = 1e-6
 """Numbers within this share of each other are one: what a file rounds is no contradiction."""
+
+SAME_LINE_HZ = 0.01
+"""Frequencies that lie as near are those of one line."""
 
 BESIDE = 0.01
 """Share of the fastest speed beyond the tested range that is as good as tested …"""
@@ -45,7 +51,17 @@ def contradictions(findings: dict[str, Any]) -> tuple[str, ...]:
     The fields of each record are held against one another, records against those of other lists, and the sentences of
     the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
     """
-    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_sentences)
+    checks = (
+        _of_orders,
+        _of_modes,
+        _of_crossings,
+        _of_speeds,
+        _of_bearings,
+        _of_mains,
+        _of_motor,
+        _of_quality,
+        _of_sentences,
+    )
     return tuple(words for check in checks for words in check(findings))
 
 
@@ -131,8 +147,17 @@ def _of_modes(findings: dict[str, Any]) -> Iterator[str]:
             yield f"{name}: a natural frequency, and not decided"
         if record.get("explained_by") == "mode":
             yield from (f"{name}: a natural frequency, and {words}" for words in _tones_at(record, findings))
+        if _may_be_a_tone(record):
+            yield from (f"{name}: may be a natural frequency, and {words}" for words in _tones_at(record, findings))
         if record.get("reached_by_orders") == [] and _is_excited(record, findings):
             yield f"{name}: no order reaches it, and a crossing there is excited"
+
+
+def _may_be_a_tone(record: dict[str, Any]) -> bool:
+    """Whether a natural frequency is open, known well enough to stand at one place, and names no line there."""
+    ends, doubt = interval_of(record, "frequency_hz"), str(record.get("undecided") or "")
+    narrow = ends is not None and ends[1] - ends[0] <= BESIDE * ends[1]
+    return bool(doubt) and narrow and not is_tone(record) and MAY_BE_ALL not in doubt
 
 
 def _tones_at(mode: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
@@ -160,8 +185,22 @@ def _of_crossings(findings: dict[str, Any]) -> Iterator[str]:
             yield f"{name}: verdict {verdict!r}, and excited is {excited}"
         if record.get("in_range") is True and speeds and not _reaches(record, speeds):
             yield f"{name}: in the tested range, and at {record['rpm']:.0f} rpm"
+        yield from (f"{name}: {words}" for words in _of_meeting(record, findings))
         if excited and not any(abs(record["mode_hz"] / hz - 1.0) < SAME for hz in known):
             yield f"{name}: excited, and no such natural frequency is listed"
+
+
+def _of_meeting(record: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
+    """A crossing against the speed to avoid that it is, and against what its order is called."""
+    order, mode_hz, times = record["order"], record["mode_hz"], record.get("amplification")
+    for other in findings.get("speeds_to_avoid") or []:
+        same = other.get("order") == order and other.get("mode_hz") == mode_hz
+        twice = other.get("amplification")
+        if same and is_number(times) and is_number(twice) and abs(times - twice) > SAME * max(times, twice):
+            yield f"amplified {times:.3g} times, and {twice:.3g} times where it is to be avoided"
+    texts = [str(one.get("explained_by")) for one in findings.get("orders", []) if one.get("order") == order]
+    if any(is_electric(text) for text in texts):
+        yield "a line of fixed frequency moves with the speed"
 
 
 def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
@@ -202,6 +241,38 @@ def _of_bearings(findings: dict[str, Any]) -> Iterator[str]:
         yield from (f"{name}: {words}" for words in _outside(record))
 
 
+def _of_mains(findings: dict[str, Any]) -> Iterator[str]:
+    """Two lines of one recording that are one multiple of the mains: a supply has one frequency."""
+    lines: dict[tuple[str, float | None], list[tuple[float, float, float]]] = {}
+    for record in findings.get("orders", []):
+        rpm, ends, words = record.get("speed_rpm_at_max"), interval_of(record, "order"), str(record.get("explained_by"))
+        if multiple_in(words) is not None and is_number(rpm) and ends is not None:
+            middle, low, high = (float(one) * float(rpm) / 60.0 for one in (record["order"], *ends))
+            lines.setdefault((words, round(float(rpm), 3)), []).append((middle, low, high))
+    for record in findings.get("modes", []):
+        words, ends = str(record.get("explained_by")), interval_of(record, "frequency_hz")
+        if multiple_in(words) is not None and ends is not None:
+            lines.setdefault((words, None), []).append((float(record["frequency_hz"]), *ends))
+    for (words, _), places in lines.items():
+        below, above = min(places), max(places)
+        if above[0] - below[0] > SAME_LINE_HZ and above[1] > below[2]:
+            yield f"{words} at {below[0]:.6g} Hz and at {above[0]:.6g} Hz: a supply has one frequency"
+
+
+def _of_motor(findings: dict[str, Any]) -> Iterator[str]:
+    """A slip told by a speed that the lines of the shaft speak against."""
+    told = [one for one in (findings.get("motor") or {}).get("speeds") or [] if is_number(one.get("slip"))]
+    if told and any(IF_WRONG in str(record.get("explained_by")) for record in findings.get("orders", [])):
+        yield "the motor's slip is told, and lines of the shaft say that the speed may be wrong"
+
+
+def _of_quality(findings: dict[str, Any]) -> Iterator[str]:
+    """What is flagged as of another gain must not take part in amplitudes, their growth, and modes told by these."""
+    for flag in findings.get("quality", []):
+        if flag.get("flag") == "level_jump" and flag.get("left_out") != "channel":
+            yield f"{flag.get('channel')} of {flag.get('recording')}: its gain was changed, and it took part"
+
+
 def _is_damage(record: dict[str, Any]) -> bool:
     return str(record.get("verdict") or "").startswith("Damage")
 
@@ -223,3 +294,16 @@ def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
     decided = [mode for mode in findings.get("modes", []) if not is_tone(mode) and not is_undecided(mode)]
     if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
         yield "natural frequencies are named, and none is decided"
+
+
+_CHECKS = (
+    _of_orders,
+    _of_modes,
+    _of_crossings,
+    _of_speeds,
+    _of_bearings,
+    _of_mains,
+    _of_motor,
+    _of_quality,
+    _of_sentences,
+)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any, TypedDict
 
+from crankorder.identify import mains
 from crankorder.identify.said import ALIKE_SPEEDS
 from crankorder.report.notation import interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
 _SAME_SHARE = 0.002  # … or this share of its frequency
 _DAMPED = ("mode", "undecided", "natural")
-
-_ELECTRIC = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")
 
 
 class FixedTone(TypedDict):
@@ -30,8 +29,7 @@ def is_fixed_tone(line: dict[str, Any]) -> bool:
 
 def is_electric(record: dict[str, Any]) -> bool:
     """True for a ``record`` of the findings whose cause is the mains or the field of a motor, and nothing else."""
-    cause = str(record.get("explained_by") or "")
-    return (cause.startswith(_ELECTRIC) or " x mains" in cause) and " or order" not in cause
+    return mains.is_electric(str(record.get("explained_by") or ""))
 
 
 def hertz_of_order(record: dict[str, Any], findings: dict[str, Any]) -> float | None:

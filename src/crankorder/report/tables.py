@@ -203,7 +203,7 @@ def _crossings(findings: dict[str, Any], limit: int) -> Table:
     heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification measured#|Predicted#|Response|In channels|Evidence"
     more = None
     if outside:
-        title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} outside the tested speeds"
+        title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} extrapolated beyond the tested speeds"
         more = table_of(title, heads, outside, empty="")
     note = "Speeds at which an order meets a natural frequency; excited ones first." if inside else ""
     empty = "No order crosses a natural frequency inside the tested speeds."

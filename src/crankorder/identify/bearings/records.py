@@ -75,8 +75,10 @@ def _with_races(record: dict[str, Any], records: list[dict[str, Any]]) -> dict[s
     """``record`` of N*fs with a word on the races of the same bearing: they slip where their sum keeps step."""
     if record["line"] != "N*fs" or record["seen_in"] != "vibration":
         return record
-    races = sorted({one["line"] for one in records if one["name"] == record["name"]} & {"BPFO", "BPFI"})
-    return record | {"verdict": f"{record['verdict']} {races_words(races)}"}
+    own = [one for one in records if one["name"] == record["name"] and one is not record]
+    races = sorted({one["line"] for one in own} & {"BPFO", "BPFI"})
+    struck = sorted({one["line"] for one in own if one["seen_in"] == "envelope"} - {"BPFO", "BPFI"})
+    return record | {"verdict": f"{record['verdict']} {races_words(races, struck)}"}
 
 
 def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> dict[str, Any] | None:

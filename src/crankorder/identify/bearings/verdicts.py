@@ -66,8 +66,14 @@ def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> s
     )
 
 
-def races_words(races: list[str]) -> str:
-    """What the ``races`` (BPFO, BPFI) of a bearing that were found, in vibration or envelope, say of its N*fs."""
+def races_words(races: list[str], struck: list[str]) -> str:
+    """What the ``races`` (BPFO, BPFI) of a bearing that were found, in vibration or envelope, say of its N*fs.
+
+    ``struck``: its other lines that the envelope shows.
+    """
+    if not races and struck:
+        verb = "was" if len(struck) == 1 else "were"
+        return f"Neither of its races was found, but {' and '.join(struck)} {verb}, in the envelope: see there."
     if not races:
         return "Neither of its races was found: no bearing alarm."
     return f"{' and '.join(races)} of the same bearing {'was' if len(races) == 1 else 'were'} found: see there."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from crankorder.identify.said import UNRESOLVED
+from crankorder.identify.said import MAY_BE_ALL, UNRESOLVED
 from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -225,13 +225,21 @@ def tone_sentences(findings: dict[str, Any]) -> list[str]:
         if tone["lines"] and is_number(tone["lines"][0].get("amplitude")):
             line = tone["lines"][0]
             text += f", {_level(findings, line)} in {named(line.get('channel', ''), limit=NAME_CHARACTERS)}"
-        texts.append(f"{text})")
+        texts.append(f"{text}{_or_mode(tone['record'], findings)})")
     texts += _mains_among_orders(findings)
     if not texts:
         return []
     if len(texts) == 1:
         return [f"A tone, no natural frequency: {texts[0]}."]
     return [f"Tones, no natural frequencies: {listed(texts)}."]
+
+
+def _or_mode(tone: dict[str, Any], findings: dict[str, Any]) -> str:
+    """That a natural frequency may stand at a ``tone`` too, where the ``findings`` do not decide it."""
+    hertz = f" at {float(tone['frequency_hz']):.5g} Hz"
+    doubts = (str(mode.get("undecided") or "").split("; ")[-1] for mode in findings.get("modes", []))
+    beside = any(last.endswith(MAY_BE_ALL) and hertz in last for last in doubts)
+    return "; a natural frequency may be there too" if beside else ""
 
 
 def _mains_among_orders(findings: dict[str, Any]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.identify.said import MAY_BE_ALL
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     frequency_text,
@@ -30,13 +31,23 @@ def mode_sentences(findings: dict[str, Any]) -> list[str]:
         sentences.append(f"{noun}: {listed(own[:_SHOWN])}{' and more' if len(own) > _SHOWN else ''}.")
     sentences += [_of_whirl(mode) for mode in modes if is_whirl(mode)]
     doubts = [mode for mode in modes if is_undecided(mode)]
-    for mode in doubts[:_DOUBTS]:
+    for mode in _once_each(doubts)[:_DOUBTS]:
         reason = named(mode.get("undecided") or "", limit=4 * NAME_CHARACTERS).rstrip(".")
         text = f"{frequency_text(mode['frequency_hz'])} Hz may be a natural frequency: not decided"
         sentences.append(f"{text}; {reason}." if reason else f"{text}.")
-    if len(doubts) > _DOUBTS:
-        sentences.append(f"{len(doubts) - _DOUBTS} more lines are not decided: see their table.")
+    if (rest := len(doubts) - min(len(_once_each(doubts)), _DOUBTS)) > 0:
+        noun = "lines are" if rest > 1 else "line is"
+        sentences.append(f"{rest} more {noun} not decided: see their table.")
     return sentences
+
+
+def _once_each(doubts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """``doubts`` of which those beside one and the same named line are one."""
+    said: dict[str, dict[str, Any]] = {}
+    for number, mode in enumerate(doubts):
+        last = str(mode.get("undecided") or "").split("; ")[-1]
+        said.setdefault(last if last.endswith(MAY_BE_ALL) else str(number), mode)
+    return list(said.values())
 
 
 def _of_whirl(mode: dict[str, Any]) -> str:

@@ -25,12 +25,14 @@ def motor_sentences(findings: dict[str, Any]) -> list[str]:
     if motor.get("misfit"):
         return [f"No line of the motor is named: {named(motor['misfit'], limit=400)}."]
     sentences = _slip(motor)
+    if motor.get("bars_doubt"):
+        sentences.append(f"The stated count of rotor bars may be wrong: {named(motor['bars_doubt'], limit=400)}.")
     lines = [line for line in motor.get("lines") or [] if is_number(line.get("frequency_hz"))]
     sentences += [text for name in (SHAFT_SIDES, FIELD_SIDES) if (text := _sides(name, lines, motor, findings))]
     own = [line for line in _strongest(lines) if line["name"] not in _SPEAKS_FOR]
     if own:
         said = [
-            f"{_hz(line)} ({named(line['name'], limit=NAME_CHARACTERS).removeprefix('motor, ')}, "
+            f"{_hz(line)} ({' or '.join([_name(line), *(named(one, limit=80) for one in line.get('or') or [])])}, "
             f"{_level(findings, line)} in {named(line.get('channel', ''), limit=NAME_CHARACTERS)})"
             for line in own
         ]
@@ -41,6 +43,8 @@ def motor_sentences(findings: dict[str, Any]) -> list[str]:
 
 
 def _slip(motor: dict[str, Any]) -> list[str]:
+    if motor.get("speed_doubt"):
+        return [f"The slip of the motor is not known: {named(motor['speed_doubt'], limit=400)}."]
     speeds = [one for one in motor.get("speeds") or [] if one.get("fits")]
     if not speeds:
         return []
@@ -94,6 +98,10 @@ def _share(top: dict[str, Any], lines: list[dict[str, Any]], findings: dict[str,
         turns = [one for one in findings.get("orders", []) if one.get("channel") == top["channel"]]
         sizes = [one["amplitude"] for one in turns if is_number(one.get("order")) and abs(one["order"] - 1.0) < 1e-3]
     return f", {percent_text(float(top['amplitude']) / float(max(sizes)))} of it" if sizes and max(sizes) > 0 else ""
+
+
+def _name(line: dict[str, Any]) -> str:
+    return named(line["name"], limit=NAME_CHARACTERS).removeprefix("motor, ")
 
 
 def _or(line: dict[str, Any]) -> str:

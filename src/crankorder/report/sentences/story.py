@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any, TypedDict
 
 from crankorder.identify.said import ONE_SPEED
+from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
@@ -179,8 +180,25 @@ def _quality_sentences(findings: dict[str, Any]) -> list[str]:
         sentences.append(
             f"{_remarks(count['suspect'])} suspect: see the table of quality before relying on the numbers."
         )
+    sentences += _gain_sentences(findings)
     if not count["bad"] and not count["suspect"]:
         sentences.append("No recording was found faulty or suspect.")
+    return sentences
+
+
+def _gain_sentences(findings: dict[str, Any]) -> list[str]:
+    """Which channels of which recordings were left out for a gain that was changed, by whether it is known which."""
+    jumps = [flag for flag in findings.get("quality", []) if flag.get("flag") == "level_jump" and flag.get("left_out")]
+    sentences = []
+    for open_, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
+        own = [flag for flag in jumps if (WHICH_IS_RIGHT in str(flag.get("detail"))) == open_]
+        said = [
+            f"{named(flag['channel'], limit=NAME_CHARACTERS)} of {named(flag['recording'], limit=NAME_CHARACTERS)}"
+            for flag in own[:_MANY]
+        ]
+        if own:
+            more = f" and {len(own) - _MANY} more" if len(own) > _MANY else ""
+            sentences.append(f"Left out of everything that is said: {', '.join(said)}{more} ({why}).")
     return sentences
 
 

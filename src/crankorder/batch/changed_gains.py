@@ -1,0 +1,73 @@
+"""Channels whose gain changed in one recording: found in the levels of all, and taken out before anything is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.quantities import QualityFlag, RecordingLevels, ShaftAngle, with_flags
+from crankorder.stages import RecordingResult
+
+_NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
+"""Variables in which a channel without data has 0; in all others NaN."""
+
+
+def without_changed_gains(results: Mapping[Path, RecordingResult], *, ratio: float) -> dict[Path, RecordingResult]:
+    """``results`` of the recordings by file, in which a channel whose level jumps by ``ratio`` or more holds no data.
+
+    Such a recording carries the flag that says so. Bad recordings take no part.
+    """
+    sound = {
+        path: result
+        for path, result in results.items()
+        if not any(flag["severity"] == "bad" and "left_out" not in flag for flag in result.flags)
+    }
+    flags = level_jumps(_levels(sound), ratio=ratio)
+    made = dict(results)
+    for path in sound:
+        own = [flag for flag in flags if flag["recording"] == path.name]
+        if own:
+            made[path] = _without(made[path], own)
+    return made
+
+
+def _without(result: RecordingResult, flags: list[QualityFlag]) -> RecordingResult:
+    """``result`` without the channels that ``flags`` leave out, and with these flags."""
+    names = [flag["channel"] for flag in flags if flag.get("left_out") == "channel"]
+    frames = {noun: _emptied(frame, names) for noun, frame in result.frames.items()}
+    return replace(result, frames=frames, shaft=ShaftAngle(with_flags(result.shaft.copy(), flags)))
+
+
+def _emptied(frame: xr.Dataset, names: list[str]) -> xr.Dataset:
+    """``frame`` in which the channels ``names`` look as if nothing had been recorded of them."""
+    if "channel" not in frame.dims:
+        return frame
+    out = np.isin(frame["channel"].values.astype(str), names)
+    changed: dict[str, Any] = {}
+    for name, variable in frame.data_vars.items():
+        if "channel" in variable.dims and variable.dtype.kind in "fc":
+            values = variable.values.copy()
+            np.moveaxis(values, variable.dims.index("channel"), 0)[out] = 0.0 if name in _NOTHING_IS_ZERO else np.nan
+            changed[str(name)] = variable.copy(data=values)
+    return frame.assign(changed)
+
+
+def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
+    """Speed and level of every recording whose level was looked at."""
+    made = []
+    for path, result in results.items():
+        levels = result.frames.get(RecordingLevels)
+        speed = result.shaft["speed"].values
+        if levels is not None and np.isfinite(speed).any():
+            names = levels["channel"].values.tolist()
+            rms, floor = (dict(zip(names, levels[key].values.tolist(), strict=True)) for key in ("rms", "floor"))
+            # of the means of tenths: what a shaft does within a turn, and an encoder's edges, is no other speed
+            means = [float(np.nanmean(part)) for part in np.array_split(speed, 10) if np.isfinite(part).any()]
+            made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor))
+    return made

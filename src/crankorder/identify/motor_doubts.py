@@ -1,0 +1,125 @@
+"""What of a motor is doubtful: a slip by a speed with which no line of its shaft agrees, mains beside another line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import xarray as xr
+
+from crankorder.engine.motor import BAR_PASS
+from crankorder.identify.explain import Causes
+from crankorder.identify.explain_families import BY_ITSELF, IF_WRONG
+from crankorder.identify.found import AgreedOrder
+from crankorder.identify.intervals import Z95
+from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.mains import mains_words
+from crankorder.identify.motors import MotorFound
+from crankorder.identify.one_mains import OR_ANOTHER
+
+MOST_TURNS = 4
+"""Multiples of the shaft's turns up to which a line that may be one speaks for the speed: higher ones are hit often."""
+
+LEAST_BARS = 12
+"""Fewer bars no rotor has; whole orders below are the shaft's own."""
+
+SIDE_REACH = 0.005
+"""Orders within which a line is a sideband: what the supply wanders by in a recording moves it by less."""
+
+
+def with_speed_judged(
+    found: MotorFound | None, orders: Sequence[AgreedOrder], causes: Causes, order_map: xr.Dataset, doubt: str | None
+) -> MotorFound | None:
+    """``found`` with the reason why its slip is not known, where its speed is in ``doubt`` or only stated and none of
+    the ``orders`` (explained by ``causes``, of the test of ``order_map``) agrees with it.
+    """
+    if found is None or found.misfit or not found.speeds:
+        return found
+    if doubt is not None:
+        return replace(found, speed_doubt="the speed is in doubt")
+    if speed_source([order_map]) != "stated" or any(_agrees(one) for one in orders):
+        return found
+    said = "the speed was only stated, and no line of the shaft agrees with it"
+    bases = {key[1] for key, cause in causes.orders.items() if IF_WRONG in cause.text and cause.text.startswith("a ")}
+    slowest = max(found.speeds, key=lambda one: one.slip)
+    for base in sorted(bases)[:1]:
+        slip = 1.0 - (1.0 - slowest.slip) * base
+        said += (
+            f"; if the line at {base * slowest.speed_rpm / 60.0:.4g} Hz is its shaft's, it slips by {100.0 * slip:.2g} "
+            f"% at {base * slowest.speed_rpm:.4g} rpm"
+        )
+    return replace(found, speed_doubt=said)
+
+
+def with_rivals(found: MotorFound | None, causes: Causes) -> MotorFound | None:
+    """``found`` with the doubt of those of its mains lines beside which, by ``causes``, a second may be the mains."""
+    if found is None:
+        return None
+    texts = {cause.text for cause in (*causes.orders.values(), *causes.tones)}
+    seen = tuple(
+        replace(item, also=(*item.also, OR_ANOTHER))
+        if item.line.turns == 0.0 and f"{mains_words(item.line.mains)} or {OR_ANOTHER}" in texts
+        else item
+        for item in found.seen
+    )
+    return replace(found, seen=seen)
+
+
+def with_bars_judged(
+    found: MotorFound | None, orders: Sequence[AgreedOrder], causes: Causes, order_map: xr.Dataset
+) -> MotorFound | None:
+    """``found`` with the doubt of its stated ``rotor_bars``, where no bar pass stands there and another count has one.
+
+    Bars that pass stand at a whole order of the rotor, with twice mains on both sides of it: that tells another count.
+    A single whole order so high without such sides says only what the count would be if it were that.
+    """
+    if found is None or found.motor.rotor_bars is None or found.misfit or found.speed_doubt:
+        return found
+    ratio, stated = found.motor.shaft_ratio, found.motor.rotor_bars
+    in_band = stated * ratio < float(order_map["order"].values[-1])
+    if not in_band or any(item.line.name.endswith(BAR_PASS) for item in found.seen):
+        return found
+    counts = {
+        round(one.order / ratio): one
+        for one in orders
+        if one.lock == "locked" and _is_bare(one, causes) and abs(one.order / ratio - round(one.order / ratio)) < 1e-6
+    }
+    high = {count: one for count, one in counts.items() if count >= LEAST_BARS and count != stated}
+    paired = [count for count, one in high.items() if _has_sides(one, orders, found.supply_hz)]
+    nothing = f"no bar pass stands at order {stated * ratio:.4g}, where {stated} bars as stated would put it"
+    if len(paired) == 1:
+        at = paired[0] * ratio
+        said = f"{nothing}; order {at:.4g} stands with twice mains on both sides, as that of {paired[0]} bars would"
+        return replace(found, bars_doubt=said)
+    if len(high) == 1 and not paired:
+        (count,) = high
+        return replace(found, bars_doubt=f"{nothing}; if order {count * ratio:.4g} is the bar pass, there are {count}")
+    return found
+
+
+def _is_bare(agreed: AgreedOrder, causes: Causes) -> bool:
+    """Whether nothing but that it is an order of the shaft is known of a line."""
+    return all(causes.orders[line.channel, agreed.order].text in BY_ITSELF for line in agreed.lines)
+
+
+def _has_sides(carrier: AgreedOrder, orders: Sequence[AgreedOrder], supply_hz: float | None) -> bool:
+    """Whether lines stand at twice the supply on both sides of ``carrier``, at one speed."""
+    sides: dict[int, set[float]] = {-1: set(), 1: set()}
+    for one in orders:
+        for rpm in {float(rpm) for line in one.lines for rpm in line.speed_rpm} if supply_hz else ():
+            for side, speeds in sides.items():
+                away = abs(one.order - carrier.order - side * 2.0 * float(supply_hz or 0.0) * 60.0 / rpm)
+                if away <= max(SIDE_REACH, Z95 * one.order_error):
+                    speeds.add(rpm)
+    return bool(sides[-1] & sides[1])
+
+
+def _agrees(agreed: AgreedOrder) -> bool:
+    """Whether an order stands on a turn of the shaft, or may, as well as a speed that was stated can tell."""
+    nearest = round(agreed.order)
+    if nearest < 1:
+        return False
+    if agreed.lock == "locked":
+        return abs(agreed.order - nearest) < 1e-6
+    reach = min(Z95 * agreed.order_error, Z95 * STATED_SPEED_ERROR * nearest)
+    return agreed.lock == "undecided" and nearest <= MOST_TURNS and abs(agreed.order - nearest) <= reach
