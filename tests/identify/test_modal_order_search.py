@@ -35,7 +35,7 @@ class Told:
 def _modes(blocks: list[Block]) -> list[Mode]:
     chance, most = SETTINGS.false_alarm_probability, SETTINGS.max_damping_ratio
     laid, poles = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), chance=chance, most_damping=most)
-    told = settled(laid, NO_POLES, poles)
+    told = settled(laid, NO_POLES, poles, chance=SETTINGS.false_alarm_probability)
     poles, covariance = told.found, told.covariance
     parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(poles))]
     every = NO_POLES
@@ -210,7 +210,7 @@ def test_a_mode_that_is_known_is_not_found_again() -> None:
     known = NO_POLES.with_pole(61.0, 0.08)
     laid, poles = poles_of_orders(blocks, known, np.diag([1e-4, 1e-6] * len(known)), chance=chance, most_damping=most)
     assert poles == ()
-    proofs = settled(laid, known, poles).proofs
+    proofs = settled(laid, known, poles, chance=SETTINGS.false_alarm_probability).proofs
     assert proofs[0].orders == (1.0,) and proofs[0].most_rows > 5
 
 

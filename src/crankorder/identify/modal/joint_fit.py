@@ -74,7 +74,7 @@ def modal_fit(
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks, extra) for item in fitted]
     known = _own_modes(fitted)
-    told = settled(blocks, known, extra)
+    told = settled(blocks, known, extra, chance=settings.false_alarm_probability)
     blocks = told.blocks
     found = ModalFit((), (), np.zeros((0, 0)))
     kept = NO_POLES

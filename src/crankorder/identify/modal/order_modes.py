@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode, Tone
+from crankorder.identify.intervals import Z95
 from crankorder.identify.modal.order_proof import OrderPole, Proof
 from crankorder.identify.modal.surface_fit import Poles
 from crankorder.settings import IdentifySettings
@@ -58,11 +59,14 @@ def is_proven(proof: Proof) -> bool:
 def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: IdentifySettings) -> Mode | None:
     """Mode of a ``pole`` that only orders show, with its ``covariance`` (2, 2); None where it is a part of the shape.
 
+    So is one of unknown damping that lies no further from another pole than it is known: both are one.
     ``every``: all poles of the test, this one among them; ``settings``: the largest damping that a mode may have.
     """
     error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
-    if not proof.orders or zeta > settings.max_damping_ratio:
+    others = every.frequency_hz[every.frequency_hz != f]
+    is_another = zeta_error > KNOWN * zeta and bool((np.abs(others - f) <= Z95 * error).any())
+    if not proof.orders or zeta > settings.max_damping_ratio or is_another:
         return None
     return Mode(
         f,

@@ -173,11 +173,12 @@ class Settled:
     swings: tuple[Swing, ...]
 
 
-def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]) -> Settled:
+def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole], *, chance: float) -> Settled:
     """``blocks`` behind the ``known`` poles and the ``found`` ones, which are moved once more behind those.
 
-    Channels share what an order's force varies
-    by: their residuals are as alike as they are seen to be. Of sweeps, poles that no order shows are left out.
+    Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Of sweeps,
+    poles that no order shows are left out, and so are those that came to lie beside another one and save no more than
+    the false-alarm level ``chance`` would let noise save.
     """
     free = NO_POLES
     for item in found:
@@ -189,7 +190,11 @@ def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole]) -
     shown = [item for item in every[len(known) :] if item.proof.orders]
     if len(shown) < len(found) and any(block.passage is not None for block in blocks):
         # what none shows took a part of what the others ring on with
-        return settled(state.blocks, known, shown)
+        return settled(state.blocks, known, shown, chance=chance)
+    for number in range(len(known), len(state.poles)):
+        if _is_beside(state.poles, number) and _is_idle(state, number, chance=chance):
+            rest = [item for at, item in enumerate(every[len(known) :], len(known)) if at != number]
+            return settled(state.blocks, known, rest, chance=chance)
     proofs = tuple(item.proof for item in every[: len(known)])
     swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
@@ -532,6 +537,12 @@ def _neighbours(poles: Poles, first: int) -> list[NDArray[np.int64]]:
     rank = first + np.argsort(poles.frequency_hz[first:], kind="stable")
     gaps = np.flatnonzero(np.diff(np.log(poles.frequency_hz[rank])) > SIDE_BY_SIDE) + 1
     return [group for group in np.split(rank, gaps) if len(group) > 1]
+
+
+def _is_idle(state: Fitted, number: int, *, chance: float) -> bool:
+    """Whether the others fit as well without pole ``number`` as noise lets them."""
+    alone = Fitted.of(state.blocks, state.poles.without(number), state.prior)
+    return state.saves(alone) <= _limit(state.blocks, chance) or state.accounts_for(alone) <= FELT
 
 
 def _is_beside(poles: Poles, number: int) -> bool:
