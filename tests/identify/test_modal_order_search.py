@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode
 from crankorder.identify.modal.order_modes import mode_of
+from crankorder.identify.modal.order_proof import OrderPole, Proof
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.order_search import poles_of_orders, settled
 from crankorder.identify.modal.surface_fit import NO_POLES
@@ -224,3 +225,14 @@ def test_the_modes_of_a_test_without_a_floor_stand_in_order_with_their_covarianc
     for mode, (by_f, by_zeta) in zip(modal.modes, errors, strict=True):
         assert by_f == pytest.approx(mode.frequency_error_hz)
         assert by_zeta == pytest.approx(mode.damping_error)
+
+
+def test_a_pole_of_unknown_damping_on_another_one_is_that_one() -> None:
+    proof = Proof((3.0,), 5, 5, (20.0, 90.0), 1, (3.0,))
+    every = NO_POLES.with_pole(61.0, 0.002).with_pole(61.01, 0.001)
+    unknown, known = np.diag([0.02**2, 0.01**2]), np.diag([0.02**2, 1e-5**2])
+    pole = OrderPole(61.01, 0.001, ("X",), proof)
+    assert mode_of(pole, unknown, every, settings=SETTINGS) is None
+    assert mode_of(pole, known, every, settings=SETTINGS) is not None
+    alone = NO_POLES.with_pole(61.01, 0.001)
+    assert mode_of(pole, unknown, alone, settings=SETTINGS) is not None
