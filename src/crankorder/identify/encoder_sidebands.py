@@ -19,6 +19,12 @@ OF_ENCODER = "encoder eccentricity: sideband of order"
 OR_OWN = "encoder eccentricity or a line of its own"
 """Words for a line that an eccentricity would make which the data do not exclude, nor prove."""
 
+ALIKE = 0.1
+"""Share by which a sideband may exceed what a swing gives it to first order."""
+
+SCATTER = 3.0
+"""Standard errors by which one speed may show more."""
+
 Words = dict[tuple[str, float], tuple[str, str]]
 """Cause and evidence by channel and order."""
 
@@ -53,9 +59,16 @@ def encoder_sidebands(orders: Sequence[AgreedOrder], order_map: xr.Dataset, fram
 
 
 def _within(line: OrderLine, given: NDArray[np.float64]) -> bool:
-    """Whether ``line`` is nowhere larger than what is ``given`` (speeds of the map,) to it."""
+    """Whether ``line`` is no larger than what is ``given`` (speeds of the map,) to it: overall, and at any speed.
+
+    At one speed its own scatter may lift it.
+    """
     rows = line.seen[line.seen < len(given)]
-    return len(rows) == len(line.amplitude) > 0 and bool((line.amplitude <= given[rows]).all())
+    if not len(rows) == len(line.amplitude) > 0:
+        return False
+    scatter = np.nan_to_num(line.amplitude_error) * SCATTER
+    overall = float(np.mean(line.amplitude**2)) <= (1.0 + ALIKE) ** 2 * float(np.mean(given[rows] ** 2))
+    return overall and bool((line.amplitude <= (1.0 + ALIKE) * given[rows] + scatter).all())
 
 
 def _carrier(line: OrderLine, amplitude: NDArray[np.float64], axis: NDArray[np.float64], order: float) -> float:

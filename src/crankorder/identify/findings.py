@@ -14,7 +14,7 @@ from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
 from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.explain import explained
+from crankorder.identify.explain import Causes, explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
@@ -76,22 +76,18 @@ def find(
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
-    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings)
-    in_map = in_map if doubt is None else undecided_orders(in_map)
+    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings, doubt)
     reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
     orders = with_track_rows(in_map, reader, settings=settings.orders)
-    turns = sources.revs_per_cycle
-    bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
+    bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
     explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
     causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
     modal = with_neighbours_named(modal, in_map, causes)
-    motor = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
-    motor = with_bars_judged(motor, in_map, causes, order_map)
+    motor = _judged(motor, in_map, causes, order_map, doubt)
     tested = _tested_rpm(order_map, campbell)
-    found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked)
-    speeds = speeds if doubt is None else without_free(speeds)
+    found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     return {
@@ -123,12 +119,32 @@ def _speeds(
     unit: dict[str, str],
     sources: Sources,
     asked: IdentifySettings,
+    doubt: str | None,
 ) -> tuple[Sequence[Crossing], SpeedVerdicts]:
-    """Crossings of the orders and the stated gears with the modes, and what they make of the speeds."""
+    """Crossings of the orders and the stated gears with the modes, and what they make of the speeds, if these are."""
     stated = [order for _, order in sources.gears]
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
-    return as_avoided(found, speeds.avoid), speeds
+    return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)
+
+
+def _bearings(
+    orders: tuple[AgreedOrder, ...], envelope: xr.Dataset | None, sources: Sources, asked: IdentifySettings
+) -> list[dict[str, Any]]:
+    turns = sources.revs_per_cycle
+    return bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
+
+
+def _judged(
+    motor: MotorFound | None,
+    in_map: tuple[AgreedOrder, ...],
+    causes: Causes,
+    order_map: xr.Dataset,
+    doubt: str | None,
+) -> MotorFound | None:
+    """The ``motor`` beside all other lines: its rivals, the speed that is stated and the bars."""
+    judged = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
+    return with_bars_judged(judged, in_map, causes, order_map)
 
 
 def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
@@ -152,12 +168,17 @@ def _orders_and_modes(
     followed: Sequence[xr.Dataset],
     known: Sequence[LineSeen],
     settings: Settings,
+    doubt: str | None,
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
-    """Orders as the map and the modes that they cross tell them, and the modes without the ``known`` electric lines."""
+    """Orders as the map and the modes that they cross tell them, and the modes without the ``known`` electric lines.
+
+    With a ``doubt`` about the speed no order is locked or slips.
+    """
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    return in_map, without_doubles(with_mains_tones(modal, known, in_map))
+    modal = without_doubles(with_mains_tones(modal, known, in_map))
+    return in_map if doubt is None else undecided_orders(in_map), modal
 
 
 def _orders_in_map(

@@ -71,7 +71,8 @@ def with_bars_judged(
     """``found`` with the doubt of its stated ``rotor_bars``, where no bar pass stands there and another count has one.
 
     Bars that pass stand at a whole order of the rotor, with twice mains on both sides of it: that tells another count.
-    A single whole order so high without such sides says only what the count would be if it were that.
+    A single whole order so high without such sides says only what the count would be if it were that. ``orders``,
+    their ``causes`` and the OrderMap ``order_map`` are those of the test.
     """
     if found is None or found.motor.rotor_bars is None or found.misfit or found.speed_doubt:
         return found

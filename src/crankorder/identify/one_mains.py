@@ -45,7 +45,7 @@ class Claim:
         return self.multiple == other.multiple and together and apart > reach
 
     def fits(self, base_hz: float, error_hz: float) -> bool:
-        """Whether it is a multiple of a supply that other lines put at ``base_hz``."""
+        """Whether it is a multiple of a supply that other lines put at ``base_hz``, within ``error_hz``."""
         reach = SAME_SIGMAS * float(np.hypot(self.error_hz, self.multiple * error_hz))
         return abs(self.hertz - self.multiple * base_hz) <= max(reach, LEAST_APART_HZ)
 
@@ -53,7 +53,10 @@ class Claim:
 def claims_of(
     orders: Sequence[AgreedOrder], tones: Sequence[Tone], order_words: Mapping[float, str], tone_words: Sequence[str]
 ) -> list[Claim]:
-    """Those of ``orders`` and ``tones`` that their words call a multiple of the mains, and nothing else."""
+    """Those of ``orders`` and ``tones`` that their words call a multiple of the mains, and nothing else.
+
+    ``order_words`` by order, ``tone_words`` one for each tone.
+    """
     made = []
     for one in orders:
         multiple = multiple_in(order_words.get(one.order, ""))

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 HARMONICS = (1, 2, 3, 4, 5, 6)
 """Swings of the angle per turn that are looked for: eccentricity, ovality, and lines that are uneven."""
 
+LARGEST_REV = 2.0 / 360.0
+"""No encoder is off by more than that: beyond, it is another line."""
+
 TURN_POINTS = 64
 """Points of a turn at which the modulation is sampled."""
 
@@ -46,8 +49,14 @@ class Swing:
 
     @property
     def left_rev(self) -> float:
-        """What is left of |E_k|, with a chance of 5 % of being more, once ``size`` was taken out where it is proved."""
-        return 2.45 * self.error_rev if self.proved else self.bound_rev
+        """What is left of |E_k|, with a chance of 5 % of being more, once ``size`` was taken out where it is proved.
+
+        Where one carrier alone shows it, as a wheel that is set off does, it may be an error of the angle all the same.
+        """
+        if self.proved:
+            return 2.45 * self.error_rev
+        shown = abs(self.size) + 2.45 * self.error_rev if self.carriers else 0.0
+        return max(self.bound_rev, shown) if shown < LARGEST_REV else self.bound_rev
 
 
 def modulation(swings: dict[int, complex], order: Floats) -> tuple[NDArray[np.int64], Complex]:

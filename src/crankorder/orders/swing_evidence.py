@@ -15,10 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.angle_swing import HARMONICS, Swing, in_true_angle
-
-LARGEST_REV = 2.0 / 360.0
-"""No encoder is off by more than that: beyond, it is another line."""
+from crankorder.orders.angle_swing import HARMONICS, LARGEST_REV, Swing, in_true_angle
 
 USUAL_REV = 0.25 / 360.0
 """Errors of mounted encoders, as the standard deviation of each part of E_1, before anything is measured: a disc of
