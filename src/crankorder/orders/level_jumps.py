@@ -75,7 +75,7 @@ def _wrong_of(rows: dict[int, float], beside: list[int], count: int) -> list[tup
 
 
 def _flag(recording: str, channel: str, what: str, *, undecided: bool = False) -> QualityFlag:
-    but = ", and nothing tells {WHICH_IS_RIGHT}" if undecided else ""
+    but = f", and nothing tells {WHICH_IS_RIGHT}" if undecided else ""
     detail = f"channel {channel}: {what}, while the other channels stay: a gain or a range was changed{but}"
     flag = QualityFlag(recording=recording, flag="level_jump", severity="suspect", detail=detail)
     flag["channel"], flag["left_out"] = channel, "channel"
