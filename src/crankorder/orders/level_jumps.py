@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import WHICH_IS_RIGHT, QualityFlag
 
 _LIKE_SPEED = 0.02
 """Speeds of two recordings are alike within this share, and each is steady within it."""
