@@ -294,16 +294,3 @@ def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
     decided = [mode for mode in findings.get("modes", []) if not is_tone(mode) and not is_undecided(mode)]
     if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
         yield "natural frequencies are named, and none is decided"
-
-
-_CHECKS = (
-    _of_orders,
-    _of_modes,
-    _of_crossings,
-    _of_speeds,
-    _of_bearings,
-    _of_mains,
-    _of_motor,
-    _of_quality,
-    _of_sentences,
-)
