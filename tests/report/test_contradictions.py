@@ -166,3 +166,13 @@ def test_each_contradiction_is_told(full: Findings, make: Callable[[Findings], N
     assert any(MADE[make] in words for words in told), told
     flags = contradiction_flags(json.loads(json.dumps(full)))
     assert {flag["flag"] for flag in flags} == {"contradiction"} and len(flags) == len(told)
+
+
+def test_a_crossing_that_is_seen_but_hardly_felt_may_lie_in_a_free_band() -> None:
+    crossing: Findings = {"order": 2.0, "mode_hz": 13.67, "excited": True, "rpm": 410.0, "in_range": True}
+    crossing |= {"verdict": "excited", "amplification": 1.2, "amplification_ci95": [0.9, 1.6]}
+    band = {"low_rpm": 400.0, "high_rpm": 420.0, "remark": ""}
+    findings = {"free_bands": [band], "crossings": [crossing]}
+    assert not [words for words in contradictions(findings) if "free" in words]
+    crossing["amplification_ci95"] = [0.9, 2.6]
+    assert [words for words in contradictions(findings) if "free" in words]

@@ -15,7 +15,8 @@ from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, Ord
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
 from crankorder.identify.modal.order_modes import KNOWN
 from crankorder.identify.responses import with_and_without
-from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, unmeasured_whirl, whirl_crossing
+from crankorder.identify.said import CLEARLY_EXCITED
+from crankorder.identify.whirl_crossings import unmeasured_whirl, whirl_crossing
 from crankorder.settings import IdentifySettings
 
 Floats = NDArray[np.float64]

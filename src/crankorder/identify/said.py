@@ -16,3 +16,6 @@ UNRESOLVED = (
 
 MAY_BE_ALL = "stands there, and may be all of it"
 """What is said of a natural frequency at which a line stands that something else makes."""
+
+CLEARLY_EXCITED = 2.0
+"""An order that cannot be so many times what it would be without the mode is not excited."""

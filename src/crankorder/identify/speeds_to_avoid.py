@@ -27,7 +27,8 @@ from crankorder.identify.lone_peaks import lone_peaks
 from crankorder.identify.modal.exclusion import MATTERS
 from crankorder.identify.modal.order_modes import KNOWN
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
-from crankorder.identify.whirl_crossings import CLEARLY_EXCITED, met_mode
+from crankorder.identify.said import CLEARLY_EXCITED
+from crankorder.identify.whirl_crossings import met_mode
 from crankorder.settings import IdentifySettings
 
 BESIDE = 0.03

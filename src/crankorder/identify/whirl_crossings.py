@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, Verdict, Whirl
 from crankorder.identify.intervals import Z95, half_width
+from crankorder.identify.said import CLEARLY_EXCITED
 from crankorder.settings import IdentifySettings
 
 Floats = NDArray[np.float64]
-
-CLEARLY_EXCITED = 2.0
-"""An order that cannot be so many times what it would be without the mode is not excited."""
 
 
 def met_mode(order: float, whirl: Whirl) -> tuple[float, Mode] | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from crankorder.identify.explain_families import IF_WRONG
 from crankorder.identify.mains import is_electric, multiple_in
-from crankorder.identify.said import MAY_BE_ALL
+from crankorder.identify.said import CLEARLY_EXCITED, MAY_BE_ALL
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
@@ -210,6 +210,12 @@ def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
     return bool(low <= max(speeds) + spare and high >= min(speeds) - spare)
 
 
+def _is_felt(crossing: dict[str, Any]) -> bool:
+    """Whether an excited crossing may make an order so much larger that nobody would call its speed free."""
+    ends = interval_of(crossing, "amplification")
+    return bool(crossing.get("excited")) and (ends is None or ends[1] >= CLEARLY_EXCITED)
+
+
 def _of_speeds(findings: dict[str, Any]) -> Iterator[str]:
     free, unknown = free_bands(findings), open_bands(findings)
     avoid = [
@@ -223,7 +229,7 @@ def _of_speeds(findings: dict[str, Any]) -> Iterator[str]:
                 if min(high, other[1]) - max(low, other[0]) > SAME * high:
                     yield f"{low:.0f} to {high:.0f} rpm: free, and {other[0]:.0f} to {other[1]:.0f} rpm {words}"
         for record in findings.get("crossings", []):
-            if record.get("excited") and is_number(record.get("rpm")) and low < record["rpm"] < high:
+            if _is_felt(record) and is_number(record.get("rpm")) and low < record["rpm"] < high:
                 yield f"{low:.0f} to {high:.0f} rpm: free, and an excited crossing at {record['rpm']:.0f} rpm"
     ranks = [record["rank"] for record in findings.get("speeds_to_avoid") or [] if is_number(record.get("rank"))]
     if ranks != sorted(ranks):
