@@ -180,9 +180,11 @@ def band(recording: Recording, shown: ShownAngle, settings: Settings) -> BandRec
 def true_angle(band: BandRecording, shown: ShownAngle, settings: Settings) -> ShaftAngle:
     """Angle ``shown`` by the encoder without the swing that the orders of ``band`` prove (``settings`` of orders).
 
-    In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more.
+    In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more. Only what
+    orders are wanted for needs it.
     """
-    if not sweeps(shown, settings.orders):
+    wanted = {OrderFrames, RecordingTracks, RecordingCycles} & set(frames_wanted(settings))
+    if not wanted or not sweeps(shown, settings.orders):
         return ShaftAngle(shown)
     return ShaftAngle(angle_in_truth(shown, order_frames(band, shown, settings=settings.orders)))
 

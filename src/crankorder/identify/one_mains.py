@@ -19,9 +19,6 @@ SAME_SIGMAS = 3.0
 LEAST_APART_HZ = 0.01
 """… and how far apart they are at least: less is no claim of another line, but what a supply wanders by in a minute."""
 
-TONE_AT = -1.0
-"""What stands for the speed of a tone, which is there at all."""
-
 
 @dataclass(frozen=True)
 class Claim:
