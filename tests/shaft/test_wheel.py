@@ -25,7 +25,7 @@ def decoded(recording_of, trace, index=None, *, rate_hz=50_000.0, **attrs):
     pulses = find_pulses(trace, pulses_per_rev=attrs["pulses_per_rev"], **options)
     marks = None if index is None else find_pulses(index, pulses_per_rev=1, **options).time_s
     recording = recording_of(pulses.time_s, index_time_s=marks, pulse_noise_s=pulses.noise_s, **attrs)
-    return shaft_angle(recording, settings=load_settings().shaft)
+    return shaft_angle(recording, settings=SETTINGS)
 
 
 def angle_of(angle, time_s):
@@ -63,7 +63,7 @@ def test_d1_one_lost_pulse_is_repaired_and_counted(known_shaft, recording_of, or
 
 def test_d1_the_lost_pulse_is_located(known_shaft, recording_of):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
-    faulty = shaft_angle(recording_of(np.delete(pulse_s, 777), pulses_per_rev=60), settings=load_settings().shaft)
+    faulty = shaft_angle(recording_of(np.delete(pulse_s, 777), pulses_per_rev=60), settings=SETTINGS)
     (when,) = re.findall(r"at ([0-9.]+) s", detail_of(faulty, "encoder_missing_pulse"))
     assert float(when) == pytest.approx(pulse_s[777], abs=1e-4)
 
@@ -86,7 +86,7 @@ def test_d4_pulses_doubled_by_ringing_are_removed_and_counted(known_shaft, recor
     pulse_s = shaft.pulse_time_s(360)
     rung = pulse_s[1000::3600] + 0.2e-3
     recording = recording_of(np.sort(np.append(pulse_s, rung)), pulse_noise_s=1e-6)
-    angle = shaft_angle(recording, settings=load_settings().shaft)
+    angle = shaft_angle(recording, settings=SETTINGS)
     when = ", ".join(f"{value:.6g}" for value in rung)
     assert detail_of(angle, "encoder_double_pulse") == f"{rung.size} false pulses removed, at {when} s"
     assert angle.attrs["n_pulses"] == pulse_s.size
@@ -101,7 +101,7 @@ def test_d4_pulses_doubled_by_ringing_are_removed_and_counted(known_shaft, recor
 def test_a_false_pulse_anywhere_between_two_is_removed(known_shaft, share):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
     false = pulse_s[500] + share * (pulse_s[501] - pulse_s[500])
-    teeth = number_teeth(np.sort(np.append(pulse_s, false)), pulses_per_rev=60, settings=load_settings().shaft)
+    teeth = number_teeth(np.sort(np.append(pulse_s, false)), pulses_per_rev=60, settings=SETTINGS)
     assert teeth.n_repaired == 1
     np.testing.assert_array_equal(teeth.time_s, pulse_s)
     np.testing.assert_array_equal(np.diff(teeth.tooth), 1)
@@ -110,9 +110,7 @@ def test_a_false_pulse_anywhere_between_two_is_removed(known_shaft, share):
 @pytest.mark.parametrize("in_a_row", [1, 2, 5])
 def test_pulses_lost_in_a_row_leave_the_count_right(known_shaft, in_a_row):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
-    teeth = number_teeth(
-        np.delete(pulse_s, range(700, 700 + in_a_row)), pulses_per_rev=60, settings=load_settings().shaft
-    )
+    teeth = number_teeth(np.delete(pulse_s, range(700, 700 + in_a_row)), pulses_per_rev=60, settings=SETTINGS)
     assert teeth.n_repaired == in_a_row
     assert teeth.tooth[-1] - teeth.tooth[0] == pulse_s.size - 1
 
@@ -159,7 +157,7 @@ def test_index_to_tdc_turns_the_angle(known_shaft, recording_of):
     made = recording_of(
         pulse_s, index_time_s=index_s, pulses_per_rev=60, pulse_noise_s=1e-7, index_to_tdc_deg=30.0, revs_per_cycle=2
     )
-    angle = shaft_angle(made, settings=load_settings().shaft)
+    angle = shaft_angle(made, settings=SETTINGS)
     np.testing.assert_allclose(angle_of(angle, index_s[1:-1]) % 1.0, 1.0 - 30.0 / 360.0, atol=1e-6)
     assert angle.attrs["cycle_known"] == 0
     assert "cycle_phase_unknown" in {item["flag"] for item in flags_of(angle)}
@@ -199,7 +197,7 @@ def test_tooth_one_behind_the_gap_is_the_mark_of_a_missing_tooth_wheel(known_sha
 def test_a_tooth_lost_anywhere_on_a_missing_tooth_wheel_keeps_its_zero(known_shaft, lost):
     shaft = known_shaft(1500.0, start_rev=0.0)
     pulse_s = wheel_with_gap(shaft, 60, 2)
-    teeth = number_teeth(np.delete(pulse_s, lost), pulses_per_rev=60, missing_teeth=2, settings=load_settings().shaft)
+    teeth = number_teeth(np.delete(pulse_s, lost), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
     assert teeth.n_repaired == 1
     true = np.round(shaft.angle_rev(teeth.time_s) * 60).astype(int)
     assert set((teeth.tooth - true) % 60) == {0}
@@ -208,30 +206,28 @@ def test_a_tooth_lost_anywhere_on_a_missing_tooth_wheel_keeps_its_zero(known_sha
 def test_the_wrong_wheel_is_refused(known_shaft):
     pulse_s = wheel_with_gap(known_shaft(1500.0), 36, 2)
     with pytest.raises(InputError, match=r"found a wheel 36-2 \(34 pulses\).*allowed: a 60-2 wheel of 58 pulses"):
-        number_teeth(pulse_s, pulses_per_rev=60, missing_teeth=2, settings=load_settings().shaft)
+        number_teeth(pulse_s, pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
     with pytest.raises(InputError, match="no gap found"):
-        number_teeth(
-            known_shaft(1500.0).pulse_time_s(60), pulses_per_rev=60, missing_teeth=2, settings=load_settings().shaft
-        )
+        number_teeth(known_shaft(1500.0).pulse_time_s(60), pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
 
 
 def test_too_many_repairs_are_refused(known_shaft):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
     few = pulse_s[np.random.default_rng(3).random(pulse_s.size) > 0.1]
     with pytest.raises(InputError, match="the count is not certain"):
-        number_teeth(few, pulses_per_rev=60, settings=load_settings().shaft)
+        number_teeth(few, pulses_per_rev=60, settings=SETTINGS)
 
 
 @pytest.mark.parametrize("times", [[0.0, 1.0], [0.0, 2.0, 1.0, 3.0], [0.0, 1.0, np.nan, 3.0], []])
 def test_times_that_cannot_be_pulses_are_refused(times):
     with pytest.raises(InputError):
-        number_teeth(np.array(times, dtype=np.float64), pulses_per_rev=1, settings=load_settings().shaft)
+        number_teeth(np.array(times, dtype=np.float64), pulses_per_rev=1, settings=SETTINGS)
 
 
 def test_a_burst_of_interference_is_removed_and_told_from_ringing(known_shaft):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
     burst = pulse_s[900] + np.array([0.1, 0.3, 0.32, 0.5, 0.7]) * (pulse_s[901] - pulse_s[900])
-    teeth = number_teeth(np.sort(np.append(pulse_s, burst)), pulses_per_rev=60, settings=load_settings().shaft)
+    teeth = number_teeth(np.sort(np.append(pulse_s, burst)), pulses_per_rev=60, settings=SETTINGS)
     np.testing.assert_array_equal(teeth.time_s, pulse_s)
     flags = {flag: detail for flag, _, detail in teeth.flags}
     assert flags["encoder_double_pulse"].startswith("5 false pulses")
@@ -243,7 +239,7 @@ def test_a_count_that_slips_for_good_is_put_right_at_the_index_and_located(known
     pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
     # one pulse too few, and the others spread so that no interval looks wrong: only the index shows it
     spread = np.concatenate([pulse_s[:1500], np.linspace(pulse_s[1500], pulse_s[1512], 12), pulse_s[1513:]])
-    teeth = number_teeth(spread, pulses_per_rev=60, index_time_s=index_s, settings=load_settings().shaft)
+    teeth = number_teeth(spread, pulses_per_rev=60, index_time_s=index_s, settings=SETTINGS)
     detail = {flag: detail for flag, _, detail in teeth.flags}["encoder_slip"]
     assert detail.startswith("pulse count put right at 1 index marks")
     (when,) = re.findall(r"at ([0-9.]+) s", detail)
@@ -286,14 +282,14 @@ def _from_rest(rpm_per_s: float, rev: float, teeth: int, rate_hz: float) -> np.n
 @pytest.mark.parametrize("rpm_per_s", [150.0, 440.0, 900.0])
 def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth(rpm_per_s: float) -> None:
     time_s = _from_rest(rpm_per_s, 20.0, 60, 8192.0)
-    found = number_teeth(time_s, pulses_per_rev=60, settings=load_settings().shaft)
+    found = number_teeth(time_s, pulses_per_rev=60, settings=SETTINGS)
     assert found.n_repaired == 0 and (np.diff(found.tooth) == 1).all()
 
 
 def test_a_wheel_with_a_gap_that_starts_from_rest_finds_its_gap() -> None:
     time_s = _from_rest(800.0, 12.0, 60, 5000.0)
     kept = np.arange(len(time_s)) % 60 < 58
-    found = number_teeth(time_s[kept], pulses_per_rev=60, missing_teeth=2, settings=load_settings().shaft)
+    found = number_teeth(time_s[kept], pulses_per_rev=60, missing_teeth=2, settings=SETTINGS)
     true = np.searchsorted(time_s, found.time_s - 1e-9)
     assert len(np.unique((true - found.tooth)[10:])) == 1  # of the first few one may be taken for another
 
@@ -303,6 +299,6 @@ def test_a_jittering_encoder_is_counted_to_its_last_pulse(jitter: float) -> None
     rng = np.random.default_rng(20)
     number = np.arange(200_000)
     time_s = np.sort((number + jitter * rng.standard_normal(number.size)) / 18_000.0)
-    teeth = number_teeth(time_s, pulses_per_rev=720, settings=load_settings().shaft)
+    teeth = number_teeth(time_s, pulses_per_rev=720, settings=SETTINGS)
     assert teeth.n_repaired == 0
     assert teeth.tooth[-1] - teeth.tooth[0] == number[-1]

@@ -8,6 +8,7 @@ import numpy as np
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.lines.speed_proof import NO_PULSES
+from crankorder.identify.said import IF_WRONG
 from crankorder.identify.sidebands import MESH_RATIO, meshes, other_shafts, sidebands
 
 Key = tuple[str, float]
@@ -21,9 +22,6 @@ MESH = "gear mesh or blade passing: integer order with sidebands"
 
 BY_ITSELF = ("unexplained", "shaft harmonic")
 """Words for lines that a mesh beside them explains better."""
-
-IF_WRONG = "this one if that is wrong"
-"""Words of a shaft that may be the one whose speed was stated."""
 
 NEAR_MODE = 0.06
 """A line within this share of a natural frequency may stand out because of it."""

@@ -9,13 +9,14 @@ import xarray as xr
 
 from crankorder.engine.motor import BAR_PASS
 from crankorder.identify.explain import Causes
-from crankorder.identify.explain_families import BY_ITSELF, IF_WRONG
+from crankorder.identify.explain_families import BY_ITSELF
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
 from crankorder.identify.mains import mains_words
 from crankorder.identify.motors import MotorFound
 from crankorder.identify.one_mains import OR_ANOTHER
+from crankorder.identify.said import IF_WRONG
 
 MOST_TURNS = 4
 """Multiples of the shaft's turns up to which a line that may be one speaks for the speed: higher ones are hit often."""

@@ -17,5 +17,8 @@ UNRESOLVED = (
 MAY_BE_ALL = "stands there, and may be all of it"
 """What is said of a natural frequency at which a line stands that something else makes."""
 
+IF_WRONG = "this one if that is wrong"
+"""Words of a shaft that may be the one whose speed was stated."""
+
 CLEARLY_EXCITED = 2.0
 """An order that cannot be so many times what it would be without the mode is not excited."""

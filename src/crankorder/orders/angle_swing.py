@@ -20,6 +20,9 @@ HARMONICS = (1, 2, 3, 4, 5, 6)
 LARGEST_REV = 2.0 / 360.0
 """No encoder is off by more than that: beyond, it is another line."""
 
+REACH_95 = 2.45
+"""Standard errors of each part within which both together lie with a chance of 95 %."""
+
 TURN_POINTS = 64
 """Points of a turn at which the modulation is sampled."""
 
@@ -54,8 +57,8 @@ class Swing:
         Where one carrier alone shows it, as a wheel that is set off does, it may be an error of the angle all the same.
         """
         if self.proved:
-            return 2.45 * self.error_rev
-        shown = abs(self.size) + 2.45 * self.error_rev if self.carriers else 0.0
+            return REACH_95 * self.error_rev
+        shown = abs(self.size) + REACH_95 * self.error_rev if self.carriers else 0.0
         return max(self.bound_rev, shown) if shown < LARGEST_REV else self.bound_rev
 
 

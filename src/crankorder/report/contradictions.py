@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from crankorder.identify.explain_families import IF_WRONG
 from crankorder.identify.mains import is_electric, multiple_in
-from crankorder.identify.said import CLEARLY_EXCITED, MAY_BE_ALL
+from crankorder.identify.said import CLEARLY_EXCITED, IF_WRONG, MAY_BE_ALL
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
