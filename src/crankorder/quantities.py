@@ -24,8 +24,8 @@ from crankorder.errors import SchemaError
 Recording = NewType("Recording", xr.Dataset)
 """One file as measured: signal[channel, time | crank_angle] with encoder and index pulse times."""
 
-ShownAngle = NewType("ShownAngle", xr.Dataset)
 ShaftAngle = NewType("ShaftAngle", xr.Dataset)
+TrueAngle = NewType("TrueAngle", xr.Dataset)
 """Crank angle, speed and their standard error on time knots."""
 
 BandRecording = NewType("BandRecording", xr.Dataset)

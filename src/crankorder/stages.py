@@ -27,10 +27,11 @@ from crankorder.identify.lines.swept_orders import swept_orders
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
+from crankorder.orders.angle_errors import TAKEN
 from crankorder.orders.envelope import recording_envelope
 from crankorder.orders.envelope_map import envelope_map
 from crankorder.orders.followed import followed_tracks, with_followed
-from crankorder.orders.frames import order_frames, sweeps
+from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
@@ -61,7 +62,7 @@ from crankorder.quantities import (
     RecordingLevels,
     RecordingTracks,
     ShaftAngle,
-    ShownAngle,
+    TrueAngle,
     check_dataset,
     flags_of,
     with_flags,
@@ -76,6 +77,7 @@ from crankorder.shaft.silent_ends import silent_ends
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
 ShownOrderFrames = NewType("ShownOrderFrames", list[xr.Dataset])
+FramesAsShown = NewType("FramesAsShown", xr.Dataset)
 AllOrderFrames = NewType("AllOrderFrames", list[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
 ShownRecordingTracks = NewType("ShownRecordingTracks", list[xr.Dataset])
@@ -87,8 +89,9 @@ AllRecordingLevels = NewType("AllRecordingLevels", list[xr.Dataset])
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
     BandRecording: "recording",
-    ShownAngle: "shaft_angle",
     ShaftAngle: "shaft_angle",
+    FramesAsShown: "order_frames",
+    TrueAngle: "shaft_angle",
     OrderFrames: "order_frames",
     FrequencyFrames: "frequency_frames",
     OrderMap: "order_map",
@@ -135,11 +138,11 @@ def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recor
 
 
 @stage
-def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShownAngle:
+def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShaftAngle:
     """Crank angle and speed from the pulses of ``recording`` and ``knowledge`` of its shaft (``settings`` of shaft)."""
     angle = shaft_angle(recording, settings=settings.shaft, knowledge=knowledge)
     if recording.attrs.get("encoder_kind") == "vibration" or not angle.attrs.get("has_shaft", 1):
-        return ShownAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
+        return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
     audit = reference_audit(
         angle,
@@ -150,7 +153,7 @@ def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -
         irregularity={} if angle.attrs.get("in_cycle_filled") else None,
     )
     remarks = [*audit.remarks, *silent_ends(recording, angle)]
-    return ShownAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
+    return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
 
 
 @stage
@@ -160,9 +163,9 @@ def pattern(recording: Recording, settings: Settings) -> LinePattern:
 
 
 @stage
-def band(recording: Recording, shown: ShownAngle, settings: Settings) -> BandRecording:
-    """``recording`` limited to the band that orders and map need at the speeds of ``shown`` (``settings`` of both)."""
-    fastest_hz = float(np.nan_to_num(shown["speed"].values).max()) / 60.0
+def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRecording:
+    """``recording`` limited to the band that orders and map need at the speeds of ``shaft`` (``settings`` of both)."""
+    fastest_hz = float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
     frames = frames_wanted(settings)
     by_order = settings.orders.max_order * fastest_hz if {OrderFrames, RecordingCycles} & set(frames) else 0.0
     by_name = max(settings.orders.track_orders, default=0.0) * fastest_hz if RecordingTracks in frames else 0.0
@@ -177,22 +180,25 @@ def band(recording: Recording, shown: ShownAngle, settings: Settings) -> BandRec
 
 
 @stage
-def true_angle(band: BandRecording, shown: ShownAngle, settings: Settings) -> ShaftAngle:
-    """Angle ``shown`` by the encoder without the swing that the orders of ``band`` prove (``settings`` of orders).
-
-    In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more. Only what
-    orders are wanted for needs it.
-    """
-    wanted = {OrderFrames, RecordingTracks, RecordingCycles} & set(frames_wanted(settings))
-    if not wanted or not sweeps(shown, settings.orders):
-        return ShaftAngle(shown)
-    return ShaftAngle(angle_in_truth(shown, order_frames(band, shown, settings=settings.orders)))
+def frames_as_shown(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FramesAsShown:
+    """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
+    return FramesAsShown(order_frames(band, shaft, settings=settings.orders))
 
 
 @stage
-def frames_by_order(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> OrderFrames:
-    """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
-    return OrderFrames(order_frames(band, shaft, settings=settings.orders))
+def true_angle(shaft: ShaftAngle, shown: FramesAsShown) -> TrueAngle:
+    """Angle of ``shaft`` without the swing of its encoder that the frames ``shown`` by it prove.
+
+    In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more.
+    """
+    return TrueAngle(angle_in_truth(shaft, shown) if shown.attrs.get("swept", 0) else shaft)
+
+
+@stage
+def frames_by_order(band: BandRecording, angle: TrueAngle, shown: FramesAsShown, settings: Settings) -> OrderFrames:
+    """Frames ``shown`` by the encoder; where its ``angle`` was put right, ``band`` again (``settings`` of orders)."""
+    put_right = TAKEN in angle.attrs
+    return OrderFrames(order_frames(band, angle, settings=settings.orders) if put_right else shown)
 
 
 @stage
@@ -203,21 +209,21 @@ def frames_by_frequency(band: BandRecording, shaft: ShaftAngle, settings: Settin
 
 @stage
 def tracks_of_recording(
-    band: BandRecording, shaft: ShaftAngle, frames: OrderFrames, settings: Settings
+    band: BandRecording, angle: TrueAngle, frames: OrderFrames, settings: Settings
 ) -> RecordingTracks:
-    """Orders followed through ``band`` by the angle of ``shaft``: those asked for and, in sweeps, those of ``frames``.
+    """Orders followed through ``band`` by ``angle``: those asked for and, in sweeps, those of ``frames``.
 
     ``settings``: of orders, and of identify for what stands out.
     """
     swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
     found = swept_orders(frames, settings=settings) if swept else []
-    return RecordingTracks(followed_tracks(band, shaft, settings=settings.orders, swept=swept, standing_out=found))
+    return RecordingTracks(followed_tracks(band, angle, settings=settings.orders, swept=swept, standing_out=found))
 
 
 @stage
-def cycles_of_recording(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> RecordingCycles:
-    """Mean engine cycle of ``band`` by the angle of ``shaft``, with its spread (``settings`` of orders)."""
-    return RecordingCycles(cycle_average(band, shaft, settings=settings.orders))
+def cycles_of_recording(band: BandRecording, angle: TrueAngle, settings: Settings) -> RecordingCycles:
+    """Mean engine cycle of ``band`` by ``angle``, with its spread (``settings`` of orders)."""
+    return RecordingCycles(cycle_average(band, angle, settings=settings.orders))
 
 
 @stage
@@ -335,6 +341,7 @@ OF_RECORDING = (
     ingest,
     shaft,
     band,
+    frames_as_shown,
     true_angle,
     frames_by_order,
     frames_by_frequency,

@@ -16,7 +16,7 @@ from crankorder.orders.method import METHOD_SHARE, FrameLayout, OrderMethod, fra
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
+from crankorder.shaft.angle import knots_of, time_at
 from crankorder.shaft.smoothed_speed import SpeedCourse, speed_at_angle, speed_course
 
 SWEPT_SHARE = 0.1
@@ -24,10 +24,6 @@ SWEPT_SHARE = 0.1
 
 STEADY_SHARE = 0.02
 """Share of the mean speed by which that of frames may wander in steady running."""
-
-
-SWEEP_PIECES = 16
-"""Pieces of a recording whose mean speeds tell whether it sweeps."""
 
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
@@ -47,7 +43,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     course = None if is_by_angle(band) else speed_course(shaft)
     layout = frame_layout(band, shaft, settings=settings, course=course)
     speed = _mean_speed(shaft, layout)
-    swept = is_swept(speed, settings)
+    swept = _is_swept(speed, settings)
     if swept:
         # the mean over the time lags behind the speed in the middle, where the window weighs most
         speed = speed_at_angle(shaft, layout.begin_rev + 0.5 * layout.revs, float(layout.revs))
@@ -128,23 +124,8 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
 
 
-def sweeps(shaft: xr.Dataset, settings: OrderSettings) -> bool:
-    """Whether the speed of ``shaft`` (ShaftAngle) changes along the recording as :func:`is_swept` says.
-
-    ``settings``: of orders.
-    """
-    if not shaft.attrs.get("has_shaft", 1) or shaft.attrs.get("domain", "time") == "crank_angle":
-        return False
-    first, last = shaft["time"].values[[0, -1]]
-    time = np.linspace(first, last, SWEEP_PIECES + 1)
-    return is_swept(60.0 * np.diff(angle_at(time, **knots_of(shaft))) / np.diff(time), settings)
-
-
-def is_swept(speed_rpm: NDArray[np.float64], settings: OrderSettings) -> bool:
-    """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes.
-
-    ``speed_rpm`` (frame,); ``settings`` of orders.
-    """
+def _is_swept(speed_rpm: NDArray[np.float64], settings: OrderSettings) -> bool:
+    """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes."""
     known = speed_rpm[np.isfinite(speed_rpm)]
     return len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
 
