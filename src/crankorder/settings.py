@@ -89,6 +89,7 @@ class ShaftSettings(StageSettings):
     reference_irregularity_percent: Annotated[float, Field(ge=0, lt=100)]
     calibrate_encoder: bool
     calibration_speed_ratio: Annotated[float, Field(gt=1)]
+    least_tooth_error: Fraction
 
 
 class OrderSettings(StageSettings):

@@ -32,6 +32,7 @@ from crankorder.shaft.pulses import Remark
 from crankorder.shaft.repair import FEW_PULSES, running_parts
 from crankorder.shaft.runs import ShaftRun, joined
 from crankorder.shaft.speed_signal import integrated_speed
+from crankorder.shaft.tooth_errors import tooth_errors, tooth_remark, without_tooth_errors
 from crankorder.shaft.uneven import wheel_of
 from crankorder.shaft.wheel import NumberedTeeth
 
@@ -195,6 +196,10 @@ def _from_run(
         errors = knowledge.calibration.line_error_rev
         even_s = even_line_times(teeth.time_s, teeth.tooth, errors, index_tooth=teeth.index_tooth)
         teeth = replace(teeth, time_s=even_s)
+    cycle = int(attrs["revs_per_cycle"])
+    wrong = tooth_errors(teeth, ratio=ratio, revs_per_cycle=cycle, noise_s=stated, settings=settings)
+    if wrong is not None:
+        teeth = without_tooth_errors(teeth, wrong)
     teeth_per_rev = teeth.teeth_per_rev * ratio
     knots, tdc, cycle_known, reference, flags = _knots(
         recording, teeth, teeth_per_rev, settings, knowledge.engine, smooth=smooth
@@ -203,6 +208,10 @@ def _from_run(
         left_rev = float(np.sqrt(np.mean(knowledge.calibration.standard_error_rev**2))) / ratio
         knots = replace(knots, standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
     remarks = [*teeth.flags, *flags]
+    if wrong is not None:
+        left_rev = wrong.standard_error_rev / ratio
+        knots = replace(knots, standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
+        remarks.append(tooth_remark(wrong, teeth.teeth_per_rev, ratio))
     if stated > 0.0 and knots.noise_s > JITTER_RATIO * stated:
         share = knots.noise_s / float(np.median(np.diff(teeth.time_s)))
         detail = f"pulses jitter by {share:.2g} of their distance, more than their sampling"

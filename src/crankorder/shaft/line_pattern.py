@@ -33,6 +33,8 @@ GATHERED = 1.5
 LOW_ORDERS, LEAST_GAIN = 24, 0.005
 # Share of what is of second order in the motion that is not sure.
 BENT_DOUBT = 0.01
+# Times that the speed at a line is taken: at first the errors of the lines beside it are in it.
+SPEED_ROUNDS = 2
 # Lines of the full wheel below which there is no pattern to speak of.
 FEWEST_LINES = 4
 
@@ -165,9 +167,10 @@ def even_line_times(
     reach = max(1, round(lines / 48 * time_s.size / (tooth[-1] - tooth[0] + 1)))
     at = np.arange(time_s.size)
     before, after = np.maximum(at - reach, 0), np.minimum(at + reach, at.size - 1)
-    moved: FloatArray = time_s - line_error_rev[line] * lines * (
-        (time_s[after] - time_s[before]) / (tooth[after] - tooth[before])
-    )
+    moved = time_s
+    for _ in range(SPEED_ROUNDS):
+        tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
+        moved = time_s - line_error_rev[line] * lines * tooth_s
     return moved
 
 
