@@ -90,6 +90,7 @@ class ShaftSettings(StageSettings):
     calibrate_encoder: bool
     calibration_speed_ratio: Annotated[float, Field(gt=1)]
     least_tooth_error: Fraction
+    largest_swing_percent: Positive
 
 
 class OrderSettings(StageSettings):

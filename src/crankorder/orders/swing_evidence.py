@@ -42,6 +42,9 @@ ROUNDS = 3
 LIKELY = 3.0
 """Standard errors from which an E_k is taken out on trial."""
 
+LINE_RATIO = 10.0
+"""Power over that of the noise from which a half order is a line that may have sidebands."""
+
 RADII, PHASES = 72, 40
 """Grid of E_k over which the odds are summed …"""
 
@@ -197,12 +200,14 @@ def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
     room = max(n - step, 0)  # a map of few orders has no neighbour for a high harmonic
     order = np.arange(n) / 2.0
     seen = np.where(np.isfinite(value.real), value, 0.0)
+    # noise is no line: it lies in the angle shown as it does in the true one, and has no sidebands
+    line = np.where(_is_line(value, noise), seen, 0.0)
     u, v = np.zeros_like(seen), np.zeros_like(seen)
-    u[:, step:] = seen[:, :room] * order[:room]
+    u[:, step:] = line[:, :room] * order[:room]
     # order m - k below 0 is the line above it, turned the other way
     for place in range(1, min(step, n)):
-        u[:, place] = -order[step - place] * seen[:, step - place].conj() if step - place < n else 0.0
-    v[:, :room] = seen[:, step:] * order[step:]
+        u[:, place] = -order[step - place] * line[:, step - place].conj() if step - place < n else 0.0
+    v[:, :room] = line[:, step:] * order[step:]
     weight = np.where(np.isfinite(value.real) & (noise > 0.0), 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
     weight[:, room:] = 0.0  # what lies above is not known
     weight[:, 0] = 0.0
@@ -217,6 +222,13 @@ def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
     both, low, high = (total(one)[kept] for one in (u * v.conj(), u.conj() * seen, v.conj() * seen))
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
     return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
+
+
+def _is_line(value: Complex, noise: Floats) -> NDArray[np.bool_]:
+    """Which of the half orders of ``value`` (rows, half orders) have far more power than the ``noise`` in them."""
+    known = np.isfinite(value.real) & np.isfinite(noise)
+    power, least = (np.where(known, one, 0.0).sum(axis=0) for one in (np.square(np.abs(value)), noise))
+    return np.asarray(power > LINE_RATIO * least)
 
 
 def _put_back(sums: _Sums, known: complex) -> _Sums:

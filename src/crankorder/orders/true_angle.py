@@ -89,7 +89,7 @@ def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset) -> xr.Dataset:
         ),
     ).assign_attrs({TAKEN: _stated(own)[TAKEN]})
     recording = str(frames.attrs["recording"])
-    return with_flags(made, [*flags_of(shown), *(_flag(recording, one, "the angle") for one in own if one.proved)])
+    return with_flags(made, [_flag(recording, one, "the angle") for one in own if one.proved])
 
 
 def _error(taken: dict[int, complex], angle: NDArray[np.float64], *, slope: bool = False) -> NDArray[np.float64]:

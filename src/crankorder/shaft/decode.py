@@ -32,7 +32,8 @@ from crankorder.shaft.pulses import Remark
 from crankorder.shaft.repair import FEW_PULSES, running_parts
 from crankorder.shaft.runs import ShaftRun, joined
 from crankorder.shaft.speed_signal import integrated_speed
-from crankorder.shaft.tooth_errors import tooth_errors, tooth_remark, without_tooth_errors
+from crankorder.shaft.swing import swing_remarks
+from crankorder.shaft.tooth_errors import stated_teeth, tooth_errors, tooth_remark, without_tooth_errors
 from crankorder.shaft.uneven import wheel_of
 from crankorder.shaft.wheel import NumberedTeeth
 
@@ -150,7 +151,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: Shaf
             )
             left_out.append(("encoder_part_unused", "suspect", detail))
     if len(made) == 1:
-        return _shaft_of(recording, [made[0][1]], made[0][1].knots, [*remarks, *left_out])
+        return _shaft_of(recording, [made[0][1]], made[0][1].knots, [*remarks, *left_out], settings)
     runs = [
         ShaftRun(
             one.knots,
@@ -166,18 +167,19 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: Shaf
     if any(one.reference == "none" for one in decoded):
         detail = "no mark tells the angle again after the standstill: between the runs the pulses are counted"
         left_out.append(("standstill_phase", "info", detail))
-    return _shaft_of(recording, decoded, knots, [*remarks, *left_out])
+    return _shaft_of(recording, decoded, knots, [*remarks, *left_out], settings)
 
 
 @dataclass(frozen=True)
 class _Decoded:
-    """One run: its teeth, knots with the angle from top dead centre, what that rests on, and remarks."""
+    """One run: its teeth, knots with the angle from top dead centre, what that rests on, remarks, its teeth's errors."""
 
     teeth: NumberedTeeth
     knots: AngleKnots
     cycle_known: bool
     reference: str
     remarks: list[Remark]
+    teeth_stated: dict[str, Any]
 
 
 def _from_run(
@@ -220,11 +222,17 @@ def _from_run(
     period = int(attrs["revs_per_cycle"]) if cycle_known else 1
     turns = period * np.ceil((teeth.tooth[0] / teeth_per_rev - tdc) / period - 1e-9)
     knots = replace(knots, angle_rev=knots.angle_rev - tdc - turns)
-    return _Decoded(teeth, knots, cycle_known, reference, remarks)
+    known = stated_teeth(wrong, ratio=ratio, tdc_rev=tdc)
+    return _Decoded(teeth, knots, cycle_known, reference, remarks, known)
 
 
-def _shaft_of(recording: xr.Dataset, runs: list[_Decoded], knots: AngleKnots, remarks: list[Remark]) -> ShaftAngle:
-    """ShaftAngle on the ``knots`` of all ``runs``, which knows of its phase what each of them knows."""
+def _shaft_of(
+    recording: xr.Dataset, runs: list[_Decoded], knots: AngleKnots, remarks: list[Remark], settings: ShaftSettings
+) -> ShaftAngle:
+    """ShaftAngle on the ``knots`` of all ``runs``, which knows of its phase what each of them knows.
+
+    ``settings``: of what swing of the speed is more than a shaft can.
+    """
     attrs = recording.attrs
     teeth, stated = runs[0].teeth, float(attrs.get("pulse_noise_s", 0.0))
     for one in runs:
@@ -243,7 +251,8 @@ def _shaft_of(recording: xr.Dataset, runs: list[_Decoded], knots: AngleKnots, re
     shaft.attrs["cut_off_order"] = knots.cut_off_order
     shaft.attrs["edge_step_s"] = math.sqrt(12.0) * stated if rounded else 0.0
     shaft.attrs["in_cycle_filled"] = int(any(flag == "in_cycle_from_model" for flag, _, _ in remarks))
-    return shaft
+    shaft.attrs |= runs[0].teeth_stated
+    return ShaftAngle(with_flags(shaft, flags_named(str(attrs["recording"]), swing_remarks(shaft, settings))))
 
 
 def _knots(

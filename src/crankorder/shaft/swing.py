@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+
+from crankorder.settings import ShaftSettings
+from crankorder.shaft.pulses import Remark
+from crankorder.shaft.tooth_errors import HIGHEST_MOTION, REACH_95, TOOTH_LEVEL, TOOTH_ORDER
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +38,8 @@ class SpeedSwing:
     """Peak amplitudes (rpm) of a speed at ``orders``, about its mean ``speed_rpm``, over ``cycles`` whole cycles.
 
     ``amplitude_rpm`` (orders,) is the root of the mean square over the cycles, what differs from cycle to cycle
-    included; ``steady_rpm`` (orders,) is that of the mean cycle.
+    included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) what the teeth of the wheel
+    may make of it, with a chance of 5 % of being more.
     """
 
     speed_rpm: float
@@ -42,12 +47,18 @@ class SpeedSwing:
     orders: Floats
     amplitude_rpm: Floats
     steady_rpm: Floats
+    doubt_rpm: Floats
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Which ``orders`` swing for certain: the mean cycle far more than the cycles scatter, and worth mention."""
+        """Which ``orders`` swing for certain: the mean cycle far more than the cycles scatter or teeth make, and worth it."""
         scatter = np.sqrt(np.maximum(self.amplitude_rpm**2 - self.steady_rpm**2, 0.0) / self.cycles)
-        return (self.steady_rpm > SURE * scatter) & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)
+        sure = (self.steady_rpm > SURE * scatter) & (self.steady_rpm > self.doubt_rpm)
+        return sure & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)
+
+
+WHOLE = 1e-6
+"""An order of the encoder this close to a whole number is one."""
 
 
 def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
@@ -69,7 +80,36 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     orders = np.arange(1, int(highest * cycle + 1e-9) + 1) / cycle
     if cycles < FEWEST_CYCLES or not orders.size:
         return None
-    return _swing(*_between(time, angle, speed), orders, cycles=cycles, revs=cycle, per_rev=per_rev)
+    made = _swing(*_between(time, angle, speed), orders, cycles=cycles, revs=cycle, per_rev=per_rev)
+    return replace(made, doubt_rpm=_of_teeth(shaft, orders) * made.speed_rpm)
+
+
+def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
+    """Remark where the speed of ``shaft`` swings at high orders by more than ``settings`` say a shaft can."""
+    swing = speed_swing(shaft)
+    if swing is None:
+        return []
+    high = swing.told & (swing.orders > HIGHEST_MOTION)
+    share = 100.0 * swing.steady_rpm / swing.speed_rpm
+    beyond = float(np.sqrt(np.sum(np.square(share[high]))))
+    if not beyond > settings.largest_swing_percent:
+        return []
+    total, low = (float(np.sqrt(np.sum(np.square(share[kept])))) for kept in (swing.told, swing.told & ~high))
+    detail = (
+        f"the speed within the revolution swings by {total:.2g} %, of that {beyond:.2g} % above order "
+        f"{HIGHEST_MOTION:g}: more than a shaft can; teeth of the wheel that sit wrongly? What the shaft swings is "
+        f"between 0 and {low:.2g} %; orders beside strong ones may be made by it. Record more revolutions to tell"
+    )
+    return [("encoder_tooth_errors_likely", "suspect", detail)]
+
+
+def _of_teeth(shaft: xr.Dataset, orders: Floats) -> Floats:
+    """Share of the speed that the teeth of the wheel of ``shaft`` may make swing at each of ``orders``, at most."""
+    level, every = float(shaft.attrs.get(TOOTH_LEVEL, 0.0)), float(shaft.attrs.get(TOOTH_ORDER, 0.0))
+    if not every > 0.0:
+        return np.zeros(len(orders))
+    of_wheel = np.abs(orders / every - np.round(orders / every)) < WHOLE
+    return np.where(of_wheel, 2.0 * np.pi * orders * level * REACH_95, 0.0)
 
 
 def _between(time: Floats, angle: Floats, speed: Floats) -> tuple[Floats, Floats]:
@@ -96,4 +136,5 @@ def _swing(angle: Floats, speed: Floats, orders: Floats, *, cycles: int, revs: i
         orders=orders,
         amplitude_rpm=np.sqrt((np.abs(lines) ** 2).mean(axis=0)),
         steady_rpm=np.abs(lines.mean(axis=0)),
+        doubt_rpm=np.zeros(len(orders)),
     )

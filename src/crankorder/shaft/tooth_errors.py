@@ -8,7 +8,9 @@ order that is no larger than these is theirs; one that stands out is motion, wit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +33,18 @@ STANDS_OUT, CHANCE = 6.0, 0.01
 # Root of the power below which the amplitude of a harmonic of white errors is with a chance of 95 %, in roots of means.
 REACH_95 = math.sqrt(-math.log(0.05))
 
-UNKNOWN_REV = "tooth_doubt_rev"
-"""Attribute of a ShaftAngle: amplitude [rev] of the crank angle that teeth may give to any order of the encoder."""
+PRINTED = 8
+"""Harmonics by which a wheel is known again."""
+
+ALIKE = 0.4
+"""Share of the power of two patterns that their product has at least where they are one: half where they are equal."""
+
+TOOTH_LEVEL, TOOTH_PRINT = "tooth_level_rev", "tooth_print_rev"
+"""Attributes of a ShaftAngle: root of the mean square amplitude [rev] of the crank angle that teeth give to each order
+of the encoder, and the real and imaginary parts [rev] of some of these, counted from angle 0."""
+
+TOOTH_ORDER = "tooth_order"
+"""Attribute of a ShaftAngle: crank order at whose multiples the teeth err, 0 where they are not known to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +52,21 @@ class ToothErrors:
     """Errors of a wheel's teeth: ``line_error_rev`` (line,) true place less where it should be, in encoder revolutions.
 
     Line 0 is tooth number 0. ``rms_share`` is their size over the pitch; ``level_rev`` the root of the mean square
-    amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` (harmonics) are
-    those that stand out and stay as motion, ``standard_error_rev`` what is left in the angle.
+    amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` (harmonics) stay in
+    the angle, ``motion`` (harmonics) are those of them that stand out; ``standard_error_rev`` is what is left in the
+    angle, ``print_rev`` amplitudes [rev] of some harmonics, by which a wheel is known again, the
+    ``first_printed`` one and those above it.
     """
 
     line_error_rev: FloatArray
     rms_share: float
     level_rev: float
     kept: tuple[int, ...]
+    motion: tuple[int, ...]
     standard_error_rev: float
     n_revs: int
+    print_rev: npt.NDArray[np.complex128]
+    first_printed: int
 
 
 def tooth_errors(
@@ -88,8 +105,10 @@ def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedT
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
     """What the ``errors`` of a wheel of so many ``lines`` say; ``ratio``: encoder revolutions per crank revolution."""
     doubt = 2.0 * math.pi * errors.level_rev * REACH_95
-    kept = ", ".join(f"{harmonic * ratio:g}" for harmonic in errors.kept)
-    stays = f"; orders {kept} stand out of them and stay as motion of the shaft" if kept else ""
+    moved = ", ".join(f"{harmonic * ratio:g}" for harmonic in errors.motion)
+    stays = f"; order {moved} stands out of them: motion of the shaft" if moved else ""
+    if len(errors.kept) > len(errors.motion):
+        stays += f"; up to order {HIGHEST_MOTION:g} the angle stays as shown, for this shaft swings"
     low = max(1, int(HIGHEST_MOTION / ratio))
     detail = (
         f"the {lines} teeth of the wheel stand off by {errors.rms_share:.2g} of their pitch "
@@ -99,6 +118,27 @@ def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
         f"be either"
     )
     return ("encoder_tooth_errors", "info", detail)
+
+
+def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) -> dict[str, Any]:
+    """Attributes of a ShaftAngle that say what of its motion may be the ``errors`` of the teeth.
+
+    ``ratio``: encoder revolutions per crank revolution. ``tdc_rev``: crank angle [rev] of top dead centre from tooth 0.
+    """
+    if errors is None:
+        return {TOOTH_LEVEL: 0.0, TOOTH_ORDER: 0.0}
+    first = errors.first_printed
+    turn = np.exp(2j * np.pi * ratio * tdc_rev * np.arange(first, first + errors.print_rev.size))
+    printed = (errors.print_rev * turn).view(np.float64).tolist()
+    return {TOOTH_LEVEL: errors.level_rev / ratio, TOOTH_ORDER: ratio, TOOTH_PRINT: printed}
+
+
+def same_wheel(stated: Sequence[dict[str, Any]]) -> bool:
+    """Whether the teeth whose attributes are ``stated`` err alike, as far as they are known to err."""
+    prints = [np.asarray(one[TOOTH_PRINT]) for one in stated if TOOTH_PRINT in one]
+    if any(one.shape != prints[0].shape for one in prints):
+        return False
+    return all(float(one @ prints[0]) > ALIKE * float(one @ one + prints[0] @ prints[0]) for one in prints[1:])
 
 
 def _pattern(teeth: NumberedTeeth, ratio: float, revs_per_cycle: int, noise_s: float) -> LinePattern:
@@ -132,14 +172,31 @@ def _told(pattern: LinePattern, ratio: float, least_share: float) -> ToothErrors
     rms = math.sqrt(0.25 * lines * level)
     if not rms * lines > least_share:
         return None
-    limit = np.where(low, STANDS_OUT, math.log(power.size / CHANCE)) * level
-    stands = (harmonic >= 1) & (power > limit)
-    own = np.where(stands | (harmonic == 0), 0.0, pattern.harmonic_rev)
+    stands = (harmonic >= 1) & (power > np.where(low, STANDS_OUT, math.log(power.size / CHANCE)) * level)
+    # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
+    kept = stands | (low & (bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
+    own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
     error: FloatArray = np.fft.irfft(own * (lines / 2.0), lines)
-    left = float(np.sum(stands)) * level + float(np.sum(0.5 * power[low & ~stands]))
-    left += float(np.sum(pattern.harmonic_variance[1:]))
-    kept = tuple(np.flatnonzero(stands).tolist())
-    return ToothErrors(error, rms * lines, math.sqrt(level), kept, math.sqrt(0.5 * left), pattern.n_revs)
+    left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept])) + float(np.sum(pattern.harmonic_variance[1:]))
+    return ToothErrors(
+        line_error_rev=error,
+        rms_share=rms * lines,
+        level_rev=math.sqrt(level),
+        kept=tuple(np.flatnonzero(kept).tolist()),
+        motion=tuple(np.flatnonzero(stands).tolist()),
+        standard_error_rev=math.sqrt(0.5 * left),
+        n_revs=pattern.n_revs,
+        print_rev=pattern.harmonic_rev[high][:PRINTED],
+        first_printed=int(np.argmax(high)),
+    )
+
+
+def _swings_between(pattern: LinePattern, ratio: float, level: float) -> bool:
+    """Whether the shaft swings at orders between those of the encoder, which no tooth makes, as much as teeth do."""
+    revs = pattern.period_revs
+    order = np.arange(pattern.cycle_rev.size)
+    between = (order % revs > 0) & (order * ratio / revs <= HIGHEST_MOTION)
+    return bool((np.abs(pattern.cycle_rev[between]) ** 2 > level).any())
 
 
 def _white_level(

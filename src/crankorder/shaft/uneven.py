@@ -16,6 +16,8 @@ from crankorder.shaft.repair import IntArray
 ABSENT_SHARE = 0.25
 # A tooth beside a gap that sits this share of a tooth off the line of its neighbours says nothing of the angle.
 DISPLACED_SHARE = 0.05
+# … where the others stand that many times better: teeth that all sit wrongly say as much there as elsewhere.
+DISPLACED_RATIO = 4.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: li
     if not wheel.mostly_even or spans.max() == 1:
         return displaced
     off, place = {}, tooth % wheel.grid
+    least = max(DISPLACED_SHARE, DISPLACED_RATIO * _usual_off(time_s, tooth, wheel))
     for number in range(spans.size):
         ahead = spans.take(range(number, number + 3), mode="wrap")
         behind = spans.take(range(number - 4, number), mode="wrap")
@@ -98,12 +101,25 @@ def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: li
             continue
         near, next_near, far = (time_s[at + k * way] for k in (1, 2, 3))
         off[number] = float(np.median((time_s[at] - 3.0 * near + 3.0 * next_near - far) / np.abs(next_near - near)))
-        if abs(off[number]) > DISPLACED_SHARE:
+        if abs(off[number]) > least:
             displaced[own] = True
     if displaced.any():
         detail = ", ".join(f"tooth {number + 1} by {share:+.2f} tooth" for number, share in off.items())
         flags.append(("encoder_teeth_displaced", "info", f"edges beside the gap are displaced and left out: {detail}"))
     return displaced
+
+
+def _usual_off(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> float:
+    """How far [tooth] the teeth away from gaps usually stand off the line of the next three."""
+    off = np.diff(time_s, n=3) / np.maximum(time_s[3:] - time_s[:-3], 1e-300) * 3.0
+    together = tooth[3:] - tooth[:-3] == 3
+    place = tooth[:-3][together] % wheel.grid
+    sums, count = np.bincount(place, off[together], wheel.grid), np.bincount(place, minlength=wheel.grid)
+    # the outermost teeth of every row are those in question
+    asked = np.isin(np.arange(wheel.grid), wheel.places[np.r_[wheel.spans[-1], wheel.spans[:-1]] > 1])
+    asked |= np.isin((np.arange(wheel.grid) + 3) % wheel.grid, wheel.places[wheel.spans > 1])
+    known = (count > 0) & ~asked
+    return float(np.median(np.abs(sums[known] / count[known]))) if known.any() else 0.0
 
 
 def times_on_grid(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> FloatArray:
