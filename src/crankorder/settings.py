@@ -112,6 +112,13 @@ class OrderSettings(StageSettings):
     envelope_max_order: Positive
     envelope_revs_per_frame: Count
     envelope_longest_s: Positive
+    usual_eccentricity_deg: Positive
+    largest_eccentricity_deg: Positive
+    encoder_proof: Positive
+    sideband_slack: Fraction
+    own_line_range: Positive
+    carrier_over_noise: Annotated[float, Field(gt=1)]
+    least_mesh_teeth: Count
 
 
 class CampbellSettings(StageSettings):

@@ -186,12 +186,13 @@ def frames_as_shown(band: BandRecording, shaft: ShaftAngle, settings: Settings) 
 
 
 @stage
-def true_angle(shaft: ShaftAngle, shown: FramesAsShown) -> TrueAngle:
-    """Angle of ``shaft`` without the swing of its encoder that the frames ``shown`` by it prove.
+def true_angle(shaft: ShaftAngle, shown: FramesAsShown, settings: Settings) -> TrueAngle:
+    """Angle of ``shaft`` without the swing of its encoder that frames ``shown`` by it prove (``settings`` of orders).
 
     In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more.
     """
-    return TrueAngle(angle_in_truth(shaft, shown) if shown.attrs.get("swept", 0) else shaft)
+    swept = bool(shown.attrs.get("swept", 0))
+    return TrueAngle(angle_in_truth(shaft, shown, settings=settings.orders) if swept else shaft)
 
 
 @stage
@@ -257,9 +258,9 @@ def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> Envelo
 
 
 @stage
-def swings(shown: ShownOrderFrames) -> Swings:
-    """Swing of the angle that the encoder shows about the true one, from the frames ``shown`` of all recordings."""
-    return swings_of_test(shown)
+def swings(shown: ShownOrderFrames, settings: Settings) -> Swings:
+    """Swing of the angle that the encoder shows about the true one, from frames ``shown`` (``settings`` of orders)."""
+    return swings_of_test(shown, settings=settings.orders)
 
 
 @stage

@@ -7,9 +7,11 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.angle_swing import given_by_neighbours, in_true_angle
-from crankorder.orders.swing_evidence import Rows, _median, rows_of, swings_of
+from crankorder.orders.swing_evidence import Expected, Rows, _median, rows_of, swings_of
+from crankorder.settings import load_settings
 
 PER_ORDER = 8
+EXPECTED = Expected(load_settings().orders)
 
 
 def shown(lines: dict[float, complex], swings: dict[int, complex]) -> np.ndarray:
@@ -69,7 +71,7 @@ def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
     found = rows_of([frames_of(spectrum, swept)])
     assert found is not None and found.value.shape[1] == 40
     assert np.median(found.noise[:, 4:20]) == pytest.approx(2.0 / (1 if swept else 3), rel=0.3)
-    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found))
+    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED))
 
 
 def phases(rng: np.random.Generator, orders: list[float]) -> dict[float, complex]:
@@ -83,7 +85,7 @@ def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
     for _ in range(6):
         size = degrees / 360.0 * np.exp(2j * np.pi * rng.random())
         spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: size}) for _ in range(4)]
-        found = swings_of(rows(spectra, 5e-4, rng))[0]
+        found = swings_of(rows(spectra, 5e-4, rng), EXPECTED)[0]
         assert found.proved
         inside += abs(found.size - size) < found.left_rev
         assert abs(found.size - size) < 0.1 * abs(size)
@@ -95,7 +97,7 @@ def test_a_good_encoder_is_cleared():
     for orders in ([1.0, 2.0, 3.0, 4.0, 6.0], [float(n) for n in range(1, 13)], [2.0, 5.5, 9.0]):
         for _ in range(6):
             same = phases(rng, orders)  # alike at all speeds, as beside no mode
-            found = swings_of(rows([shown(same, {}) for _ in range(4)], 1e-3, rng))
+            found = swings_of(rows([shown(same, {}) for _ in range(4)], 1e-3, rng), EXPECTED)
             assert not any(swing.proved and abs(swing.size) > 1e-2 / 360.0 for swing in found)
 
 
@@ -109,7 +111,7 @@ def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
             lines[9.0 * multiple] = size
             lines[9.0 * multiple + 1] = 0.5j * multiple * turned * size
             lines[9.0 * multiple - 1] = 0.5j * multiple * np.conj(turned) * size
-        assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng))[0].proved
+        assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng), EXPECTED)[0].proved
 
 
 @pytest.mark.parametrize("per_row", [1, 2, 5, 8, 9])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from crankorder.orders.intervals import NORMAL
 from crankorder.shaft.angle import knots_of
 from crankorder.shaft.reference_errors import reference_of
+from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel
 
 ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"
 """Attributes of frames: standard error [rev] of the crank angle, and of its mean over a revolution."""
@@ -67,7 +68,16 @@ def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Any]
     """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
     error, of_one = _errors(shaft, revs_per_frame)
     taken = {TAKEN: shaft.attrs[TAKEN]} if TAKEN in shaft.attrs else {}
-    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft), **taken}
+    # teeth of an encoder on another shaft swing at orders that no harmonic of the crank has
+    own = TOOTH_PRINT in shaft.attrs and float(shaft.attrs[TOOTH_ORDER]) == 1.0
+    teeth = {name: shaft.attrs[name] for name in (TOOTH_LEVEL, TOOTH_KEPT, TOOTH_PRINT)} if own else {}
+    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft), **taken, **teeth}
+
+
+def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
+    """Whether the angles of all ``frames`` rest on one wheel, whose low harmonics were treated alike in all."""
+    stated = [item.attrs for item in frames if TOOTH_PRINT in item.attrs]
+    return not stated or (len({int(one[TOOTH_KEPT]) for one in stated}) == 1 and same_wheel(stated))
 
 
 def _lines_per_rev(shaft: xr.Dataset) -> float:

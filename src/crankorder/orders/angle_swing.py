@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 HARMONICS = (1, 2, 3, 4, 5, 6)
 """Swings of the angle per turn that are looked for: eccentricity, ovality, and lines that are uneven."""
 
-LARGEST_REV = 2.0 / 360.0
-"""No encoder is off by more than that: beyond, it is another line."""
-
 REACH_95 = 2.45
 """Standard errors of each part within which both together lie with a chance of 95 %."""
 
@@ -39,7 +36,7 @@ class Swing:
 
     ``error_rev`` is the standard error of each part of ``size``, ``bound_rev`` what |E_k| exceeds with a chance of 5 %;
     ``proved`` says whether several carriers agree on it, ``chance`` that they would by chance, ``carriers`` the orders
-    whose sidebands show it, strongest first.
+    whose sidebands show it, strongest first; ``largest_rev`` is what no encoder errs by.
     """
 
     harmonic: int
@@ -49,6 +46,7 @@ class Swing:
     proved: bool
     chance: float
     carriers: tuple[float, ...]
+    largest_rev: float
 
     @property
     def left_rev(self) -> float:
@@ -59,7 +57,7 @@ class Swing:
         if self.proved:
             return REACH_95 * self.error_rev
         shown = abs(self.size) + REACH_95 * self.error_rev if self.carriers else 0.0
-        return max(self.bound_rev, shown) if shown < LARGEST_REV else self.bound_rev
+        return max(self.bound_rev, shown) if shown < self.largest_rev else self.bound_rev
 
 
 def modulation(swings: dict[int, complex], order: Floats) -> tuple[NDArray[np.int64], Complex]:

@@ -8,6 +8,7 @@ proportion, so what one carrier and its multiples say counts as said once, and p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,23 +16,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.angle_swing import HARMONICS, LARGEST_REV, Swing, in_true_angle
-
-USUAL_REV = 0.25 / 360.0
-"""Errors of mounted encoders, as the standard deviation of each part of E_1, before anything is measured: a disc of
-12 mm radius that is set off by 0.05 mm."""
-
-RELATIVE_ERROR = 0.03
-"""Share of a sideband by which it may be off without being a line of its own: what is of second order."""
-
-DECADES = 9.0
-"""Natural logarithm of the range over which the amplitude of a line of its own may lie."""
-
-PROOF = 7.0
-"""Logarithm of the odds, without the carrier that says most, from which an error of the angle is proved."""
-
-LEAST_TEETH = 6
-"""Lines at multiples of this many or more may be one mesh."""
+from crankorder.orders.angle_swing import HARMONICS, Swing, in_true_angle
+from crankorder.settings import OrderSettings
 
 LEAST_REVS = 8
 """Revolutions of a frame below which the noise between half orders is not told."""
@@ -42,8 +28,8 @@ ROUNDS = 3
 LIKELY = 3.0
 """Standard errors from which an E_k is taken out on trial."""
 
-LINE_RATIO = 10.0
-"""Power over that of the noise from which a half order is a line that may have sidebands."""
+TEETH_LARGEST = 3.0
+"""Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
 
 RADII, PHASES = 72, 40
 """Grid of E_k over which the odds are summed …"""
@@ -51,8 +37,11 @@ RADII, PHASES = 72, 40
 GRID_SLACK = 0.1
 """… and the share of E_k by which its points are apart, about."""
 
-SLACKS = (0.15, 0.1, 0.06, *(RELATIVE_ERROR,) * 9)
-"""Shares of a sideband by which it may be off, step by step, while E_k is refined."""
+SLACKS = (0.15, 0.1, 0.06)
+"""Shares of a sideband by which it may be off, step by step, while E_k is refined …"""
+
+LAST_STEPS = 9
+"""… and steps with the share that is allowed in the end."""
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -64,6 +53,27 @@ class Rows:
 
     value: Complex
     noise: Floats
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is taken of an encoder before its frames are looked at: ``settings`` of orders, and what its teeth say.
+
+    ``tooth_level_rev``: root of the mean square amplitude [rev] that teeth which sit wrongly give to each harmonic.
+    """
+
+    settings: OrderSettings
+    tooth_level_rev: float = 0.0
+
+    def usual_rev(self, harmonic: int) -> float:
+        """Standard deviation [rev] of each part of E_k at a ``harmonic``."""
+        mounted = self.settings.usual_eccentricity_deg / 360.0 / harmonic**2
+        return max(mounted, self.tooth_level_rev / math.sqrt(2.0))
+
+    def largest_rev(self, harmonic: int) -> float:
+        """Largest error [rev] at a ``harmonic``: what is mounted or bored errs less the finer it is, teeth do not."""
+        mounted = self.settings.largest_eccentricity_deg / 360.0 / harmonic**2
+        return max(mounted, TEETH_LARGEST * self.tooth_level_rev)
 
 
 @dataclass(frozen=True)
@@ -144,42 +154,41 @@ def _between(half: int, n: int) -> NDArray[np.int64]:
     return np.asarray(groups[groups.max(axis=1) < n].ravel())
 
 
-def swings_of(rows: Rows, *, may_prove: Sequence[int] = HARMONICS) -> tuple[Swing, ...]:
-    """The error of the angle by harmonic, from the ``rows`` of a test; others than ``may_prove`` have but a bound."""
+def swings_of(rows: Rows, expected: Expected, *, may_prove: Sequence[int] = HARMONICS) -> tuple[Swing, ...]:
+    """The error of the angle by harmonic, from the ``rows`` of a test and what is ``expected`` of its encoder.
+
+    Others than ``may_prove`` have but a bound.
+    """
     taken: dict[int, complex] = {}
     found: dict[int, Swing] = {}
     for _ in range(ROUNDS):
         for harmonic in HARMONICS:
-            swing = _swing(rows, harmonic, taken)
+            swing = _swing(rows, harmonic, taken, expected)
             found[harmonic] = swing if harmonic in may_prove else replace(swing, proved=False)
             taken.pop(harmonic, None)
             # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
-            if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= _largest(harmonic):
+            if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= expected.largest_rev(harmonic):
                 taken[harmonic] = swing.size
         if not taken:
             break
     return tuple(found[k] for k in HARMONICS)
 
 
-def _largest(harmonic: int) -> float:
-    """Largest error [rev] of an encoder at a ``harmonic``: what is mounted or bored errs less the finer it is."""
-    return LARGEST_REV / harmonic**2
-
-
-def _swing(rows: Rows, harmonic: int, taken: dict[int, complex]) -> Swing:
+def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected) -> Swing:
     """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out."""
     value = in_true_angle(rows.value, bins_per_order=2, swings=taken) if taken else rows.value
     known = taken.get(harmonic, 0j)
-    sums = _sums(value, rows.noise, harmonic)
+    sums = _sums(value, rows.noise, harmonic, expected)
     # sidebands as measured: what was taken out already is put back into the targets to first order
     sums = _put_back(sums, known)
-    grid = _grid(harmonic)
-    gain = _gains(sums, grid, slack=GRID_SLACK)
-    total = gain.sum(axis=1) + _prior(grid, harmonic)
+    grid = _grid(expected.largest_rev(harmonic))
+    settings = expected.settings
+    gain = _gains(sums, grid, settings, slack=GRID_SLACK)
+    total = gain.sum(axis=1) + _prior(grid, expected.usual_rev(harmonic))
     best = int(np.argmax(total))
-    size, error, weights = _refined(sums, complex(grid[best]))
-    gain_here = _gains(sums, np.array([size]))[0]
-    proof = _without_strongest(gain_here, sums.carrier)
+    size, error, weights = _refined(sums, complex(grid[best]), settings)
+    gain_here = _gains(sums, np.array([size]), settings, slack=settings.sideband_slack)[0]
+    proof = _without_strongest(gain_here, sums.carrier, settings.least_mesh_teeth)
     chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
     posterior = np.exp(total - total.max())
     posterior *= np.abs(grid) ** 2  # cells of a polar grid, even in the logarithm of the radius
@@ -189,19 +198,20 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex]) -> Swing:
     bound = float(np.abs(grid[order[min(int(np.searchsorted(reach, 0.95)), len(order) - 1)]]))
     shown = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
     carriers = tuple(sorted(set(shown), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
-    proved = proof > PROOF and len(carriers) > 1 and abs(size) > 3.0 * error and abs(size) < _largest(harmonic)
-    return Swing(harmonic, size, error, bound, bool(proved), chance, carriers)
+    largest = expected.largest_rev(harmonic)
+    proved = proof > settings.encoder_proof and len(carriers) > 1 and 3.0 * error < abs(size) < largest
+    return Swing(harmonic, size, error, bound, bool(proved), chance, carriers, largest)
 
 
-def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
-    """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for."""
+def _sums(value: Complex, noise: Floats, harmonic: int, expected: Expected) -> _Sums:
+    """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for, as ``expected``."""
     n = value.shape[1]
     step = 2 * harmonic
     room = max(n - step, 0)  # a map of few orders has no neighbour for a high harmonic
     order = np.arange(n) / 2.0
     seen = np.where(np.isfinite(value.real), value, 0.0)
     # noise is no line: it lies in the angle shown as it does in the true one, and has no sidebands
-    line = np.where(_is_line(value, noise), seen, 0.0)
+    line = np.where(_is_line(value, noise, expected.settings.carrier_over_noise), seen, 0.0)
     u, v = np.zeros_like(seen), np.zeros_like(seen)
     u[:, step:] = line[:, :room] * order[:room]
     # order m - k below 0 is the line above it, turned the other way
@@ -217,18 +227,18 @@ def _sums(value: Complex, noise: Floats, harmonic: int) -> _Sums:
         return np.asarray((weight * product).sum(axis=0))
 
     below, above, own = (np.asarray((weight * np.abs(one) ** 2).sum(axis=0)) for one in (u, v, seen))
-    kept = (below + above) * _largest(harmonic) ** 2 > 10.0
+    kept = (below + above) * expected.largest_rev(harmonic) ** 2 > 10.0
     carrier = np.where(below > above, np.abs(order - harmonic), order + harmonic)
     both, low, high = (total(one)[kept] for one in (u * v.conj(), u.conj() * seen, v.conj() * seen))
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
     return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
 
 
-def _is_line(value: Complex, noise: Floats) -> NDArray[np.bool_]:
-    """Which of the half orders of ``value`` (rows, half orders) have far more power than the ``noise`` in them."""
+def _is_line(value: Complex, noise: Floats, ratio: float) -> NDArray[np.bool_]:
+    """Which of the half orders of ``value`` (rows, half orders) have ``ratio`` times the power of their ``noise``."""
     known = np.isfinite(value.real) & np.isfinite(noise)
     power, least = (np.where(known, one, 0.0).sum(axis=0) for one in (np.square(np.abs(value)), noise))
-    return np.asarray(power > LINE_RATIO * least)
+    return np.asarray(power > ratio * least)
 
 
 def _put_back(sums: _Sums, known: complex) -> _Sums:
@@ -251,18 +261,18 @@ def _product(sums: _Sums, size: complex | Complex) -> Complex:
     return np.asarray(np.conj(size) * sums.low + size * sums.high)
 
 
-def _grid(harmonic: int) -> Complex:
-    """E_k of a ``harmonic`` over which odds are weighed: even in the logarithm of the size and in the phase."""
-    radius = np.geomspace(2e-4, 1.0, RADII) * _largest(harmonic)
+def _grid(largest_rev: float) -> Complex:
+    """E_k up to ``largest_rev`` over which odds are weighed: even in the logarithm of the size and in the phase."""
+    radius = np.geomspace(2e-4, 1.0, RADII) * largest_rev
     phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
     return np.asarray((radius[:, None] * np.exp(1j * phase)).ravel())
 
 
-def _prior(grid: Complex, harmonic: int) -> Floats:
-    return np.asarray(-0.5 * np.square(np.abs(grid) / (USUAL_REV / harmonic**2)))
+def _prior(grid: Complex, usual_rev: float) -> Floats:
+    return np.asarray(-0.5 * np.square(np.abs(grid) / usual_rev))
 
 
-def _gains(sums: _Sums, grid: Complex, *, slack: float = RELATIVE_ERROR) -> Floats:
+def _gains(sums: _Sums, grid: Complex, settings: OrderSettings, *, slack: float) -> Floats:
     """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
     size = grid[:, None]
     power = np.maximum(_power(sums, size), 1e-300)
@@ -275,17 +285,17 @@ def _gains(sums: _Sums, grid: Complex, *, slack: float = RELATIVE_ERROR) -> Floa
     def odds(off: Complex) -> Floats:
         square = np.abs(off) ** 2
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
-        other = 1.0 / (2.0 * np.pi * (square + variance) * DECADES)
+        other = 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range)
         return np.asarray(0.5 * alone + 0.5 * other)
 
     return np.asarray(np.log(odds(ratio - 1.0)) - np.log(odds(ratio)))
 
 
-def _refined(sums: _Sums, start: complex) -> tuple[complex, float, Floats]:
+def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[complex, float, Floats]:
     """E_k by least squares over the targets that are sidebands, from ``start``; its standard error; their weights."""
     size, error = start, np.inf
     weights = np.zeros(len(sums.own))
-    for slack in SLACKS:
+    for slack in (*SLACKS, *(settings.sideband_slack,) * LAST_STEPS):
         power = np.maximum(_power(sums, size), 1e-300)
         ratio = _product(sums, size) / power
         rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
@@ -293,7 +303,7 @@ def _refined(sums: _Sums, start: complex) -> tuple[complex, float, Floats]:
         square = np.abs(ratio - 1.0) ** 2
         variance = spread / power + slack**2
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
-        weights = alone / (alone + 1.0 / (2.0 * np.pi * (square + variance) * DECADES))
+        weights = alone / (alone + 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range))
         share = weights / (spread + slack**2 * power)
         a = float(np.sum(share * (sums.below + sums.above)))
         b = complex(np.sum(share * sums.both))
@@ -310,13 +320,13 @@ def _refined(sums: _Sums, start: complex) -> tuple[complex, float, Floats]:
     return size, error, weights
 
 
-def _without_strongest(gain: Floats, carrier: Floats) -> float:
+def _without_strongest(gain: Floats, carrier: Floats, least_teeth: int) -> float:
     """Sum of ``gain`` (targets,) without that of the carrier, or of one mesh's multiples, that says most."""
     total, least = float(gain.sum()), np.inf
     for number in np.unique(carrier):
         family = carrier == number
-        if number >= LEAST_TEETH and float(number).is_integer():
-            for teeth in range(LEAST_TEETH, int(number) + 1):
+        if number >= least_teeth and float(number).is_integer():
+            for teeth in range(least_teeth, int(number) + 1):
                 if number % teeth == 0:
                     family = family | (np.mod(carrier, teeth) == 0)
         least = min(least, total - float(gain[family].sum()))

@@ -12,11 +12,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.angle_errors import LINES, TAKEN
+from crankorder.orders.angle_errors import LINES, TAKEN, same_teeth
 from crankorder.orders.angle_swing import HARMONICS, Swing, given_by_neighbours, in_true_angle, modulation
 from crankorder.orders.phase_marks import one_mark
-from crankorder.orders.swing_evidence import rows_of, swings_of
-from crankorder.quantities import QualityFlag, flags_of, with_flags
+from crankorder.orders.swing_evidence import Expected, rows_of, swings_of
+from crankorder.quantities import QualityFlag, with_flags
+from crankorder.settings import OrderSettings
+from crankorder.shaft.tooth_errors import TOOTH_LEVEL
 
 LEFT = "angle_swing_left_rev"
 """Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
@@ -44,13 +46,14 @@ class Swings:
     shared: bool
 
 
-def swings_of_test(frames: Sequence[xr.Dataset]) -> Swings:
+def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> Swings:
     """Swings of the angle of every recording in ``frames`` (OrderFrames) that has lines of an encoder to show them.
 
-    Recordings with one mark of the crank are told together: an encoder errs at the same place in all of them.
+    Recordings with one mark of the crank are told together: an encoder errs at the same place in all of them, unless
+    its teeth say that it is another. ``settings``: of orders, for what is taken of encoders.
     """
     used = [item for item in frames if float(item.attrs.get(LINES, 0.0)) > 0.0]
-    shared = bool(used) and one_mark(used)
+    shared = bool(used) and one_mark(used) and same_teeth(used)
     made: dict[str, tuple[Swing, ...]] = {}
     for group in [used] if shared else [[item] for item in used]:
         rows = rows_of(group)
@@ -58,18 +61,19 @@ def swings_of_test(frames: Sequence[xr.Dataset]) -> Swings:
             continue
         lines = min(float(item.attrs[LINES]) for item in group)
         may = [harmonic for harmonic in HARMONICS if lines >= LINES_PER_HARMONIC * harmonic]
-        swings = swings_of(rows, may_prove=may)
+        expected = Expected(settings, max(float(item.attrs.get(TOOTH_LEVEL, 0.0)) for item in group))
+        swings = swings_of(rows, expected, may_prove=may)
         made |= {str(item.attrs["recording"]): swings for item in group}
     return Swings(made, shared)
 
 
-def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset) -> xr.Dataset:
+def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
     """ShaftAngle ``shown`` by an encoder, without the swings that the OrderFrames ``frames`` made by it prove.
 
     Where the speed sweeps, sidebands of orders that nobody follows reach into those that are followed: the angle itself
-    has to be true. Unchanged where nothing is proved.
+    has to be true. Unchanged where nothing is proved. ``settings``: of orders.
     """
-    own = swings_of_test([frames]).of.get(str(frames.attrs["recording"]), ())
+    own = swings_of_test([frames], settings=settings).of.get(str(frames.attrs["recording"]), ())
     taken = _taken(own)
     if not taken:
         return shown

@@ -172,7 +172,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: Shaf
 
 @dataclass(frozen=True)
 class _Decoded:
-    """One run: its teeth, knots with the angle from top dead centre, what that rests on, remarks, its teeth's errors."""
+    """One run: its teeth, knots with the angle from top dead centre, what that rests on, remarks, errors of the teeth."""
 
     teeth: NumberedTeeth
     knots: AngleKnots

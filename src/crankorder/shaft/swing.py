@@ -38,7 +38,7 @@ class SpeedSwing:
     """Peak amplitudes (rpm) of a speed at ``orders``, about its mean ``speed_rpm``, over ``cycles`` whole cycles.
 
     ``amplitude_rpm`` (orders,) is the root of the mean square over the cycles, what differs from cycle to cycle
-    included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) what the teeth of the wheel
+    included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) is what the teeth of the wheel
     may make of it, with a chance of 5 % of being more.
     """
 
@@ -51,7 +51,7 @@ class SpeedSwing:
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Which ``orders`` swing for certain: the mean cycle far more than the cycles scatter or teeth make, and worth it."""
+        """Which ``orders`` swing for certain: far more than the cycles scatter or teeth make, and worth mention."""
         scatter = np.sqrt(np.maximum(self.amplitude_rpm**2 - self.steady_rpm**2, 0.0) / self.cycles)
         sure = (self.steady_rpm > SURE * scatter) & (self.steady_rpm > self.doubt_rpm)
         return sure & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)

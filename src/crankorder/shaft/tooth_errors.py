@@ -1,4 +1,4 @@
-"""Teeth that sit wrongly, learned from one recording: the same in each revolution, and white over the wheel's harmonics.
+"""Teeth that sit wrongly, learned from one recording: alike in each revolution, and at all harmonics of the wheel.
 
 Motion of a shaft falls with its order: torque falls, and a flywheel turns by 1/order² of it. Teeth that are cut wrongly
 by chance err alike at all harmonics of the wheel. So the high harmonics tell how large the teeth's errors are, and an
@@ -39,9 +39,9 @@ PRINTED = 8
 ALIKE = 0.4
 """Share of the power of two patterns that their product has at least where they are one: half where they are equal."""
 
-TOOTH_LEVEL, TOOTH_PRINT = "tooth_level_rev", "tooth_print_rev"
+TOOTH_LEVEL, TOOTH_KEPT, TOOTH_PRINT = "tooth_level_rev", "tooth_low_kept", "tooth_print_rev"
 """Attributes of a ShaftAngle: root of the mean square amplitude [rev] of the crank angle that teeth give to each order
-of the encoder, and the real and imaginary parts [rev] of some of these, counted from angle 0."""
+of the encoder, whether those of low orders are left in it, real and imaginary parts [rev] of some, from angle 0."""
 
 TOOTH_ORDER = "tooth_order"
 """Attribute of a ShaftAngle: crank order at whose multiples the teeth err, 0 where they are not known to."""
@@ -112,10 +112,10 @@ def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
     low = max(1, int(HIGHEST_MOTION / ratio))
     detail = (
         f"the {lines} teeth of the wheel stand off by {errors.rms_share:.2g} of their pitch "
-        f"({360.0 * errors.rms_share / lines:.2g}° rms), the same in each of {errors.n_revs} revolutions and alike at all "
-        f"harmonics, as no shaft turns: taken out of the angle{stays}. Of the speed within the revolution a swing of "
-        f"less than {100.0 * doubt:.2g} % at order {ratio:g}, {100.0 * doubt * low:.2g} % at order {ratio * low:g}, may "
-        f"be either"
+        f"({360.0 * errors.rms_share / lines:.2g}° rms), the same in each of {errors.n_revs} revolutions and alike at "
+        f"all harmonics, as no shaft turns: taken out of the angle{stays}. Of the speed within the revolution a swing "
+        f"of less than {100.0 * doubt:.2g} % at order {ratio:g}, {100.0 * doubt * low:.2g} % at order "
+        f"{ratio * low:g}, may be either"
     )
     return ("encoder_tooth_errors", "info", detail)
 
@@ -130,7 +130,8 @@ def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) ->
     first = errors.first_printed
     turn = np.exp(2j * np.pi * ratio * tdc_rev * np.arange(first, first + errors.print_rev.size))
     printed = (errors.print_rev * turn).view(np.float64).tolist()
-    return {TOOTH_LEVEL: errors.level_rev / ratio, TOOTH_ORDER: ratio, TOOTH_PRINT: printed}
+    low = int(bool(errors.kept))
+    return {TOOTH_LEVEL: errors.level_rev / ratio, TOOTH_ORDER: ratio, TOOTH_KEPT: low, TOOTH_PRINT: printed}
 
 
 def same_wheel(stated: Sequence[dict[str, Any]]) -> bool:
@@ -177,7 +178,9 @@ def _told(pattern: LinePattern, ratio: float, least_share: float) -> ToothErrors
     kept = stands | (low & (bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
     error: FloatArray = np.fft.irfft(own * (lines / 2.0), lines)
-    left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept])) + float(np.sum(pattern.harmonic_variance[1:]))
+    left = (
+        float(np.sum(kept)) * level + float(np.sum(power[low & ~kept])) + float(np.sum(pattern.harmonic_variance[1:]))
+    )
     return ToothErrors(
         line_error_rev=error,
         rms_share=rms * lines,

@@ -111,15 +111,13 @@ def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: li
 
 def _usual_off(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> float:
     """How far [tooth] the teeth away from gaps usually stand off the line of the next three."""
-    off = np.diff(time_s, n=3) / np.maximum(time_s[3:] - time_s[:-3], 1e-300) * 3.0
-    together = tooth[3:] - tooth[:-3] == 3
-    place = tooth[:-3][together] % wheel.grid
-    sums, count = np.bincount(place, off[together], wheel.grid), np.bincount(place, minlength=wheel.grid)
+    off = np.diff(time_s, n=3) / np.maximum(time_s[3:] - time_s[:-3], np.finfo(np.float64).tiny) * 3.0
+    together, place = tooth[3:] - tooth[:-3] == 3, tooth[:-3] % wheel.grid
     # the outermost teeth of every row are those in question
-    asked = np.isin(np.arange(wheel.grid), wheel.places[np.r_[wheel.spans[-1], wheel.spans[:-1]] > 1])
-    asked |= np.isin((np.arange(wheel.grid) + 3) % wheel.grid, wheel.places[wheel.spans > 1])
-    known = (count > 0) & ~asked
-    return float(np.median(np.abs(sums[known] / count[known]))) if known.any() else 0.0
+    first, last = (wheel.places[np.roll(wheel.spans, shift) > 1] for shift in (1, 0))
+    asked = np.concatenate([first, (last - 3) % wheel.grid])
+    usual = [np.median(off[together & (place == at)]) for at in np.setdiff1d(place[together], asked)]
+    return float(np.median(np.abs(usual))) if usual else 0.0
 
 
 def times_on_grid(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> FloatArray:
