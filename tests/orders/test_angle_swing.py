@@ -92,6 +92,31 @@ def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
     assert inside >= 5
 
 
+@pytest.mark.parametrize("swings", [{1: 0.45}, {1: 0.44, 2: 0.11}])
+def test_what_one_line_alone_can_show_is_bounded_by_no_less_than_it_is(swings):
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        true = {k: degrees / 360.0 * np.exp(2j * np.pi * rng.random()) for k, degrees in swings.items()}
+        lines = phases(rng, [1.0, 2.0, 3.0, 4.0, 5.0])
+        # a sweep: many short frames, whose orders grow each in its own way; only order 6 has no line of its own
+        growth = {order: rng.uniform(0.0, 2.0) for order in lines}
+        frames = [shown({n: size * grown ** growth[n] for n, size in lines.items()}, true) for grown in (1.0, 1.5, 2.2)]
+        found = swings_of(rows(frames * 40, 1e-3, rng), EXPECTED)
+        for k, size in true.items():
+            swing = found[k - 1]
+            told = abs(swing.size - size) if swing.proved else abs(size)
+            assert told < 1.25 * swing.left_rev  # what is of second order is not in it
+
+
+def test_teeth_that_sit_wrongly_are_told_at_all_low_harmonics():
+    rng = np.random.default_rng(12)
+    level = 0.15 / 360.0
+    true = {k: level * complex(*rng.standard_normal(2)) * 0.5**0.5 for k in range(1, 7)}
+    spectra = [shown(phases(rng, [1.0, 2.5, 6.0, 8.5]), true) for _ in range(4)]
+    found = swings_of(rows(spectra, 5e-4, rng), Expected(EXPECTED.settings, level))
+    assert sum(abs(one.size - true[one.harmonic]) < max(one.left_rev, 0.1 * level) for one in found if one.proved) >= 5
+
+
 def test_a_good_encoder_is_cleared():
     rng = np.random.default_rng(5)
     for orders in ([1.0, 2.0, 3.0, 4.0, 6.0], [float(n) for n in range(1, 13)], [2.0, 5.5, 9.0]):

@@ -75,9 +75,12 @@ def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Any]
 
 
 def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
-    """Whether the angles of all ``frames`` rest on one wheel, whose low harmonics were treated alike in all."""
+    """Whether the angles of all ``frames`` err alike: by one wheel, whose low harmonics are left in all of them.
+
+    What was taken out of them with the teeth may have been motion, which is another in each recording.
+    """
     stated = [item.attrs for item in frames if TOOTH_PRINT in item.attrs]
-    return not stated or (len({int(one[TOOTH_KEPT]) for one in stated}) == 1 and same_wheel(stated))
+    return not stated or (all(int(one[TOOTH_KEPT]) for one in stated) and same_wheel(stated))
 
 
 def _lines_per_rev(shaft: xr.Dataset) -> float:

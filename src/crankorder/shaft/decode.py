@@ -172,7 +172,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: Shaf
 
 @dataclass(frozen=True)
 class _Decoded:
-    """One run: its teeth, knots with the angle from top dead centre, what that rests on, remarks, errors of the teeth."""
+    """One run: its teeth and their errors, knots with the angle from top dead centre, what that rests on, remarks."""
 
     teeth: NumberedTeeth
     knots: AngleKnots

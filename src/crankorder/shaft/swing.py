@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.pulses import Remark
-from crankorder.shaft.tooth_errors import HIGHEST_MOTION, REACH_95, TOOTH_LEVEL, TOOTH_ORDER
+from crankorder.shaft.tooth_errors import HIGHEST_MOTION, TOOTH_DOUBT, TOOTH_ORDER
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class SpeedSwing:
 
     ``amplitude_rpm`` (orders,) is the root of the mean square over the cycles, what differs from cycle to cycle
     included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) is what the teeth of the wheel
-    may make of it, with a chance of 5 % of being more.
+    may make of it.
     """
 
     speed_rpm: float
@@ -105,11 +105,11 @@ def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
 
 def _of_teeth(shaft: xr.Dataset, orders: Floats) -> Floats:
     """Share of the speed that the teeth of the wheel of ``shaft`` may make swing at each of ``orders``, at most."""
-    level, every = float(shaft.attrs.get(TOOTH_LEVEL, 0.0)), float(shaft.attrs.get(TOOTH_ORDER, 0.0))
+    doubt, every = float(shaft.attrs.get(TOOTH_DOUBT, 0.0)), float(shaft.attrs.get(TOOTH_ORDER, 0.0))
     if not every > 0.0:
         return np.zeros(len(orders))
     of_wheel = np.abs(orders / every - np.round(orders / every)) < WHOLE
-    return np.where(of_wheel, 2.0 * np.pi * orders * level * REACH_95, 0.0)
+    return np.where(of_wheel, 2.0 * np.pi * orders * doubt, 0.0)
 
 
 def _between(time: Floats, angle: Floats, speed: Floats) -> tuple[Floats, Floats]:

@@ -28,10 +28,8 @@ FEWEST_LINES = 20
 SURE_POWER = 10.0
 # The upper half of the high harmonics has at least this share of the power of the lower: motion falls by more.
 LEAST_FLATNESS = 0.15
-# Power over that of the teeth at which a low order is motion: by chance one in 400; and chance of any of the high ones.
-STANDS_OUT, CHANCE = 6.0, 0.01
-# Root of the power below which the amplitude of a harmonic of white errors is with a chance of 95 %, in roots of means.
-REACH_95 = math.sqrt(-math.log(0.05))
+# Chance that a low harmonic of the teeth counts as motion, and that any of the high ones does.
+CHANCE_LOW, CHANCE_HIGH = 0.0025, 0.01
 
 PRINTED = 8
 """Harmonics by which a wheel is known again."""
@@ -43,8 +41,9 @@ TOOTH_LEVEL, TOOTH_KEPT, TOOTH_PRINT = "tooth_level_rev", "tooth_low_kept", "too
 """Attributes of a ShaftAngle: root of the mean square amplitude [rev] of the crank angle that teeth give to each order
 of the encoder, whether those of low orders are left in it, real and imaginary parts [rev] of some, from angle 0."""
 
-TOOTH_ORDER = "tooth_order"
-"""Attribute of a ShaftAngle: crank order at whose multiples the teeth err, 0 where they are not known to."""
+TOOTH_ORDER, TOOTH_DOUBT = "tooth_order", "tooth_doubt_rev"
+"""Attributes of a ShaftAngle: crank order at whose multiples the teeth err, 0 where they are not known to, and the
+amplitude [rev] there up to which motion may be theirs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +52,9 @@ class ToothErrors:
 
     Line 0 is tooth number 0. ``rms_share`` is their size over the pitch; ``level_rev`` the root of the mean square
     amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` (harmonics) stay in
-    the angle, ``motion`` (harmonics) are those of them that stand out; ``standard_error_rev`` is what is left in the
-    angle, ``print_rev`` amplitudes [rev] of some harmonics, by which a wheel is known again, the
-    ``first_printed`` one and those above it.
+    the angle, ``motion`` (harmonics) are those of them that stand out, of more than ``least_motion_rev`` where low;
+    ``standard_error_rev`` is what is left in the angle, ``print_rev`` amplitudes [rev] of some harmonics, from the
+    ``first_printed`` one on, by which a wheel is known again.
     """
 
     line_error_rev: FloatArray
@@ -63,6 +62,7 @@ class ToothErrors:
     level_rev: float
     kept: tuple[int, ...]
     motion: tuple[int, ...]
+    least_motion_rev: float
     standard_error_rev: float
     n_revs: int
     print_rev: npt.NDArray[np.complex128]
@@ -88,11 +88,12 @@ def tooth_errors(
     pattern = _pattern(teeth, ratio, revs_per_cycle, noise_s)
     if not pattern.n_revs:
         return None
-    found = _told(pattern, ratio, settings.least_tooth_error)
+    found = _told(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
     if found is None:
         return None
     # what teeth and motion make together is known once the teeth are
-    again = _told(first_order(pattern, found.line_error_rev), ratio, settings.least_tooth_error)
+    added = first_order(pattern, found.line_error_rev)
+    again = _told(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
     return again or found
 
 
@@ -104,11 +105,11 @@ def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedT
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
     """What the ``errors`` of a wheel of so many ``lines`` say; ``ratio``: encoder revolutions per crank revolution."""
-    doubt = 2.0 * math.pi * errors.level_rev * REACH_95
+    doubt = 2.0 * math.pi * errors.least_motion_rev
     moved = ", ".join(f"{harmonic * ratio:g}" for harmonic in errors.motion)
     stays = f"; order {moved} stands out of them: motion of the shaft" if moved else ""
     if len(errors.kept) > len(errors.motion):
-        stays += f"; up to order {HIGHEST_MOTION:g} the angle stays as shown, for this shaft swings"
+        stays += f"; up to order {HIGHEST_MOTION:g} the angle stays as shown, for a shaft may swing there"
     low = max(1, int(HIGHEST_MOTION / ratio))
     detail = (
         f"the {lines} teeth of the wheel stand off by {errors.rms_share:.2g} of their pitch "
@@ -126,12 +127,13 @@ def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) ->
     ``ratio``: encoder revolutions per crank revolution. ``tdc_rev``: crank angle [rev] of top dead centre from tooth 0.
     """
     if errors is None:
-        return {TOOTH_LEVEL: 0.0, TOOTH_ORDER: 0.0}
+        return {TOOTH_LEVEL: 0.0, TOOTH_ORDER: 0.0, TOOTH_DOUBT: 0.0}
     first = errors.first_printed
     turn = np.exp(2j * np.pi * ratio * tdc_rev * np.arange(first, first + errors.print_rev.size))
     printed = (errors.print_rev * turn).view(np.float64).tolist()
     low = int(bool(errors.kept))
-    return {TOOTH_LEVEL: errors.level_rev / ratio, TOOTH_ORDER: ratio, TOOTH_KEPT: low, TOOTH_PRINT: printed}
+    known = {TOOTH_LEVEL: errors.level_rev / ratio, TOOTH_DOUBT: errors.least_motion_rev / ratio}
+    return known | {TOOTH_ORDER: ratio, TOOTH_KEPT: low, TOOTH_PRINT: printed}
 
 
 def same_wheel(stated: Sequence[dict[str, Any]]) -> bool:
@@ -162,8 +164,11 @@ def _pattern(teeth: NumberedTeeth, ratio: float, revs_per_cycle: int, noise_s: f
     return made
 
 
-def _told(pattern: LinePattern, ratio: float, least_share: float) -> ToothErrors | None:
-    """The errors of the teeth in ``pattern``; None where its high harmonics are not those of teeth."""
+def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: bool) -> ToothErrors | None:
+    """The errors of the teeth in ``pattern``; None where its high harmonics are not those of teeth.
+
+    The shaft of an ``engine`` swings at low orders, seen or not.
+    """
     lines = pattern.deviation_rev.size
     power = np.abs(pattern.harmonic_rev) ** 2
     harmonic = np.arange(power.size)
@@ -173,9 +178,11 @@ def _told(pattern: LinePattern, ratio: float, least_share: float) -> ToothErrors
     rms = math.sqrt(0.25 * lines * level)
     if not rms * lines > least_share:
         return None
-    stands = (harmonic >= 1) & (power > np.where(low, STANDS_OUT, math.log(power.size / CHANCE)) * level)
+    count = int(high.sum())
+    limits = (_limit(CHANCE_LOW, count), _limit(CHANCE_HIGH / count, count))
+    stands = (harmonic >= 1) & (power > np.where(low, *limits) * level)
     # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
-    kept = stands | (low & (bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
+    kept = stands | (low & (engine or bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
     error: FloatArray = np.fft.irfft(own * (lines / 2.0), lines)
     left = (
@@ -187,11 +194,19 @@ def _told(pattern: LinePattern, ratio: float, least_share: float) -> ToothErrors
         level_rev=math.sqrt(level),
         kept=tuple(np.flatnonzero(kept).tolist()),
         motion=tuple(np.flatnonzero(stands).tolist()),
+        least_motion_rev=math.sqrt(limits[0] * level),
         standard_error_rev=math.sqrt(0.5 * left),
         n_revs=pattern.n_revs,
         print_rev=pattern.harmonic_rev[high][:PRINTED],
         first_printed=int(np.argmax(high)),
     )
+
+
+def _limit(chance: float, count: int) -> float:
+    """Power over the level that one more harmonic exceeds by ``chance``, the level being the median of ``count``."""
+    # a median tells the mean of an exponential distribution as well as the mean of half as many would
+    known = 0.5 * count
+    return float(known * (chance ** (-1.0 / known) - 1.0))
 
 
 def _swings_between(pattern: LinePattern, ratio: float, level: float) -> bool:
