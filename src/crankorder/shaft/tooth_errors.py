@@ -173,7 +173,8 @@ def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: boo
     power = np.abs(pattern.harmonic_rev) ** 2
     harmonic = np.arange(power.size)
     low = (harmonic >= 1) & (harmonic * ratio <= HIGHEST_MOTION)
-    high = harmonic > max(HIGHEST_MOTION / ratio, HIGH_SHARE * lines)
+    # the last harmonic of an even number of lines has no phase, and is spread in another way
+    high = (harmonic > max(HIGHEST_MOTION / ratio, HIGH_SHARE * lines)) & (2 * harmonic < lines)
     level = _white_level(power, pattern.harmonic_variance, low, high)
     rms = math.sqrt(0.25 * lines * level)
     if not rms * lines > least_share:
