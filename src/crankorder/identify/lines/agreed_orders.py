@@ -28,6 +28,7 @@ from crankorder.identify.lines.speed_proof import (
 from crankorder.identify.lines.swept_company import NEAREST_BINS
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
+from crankorder.identify.said import UNRESOLVED
 from crankorder.settings import IdentifySettings
 
 SAME_ORDER = 0.125
@@ -362,6 +363,8 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
         lock = "undecided"
         reasons.append(UNPARTED)
+    if lock == "slips" and any(UNRESOLVED in line.reservation for line in lines):
+        lock = "undecided"  # a resonance that passes has no order to slip from
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
