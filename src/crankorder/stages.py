@@ -112,7 +112,6 @@ def stage(function: Stage) -> Stage:
     """``function`` with its datasets checked against their schemas at the door and its result signed."""
     hints = get_type_hints(function)
     schemas = {name: SCHEMAS[kind] for name, kind in hints.items() if kind in SCHEMAS}
-
     names = tuple(inspect.signature(function).parameters)
 
     @functools.wraps(function)
@@ -123,8 +122,7 @@ def stage(function: Stage) -> Stage:
         result = function(*inputs, **named)
         if "return" in schemas:
             check_dataset(result, schemas["return"])
-            said = (function.__doc__ or "").replace("``", "").rstrip(".")
-            history = [result.attrs.get("history", ""), f"{function.__name__}: {said}"]
+            history = [result.attrs.get("history", ""), f"{function.__name__}: from {', '.join(names)}"]
             result.attrs["history"] = "\n".join(line for line in history if line)
         return result
 
@@ -428,6 +426,15 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 @functools.cache
 def _plan_of_recording(wanted: tuple[Any, ...]) -> StagePlan:
     return StagePlan(OF_RECORDING, wanted=wanted, given=(RecordingFile, Manifest, Settings, ShaftKnowledge))
+
+
+def stages_for(results: tuple[str, ...]) -> list[Callable[..., Any]]:
+    """The stages that a run of the ``results`` of that name goes through: of a recording, then of a test."""
+    of_test = _plan_of_test(results)
+    of_recording = _plan_of_recording(
+        (ShaftAngle, *(noun for whole, noun in FRAMES_OF.items() if whole in of_test.needs))
+    )
+    return [made for plan in (of_recording, of_test) for made, _, _ in plan.steps]
 
 
 @functools.cache
