@@ -424,8 +424,8 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 
 
 @functools.cache
-def _plan_of_recording(wanted: tuple[Any, ...]) -> StagePlan:
-    return StagePlan(OF_RECORDING, wanted=wanted, given=(RecordingFile, Manifest, Settings, ShaftKnowledge))
+def _plan_of_recording(wanted: tuple[Any, ...], source: Any = RecordingFile) -> StagePlan:
+    return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, ShaftKnowledge))
 
 
 def stages_for(results: tuple[str, ...]) -> list[Callable[..., Any]]:
@@ -452,22 +452,25 @@ def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LineP
     return pattern
 
 
-def analyse_recording(
-    file: Path, manifest: Manifest, settings: Settings, knowledge: ShaftKnowledge | None = None
-) -> RecordingResult:
-    """Shaft angle and frames of the recording in ``file`` as ``manifest`` describes it, with ``settings``.
+def analyse_shaft(recording: xr.Dataset, settings: Settings, knowledge: ShaftKnowledge) -> ShaftAngle:
+    """Crank angle and speed of the ``recording`` alone, with ``settings`` and ``knowledge`` of its shaft."""
+    given = {Recording: recording, Settings: settings, ShaftKnowledge: knowledge}
+    made: ShaftAngle = _plan_of_recording((ShaftAngle,), Recording).run(given)[ShaftAngle]
+    return made
 
-    ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file, where the recording cannot be
-    used.
+
+def analyse_recording(
+    source: Path | xr.Dataset, manifest: Manifest, settings: Settings, knowledge: ShaftKnowledge | None = None
+) -> RecordingResult:
+    """Shaft angle and frames of the recording in ``source``, a file or a Recording, with ``settings``.
+
+    ``manifest`` describes it; ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file,
+    where the recording cannot be used.
     """
     frames = frames_wanted(settings)
-    given = {
-        RecordingFile: file,
-        Manifest: manifest,
-        Settings: settings,
-        ShaftKnowledge: knowledge or ShaftKnowledge(),
-    }
-    made = _plan_of_recording((ShaftAngle, *frames)).run(given)
+    noun = RecordingFile if isinstance(source, Path) else Recording
+    given = {noun: source, Manifest: manifest, Settings: settings, ShaftKnowledge: knowledge or ShaftKnowledge()}
+    made = _plan_of_recording((ShaftAngle, *frames), noun).run(given)
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 

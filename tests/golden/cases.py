@@ -66,7 +66,7 @@ REAL = {
     "hammer": "modal_vtb",
     "mfpt": "mfpt_vload",
     "oma_tower": "oma_tower",
-    "rotor_groups": "rotorbalancer/2021-07_groups",
+    "rotor_groups": "rotorbalancer",
     "rotorbalancer": "rotorbalancer",
     "tue_genset": "tue_genset",
 }

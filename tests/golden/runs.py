@@ -19,15 +19,16 @@ def summary_of(case: Case, folder: Path) -> Summary:
     arguments = ["--out", str(out), "--jobs", "2"]
     arguments += [] if case.recipe == DEFAULT else ["--recipe", case.recipe]
     if case.is_real:
-        data = SHARED / case.folder
+        data = [SHARED / case.folder]
         arguments += ["--manifest", str(MANIFESTS / case.manifest)]
     else:
         data = made_scene(case.scene, folder.parent)
-    ran: list[str] = []
-    outcome = CliRunner().invoke(main, ["run", str(data), *arguments])
-    text = outcome.output.replace(str(out), "OUT").replace(str(data), "DATA").replace(str(data.parent), "DATA/..")
-    made: Summary = {"exit": outcome.exit_code, "text": text.splitlines(), "stages": ran}
-    results = next(iter(sorted(out.glob("*/results.nc"))), None)
+    outcome = CliRunner().invoke(main, ["run", *map(str, data), *arguments])
+    text = outcome.output.replace(str(out), "OUT")
+    for place in (*data, data[0].parent):
+        text = text.replace(str(place), "DATA")
+    made: Summary = {"exit": outcome.exit_code, "text": text.splitlines(), "stages": []}
+    results = next(iter(sorted(out.glob("*/results.nc"), reverse=True)), None)  # of several repeats the last
     if results is not None:
         made["stages"] = stages_of(results.parent)
         made["results"] = summary_of_results(results)
@@ -42,10 +43,10 @@ def stages_of(test: Path) -> list[str]:
     return [made.__name__ for made in stages.stages_for(tuple(run["settings"]["report"]["results"]))]
 
 
-def made_scene(scene: str, folder: Path) -> Path:
-    """Folder of the recordings of the short version of ``scene``, written into ``folder`` once."""
+def made_scene(scene: str, folder: Path) -> list[Path]:
+    """Folders of the recordings of the short version of ``scene``, written into ``folder`` once."""
     made = folder / f"scene-{scene}"
     if not made.exists():
         outcome = CliRunner().invoke(main, ["synth", scene, "--quick", "--out", str(made), "-q"])
         assert outcome.exit_code == 0, outcome.output
-    return made
+    return sorted(made.glob("run_*")) or [made]
