@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.orders.gain_steps import gain_steps, left_out
 from crankorder.quantities import WHICH_IS_RIGHT, QualityFlag
 
 _LIKE_SPEED = 0.02
@@ -17,17 +18,23 @@ _OTHERS_STAY = 0.25
 """Share of the jump that the others may move by: a load moves them all."""
 
 
+_EVIDENCE = ("blocks", "lines")
+
+
 @dataclass(frozen=True)
 class RecordedLevel:
     """One recording: its name, lowest and highest speed [rpm], and by channel name root mean square and ``floor``.
 
-    The floor is the root of the middling bin of the power spectrum, which neither lines nor modes raise.
+    The floor is the root of the middling bin of the power spectrum, which neither lines nor modes raise. ``blocks``
+    holds that of each block of the spectrum, ``lines`` the amplitude of each order, NaN where none stands out.
     """
 
     recording: str
     speed_rpm: tuple[float, float]
     rms: dict[str, float]
     floor: dict[str, float] = field(default_factory=dict)
+    blocks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    lines: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     @property
     def is_steady(self) -> bool:
@@ -36,9 +43,12 @@ class RecordedLevel:
         return math.isfinite(low) and low > 0.0 and high <= low * (1.0 + _LIKE_SPEED)
 
 
-def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float) -> list[QualityFlag]:
+def level_jumps(
+    levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: float | None = None
+) -> list[QualityFlag]:
     """Flags of those ``levels`` where a channel's lies ``ratio`` times or more off that of most recordings at like
-    speed, or its floor off those next in speed: that channel of that recording is to be left out.
+    speed, or its floor off those next in speed: that channel of that recording is to be left out. So is one whose
+    floors and orders together prove another gain by ``proven_ratio`` or more (None: that is not asked for).
 
     The other channels (one at least) must stay. Where no majority of the recordings at like speed agrees, nor those
     next in speed, nobody knows which is wrong: all are named.
@@ -59,7 +69,28 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float) -> list[Qualit
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
                 what += f" at {np.mean(one.speed_rpm):.4g} rpm"
                 found[one.recording, name] = _flag(one.recording, name, what, undecided=undecided)
-    return list((by_floor | found).values())
+    proven = {} if proven_ratio is None else _proven(steady, ratio=proven_ratio)
+    return list((proven | by_floor | found).values())
+
+
+def _proven(steady: Sequence[RecordedLevel], *, ratio: float) -> dict[tuple[str, str], QualityFlag]:
+    """Flags by recording and channel of those of the ``steady`` ones whose floors and orders prove another gain."""
+    names = list(steady[0].blocks) if steady else []
+    alike = [one for one in steady if list(one.blocks) == names and list(one.lines) == names]
+    sizes = {(len(one.blocks[name]), len(one.lines[name])) for one in alike for name in names}
+    if len(names) < 2 or len(sizes) != 1:
+        return {}
+    speed = np.array([np.mean(one.speed_rpm) for one in alike])
+    blocks, lines = (np.array([[getattr(one, key)[name] for name in names] for one in alike]) for key in _EVIDENCE)
+    steps = gain_steps(speed, blocks, lines, ratio=ratio)
+    flags = {}
+    for column, name in enumerate(names):
+        rows, undecided = left_out(steps, len(alike), column)
+        for row, log in rows.items():
+            what = f"floor and orders are {math.exp(log):.3g} times what most recordings show"
+            what = "floor and orders differ by one factor between recordings" if undecided else what
+            flags[alike[row].recording, name] = _flag(alike[row].recording, name, what, undecided=undecided)
+    return flags
 
 
 def _wrong_of(rows: dict[int, float], beside: list[int], count: int) -> list[tuple[int, float, bool]]:
