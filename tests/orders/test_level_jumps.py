@@ -115,9 +115,7 @@ def test_a_load_that_raises_all_floors_is_no_gain(seed: int) -> None:
 BLOCKS, ORDERS = 16, 8
 
 
-def proven(
-    rng: np.random.Generator, n_channels: int = 3, n_speeds: int = 7, scatter: float = 0.15
-) -> list[RecordedLevel]:
+def proven(rng: np.random.Generator, n_channels: int = 3, n_speeds: int = 7) -> list[RecordedLevel]:
     """A machine's floors by block and orders: both grow, orders scatter from channel to channel as modes make them."""
     names = "XYZW"[:n_channels]
     shape, growth = rng.lognormal(0.0, 1.0, (n_channels, BLOCKS)), rng.uniform(0.0, 2.0)
@@ -135,10 +133,8 @@ def proven(
     return made
 
 
-def with_gain(
-    one: RecordedLevel, name: str, factor: float, *, of: tuple[str, ...] = ("floor", "blocks", "lines")
-) -> None:
-    for key in of:
+def with_gain(one: RecordedLevel, name: str, factor: float, *, only: tuple[str, ...] = ()) -> None:
+    for key in only or ("floor", "blocks", "lines"):
         getattr(one, key)[name] = factor * getattr(one, key)[name]
 
 
