@@ -19,6 +19,8 @@ _OTHERS_STAY = 0.25
 
 
 _EVIDENCE = ("blocks", "lines")
+_ENDS = ((0, (1, 2)), (-1, (-2, -3)))
+"""Places of the slowest and the fastest recording, and of the two next to each."""
 
 
 @dataclass(frozen=True)
@@ -125,10 +127,13 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
         return []
     logs = np.log([[one.floor[name] for name in names] for one in steady])
     below, above = logs[1:-1] - logs[:-2], logs[1:-1] - logs[2:]
-    # at either end two neighbours on one side must agree
-    first, last = (logs[:1] - logs[1:2], logs[:1] - logs[2:3]), (logs[-1:] - logs[-2:-1], logs[-1:] - logs[-3:-2])
-    one, other = (np.concatenate([first[k], (below, above)[k], last[k]]) for k in (0, 1))
-    apart = np.where(np.sign(one) == np.sign(other), np.sign(one) * np.minimum(np.abs(one), np.abs(other)), 0.0)
+    # at either end two neighbours on one side must agree, and what grows from the one to the other must not explain it
+    speed = np.log([np.mean(one.speed_rpm) for one in steady])
+    ends = [np.stack([logs[at] - logs[k] for k in near] + [_beyond(logs, speed, at, near)]) for at, near in _ENDS]
+    inner = np.stack([below, above, below])
+    parts = np.concatenate([ends[0][:, None], inner, ends[1][:, None]], axis=1)
+    agree = (np.sign(parts) == np.sign(parts[0])).all(axis=0)
+    apart = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
     flags = []
     for row, column in zip(*np.nonzero(np.abs(apart) > math.log(ratio)), strict=True):
         if np.abs(np.delete(apart[row], column)).max() >= _OTHERS_STAY * abs(apart[row, column]):
@@ -136,6 +141,16 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
         what = f"its noise floor is {math.exp(apart[row, column]):.3g} times that of the recordings next in speed"
         flags.append(_flag(steady[row].recording, names[column], what))
     return flags
+
+
+def _beyond(
+    logs: NDArray[np.float64], speed: NDArray[np.float64], at: int, near: tuple[int, int]
+) -> NDArray[np.float64]:
+    """How far the floors (recording, channel) at one end lie off the line through the two ``near`` it."""
+    first, second = near
+    apart = speed[first] - speed[second]
+    grows = (logs[first] - logs[second]) / apart if abs(apart) > _LIKE_SPEED else np.zeros(logs.shape[1])
+    return np.asarray(logs[at] - logs[first] - grows * (speed[at] - speed[first]))
 
 
 def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:
