@@ -61,6 +61,7 @@ class IngestSettings(StageSettings):
     mains_share: Fraction
     level_ratio: Annotated[float, Field(gt=1)]
     level_jump_ratio: Annotated[float, Field(gt=1)]
+    gain_step_ratio: Annotated[float, Field(gt=1)]
     max_lost_fraction: Fraction
     lost_margin_s: Annotated[float, Field(ge=0)]
     fewest_samples: Count

@@ -91,7 +91,7 @@ def run_test(
             return outcome
         first_run = load_kernels()
         results = _analyse(plan, hashes, jobs, outcome, progress, one_first=first_run)
-        results = without_changed_gains(results, ratio=plan.settings.ingest.level_jump_ratio)
+        results = without_changed_gains(results, settings=plan.settings.ingest)
         clock.lap("recordings")
         outcome.faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
         if not results:

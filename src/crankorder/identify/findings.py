@@ -39,6 +39,7 @@ from crankorder.identify.motors import (
     without_known,
 )
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
+from crankorder.identify.order_one import if_unbalance
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.identify.sources import Sources
@@ -103,9 +104,8 @@ def find(
         "bearings": bearings,
         **({} if motor is None else {"motor": motor_record(motor)}),
         "lines": line_records(records, modal, causes, channels=list(unit)),
-        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)),
-        "levels": level_records(levels),
-        **_balance(order_map, orders, modal, sources),
+        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked), level_records(levels)),
+        **_balance(order_map, orders, modal, sources, causes),
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": flags + fold_flags(order_map, settings=settings, folds=folds),
@@ -154,10 +154,12 @@ def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
 
 
 def _balance(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources, causes: Causes
 ) -> dict[str, Any]:
     """The residual unbalance, or why it is not known, as the findings hold it."""
     made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
+    if made is not None:
+        made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
     return {"balance": made} if made is not None else {"balance": None, "balance_reason": reason}
 
 
@@ -200,10 +202,16 @@ def _electric(
     return found, found.seen or mains_seen(held, settings=settings.identify)
 
 
-def _energy(shares: dict[str, Any]) -> dict[str, Any]:
-    """Shares of the energy as the findings hold them: what is not explained beside the rest."""
+def _energy(shares: dict[str, Any], levels: list[dict[str, Any]]) -> dict[str, Any]:
+    """Shares of the energy as the findings hold them: what is not explained, the rest, what lies above; the levels."""
     rest = {key: value for key, value in shares.items() if key != "unexplained_energy_fraction"}
-    return {"unexplained_energy_fraction": shares["unexplained_energy_fraction"], "energy": rest}
+    above = {one["channel"]: one["share_above"] for one in levels}
+    channels = [one | {"above_band": above.get(one["channel"])} for one in rest["channels"]]
+    return {
+        "unexplained_energy_fraction": shares["unexplained_energy_fraction"],
+        "energy": rest | {"channels": channels},
+        "levels": levels,
+    }
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

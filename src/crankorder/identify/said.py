@@ -9,6 +9,15 @@ ALIKE_SPEEDS = 1.005
 ONE_SPEED = "too few speeds to tell how it grows"
 """What is said of an order of which nothing tells whether it grows as an unbalance does."""
 
+LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
+"""What order 1 is called where nothing tells these apart."""
+
+NOT_AS_UNBALANCE = "does not grow as unbalance does"
+"""What is said of an order 1 that surely grows more slowly."""
+
+IF_UNBALANCE = "if order 1 is unbalance"
+"""What is said of a residual unbalance where nothing tells order 1 from a bent shaft or misalignment."""
+
 UNRESOLVED = (
     "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
 )
