@@ -29,6 +29,7 @@ from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
+from crankorder.identify.motor_speed import SpeedRead, explained_at, speed_read, with_speed_read
 from crankorder.identify.motors import (
     LineSeen,
     MotorFound,
@@ -77,15 +78,18 @@ def find(
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
     in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings, doubt)
+    read = speed_read(sources.motor, in_map, order_map, settings=asked)
+    in_map = with_speed_read(in_map, read)
     reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
     orders = with_track_rows(in_map, reader, settings=settings.orders)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
     explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
-    causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    explain = partial(explain, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    causes = explained_at(read, in_map, modal, bearings, explain=explain)
     modal = with_neighbours_named(modal, in_map, causes)
-    motor = _judged(motor, in_map, causes, order_map, doubt)
+    motor = _judged(motor, in_map, causes, order_map, doubt, read)
     tested = _tested_rpm(order_map, campbell)
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
@@ -141,9 +145,10 @@ def _judged(
     causes: Causes,
     order_map: xr.Dataset,
     doubt: str | None,
+    read: SpeedRead | None,
 ) -> MotorFound | None:
-    """The ``motor`` beside all other lines: its rivals, the speed that is stated and the bars."""
-    judged = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
+    """The ``motor`` beside all other lines: its rivals, the speed that is stated, or was ``read``, and the bars."""
+    judged = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt, read)
     return with_bars_judged(judged, in_map, causes, order_map)
 
 

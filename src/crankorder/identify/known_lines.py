@@ -143,8 +143,8 @@ def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place
     for place in known:
         score[np.abs(own - held.order_of(place)) * held.span_rev < APART_CYCLES] = 0.0
     best = int(np.argmax(score))
-    if score[best] <= 0.0:
-        return None
+    if score[best] <= 0.0 or best in (0, len(trial) - 1):
+        return None  # at an end it is the flank of a line beyond
     frequency = _summit(trial, score, best)
     sighting = sightings(held, [(frequency, 0.0), *others])[0]
     if sighting is None or not sighting.seen:
@@ -154,8 +154,6 @@ def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place
 
 def _summit(trial: Floats, score: Floats, best: int) -> float:
     """Top of the parabola through three points of ``score``."""
-    if best in (0, len(trial) - 1):
-        return float(trial[best])
     left, middle, right = score[best - 1 : best + 2]
     bend = left - 2.0 * middle + right
     shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
