@@ -18,6 +18,7 @@ from crankorder.identify.lines.line_phasors import Recording, is_swept, recordin
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
+from crankorder.identify.lines.several_orders import FREEDOM, SOLVED, close_lines, lines_at
 from crankorder.identify.lines.speed_proof import (
     NO_PULSES,
     PROVEN_SPEED_ERROR,
@@ -154,6 +155,7 @@ def orders_agreed(
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
     held = [line for line in lines if test.holds(line.order)]
     found = _each_once([one for group in _groups(held) for one in _parted(group, test)])
+    found = _with_close_lines(found, test)
     if source == "stated":
         numbers = [one.number for one in found if one.number.by_phase and not _may_be_mains(one, settings)]
         told = [(one.order, one.error, one.freedom) for one in numbers]
@@ -161,6 +163,23 @@ def orders_agreed(
     agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
     agreed.sort(key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
+
+
+def _with_close_lines(found: list[_Unnamed], test: _Test) -> list[_Unnamed]:
+    """``found`` of a test at one speed with all lines of those neighbourhoods that hold more than was told there."""
+
+    def told(low: float, high: float) -> list[float]:
+        return [one.number.order for one in found if low <= one.number.order <= high]
+
+    for close in close_lines(test.recordings, test.order_map, told=told):
+        text = f"{len(close.solved)} {SOLVED}"
+        added = [
+            _Unnamed(_Number(one.order, one.error, FREEDOM, True, parted_rev=close.span_rev), lines, text)
+            for one in close.solved
+            if (lines := lines_at(close, one, test.order_map))
+        ]
+        found = [one for one in found if not close.holds(one.number.order)] + added
+    return found
 
 
 def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
