@@ -29,7 +29,7 @@ from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
-from crankorder.identify.motor_speed import SpeedRead, explained_at, speed_read, with_speed_read
+from crankorder.identify.motor_speed import SpeedRead, explained_at, with_speed_read
 from crankorder.identify.motors import (
     LineSeen,
     MotorFound,
@@ -78,15 +78,12 @@ def find(
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
     in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings, doubt)
-    read = speed_read(sources.motor, in_map, order_map, settings=asked)
-    in_map = with_speed_read(in_map, read)
-    reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
-    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    in_map, read = with_speed_read(sources.motor, in_map, order_map, settings=asked)
+    orders = _with_rows(in_map, order_map, frames, without_swings(followed, modal.swings), settings)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
-    explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
-    explain = partial(explain, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    explain = partial(explain, longest_rev=_longest(held), of_encoder=encoder_sidebands(in_map, order_map, frames))
     causes = explained_at(read, in_map, modal, bearings, explain=explain)
     modal = with_neighbours_named(modal, in_map, causes)
     motor = _judged(motor, in_map, causes, order_map, doubt, read)
@@ -130,6 +127,23 @@ def _speeds(
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)
+
+
+def _with_rows(
+    in_map: tuple[AgreedOrder, ...],
+    order_map: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    followed: Sequence[xr.Dataset],
+    settings: Settings,
+) -> tuple[AgreedOrder, ...]:
+    """Orders ``in_map`` with the rows of their tracks, from the map and as ``followed``."""
+    reader = TrackReader(order_map, frames=frames, followed=followed)
+    return with_track_rows(in_map, reader, settings=settings.orders)
+
+
+def _longest(held: Sequence[Held]) -> float:
+    """Revolutions of the longest of the recordings ``held``; infinite where none is."""
+    return max((one.span_rev for one in held), default=np.inf)
 
 
 def _bearings(

@@ -169,10 +169,18 @@ def _first(may_be: Sequence[_Line], lines: Sequence[_Line]) -> _Line | None:
     return best if all(STANDS_OUT * one.size <= best.size for one in may_be if one is not best) else None
 
 
-def with_speed_read(orders: tuple[AgreedOrder, ...], read: SpeedRead | None) -> tuple[AgreedOrder, ...]:
-    """``orders`` of which those of the shaft at the speed that was ``read`` say so and are locked to no stated one."""
-    if read is None:
-        return orders
+def with_speed_read(
+    motor: Motor | None, orders: tuple[AgreedOrder, ...], order_map: xr.Dataset, *, settings: IdentifySettings
+) -> tuple[tuple[AgreedOrder, ...], SpeedRead | None]:
+    """``orders`` of which those of the shaft at the speed that is read say so, locked to no stated one; and that speed.
+
+    ``motor``, ``order_map`` and ``settings`` as in :func:`speed_read`.
+    """
+    read = speed_read(motor, orders, order_map, settings=settings)
+    return (orders if read is None else _saying_so(orders, read)), read
+
+
+def _saying_so(orders: tuple[AgreedOrder, ...], read: SpeedRead) -> tuple[AgreedOrder, ...]:
     return tuple(
         one
         if read.multiple(one) is None

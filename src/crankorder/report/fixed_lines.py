@@ -32,6 +32,12 @@ def is_electric(record: dict[str, Any]) -> bool:
     return mains.is_electric(str(record.get("explained_by") or ""))
 
 
+def at_one_speed(findings: dict[str, Any]) -> bool:
+    """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
+    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
+    return is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
+
+
 def hertz_of_order(record: dict[str, Any], findings: dict[str, Any]) -> float | None:
     """Frequency [Hz] by which an order ``record`` of the ``findings`` is called first; None where its order says more.
 
@@ -42,10 +48,8 @@ def hertz_of_order(record: dict[str, Any], findings: dict[str, Any]) -> float | 
     rpm = record.get("speed_rpm_at_max")
     if not is_number(rpm) or not is_number(record.get("order")):
         return None
-    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    one_speed = is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
     cause = str(record.get("explained_by") or "unexplained")
-    loose = one_speed and record.get("lock") == "slips" and not cause.startswith(("bearing", "gear"))
+    loose = at_one_speed(findings) and record.get("lock") == "slips" and not cause.startswith(("bearing", "gear"))
     loose = loose or SPEAK_FOR in str(record.get("evidence") or "")
     return float(record["order"]) * float(rpm) / 60.0 if loose or is_electric(record) else None
 
