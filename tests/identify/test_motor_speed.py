@@ -30,7 +30,7 @@ STATED = with_flags(
 def at_speed(hertz: float, rpm: float, size: float = 1.0) -> AgreedOrder:
     """A line at ``hertz`` of a recording for which ``rpm`` was stated."""
     order = 60.0 * hertz / rpm
-    made = agreed(order, lock="undecided", error=STATED_SPEED_ERROR * order)
+    made: AgreedOrder = agreed(order, lock="undecided", error=STATED_SPEED_ERROR * order)
     one = dataclasses.replace(
         made.lines[0],
         seen=np.array([0]),

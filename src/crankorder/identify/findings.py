@@ -40,6 +40,7 @@ from crankorder.identify.motors import (
     without_known,
 )
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
+from crankorder.identify.parted_tones import with_tones_parted
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.identify.sources import Sources
@@ -77,7 +78,7 @@ def find(
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
-    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings, doubt)
+    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, (held, known), settings, doubt)
     in_map, read = with_speed_read(sources.motor, in_map, order_map, settings=asked)
     orders = _with_rows(in_map, order_map, frames, without_swings(followed, modal.swings), settings)
     bearings = _bearings(orders, envelope, sources, asked)
@@ -185,18 +186,19 @@ def _orders_and_modes(
     campbell: xr.Dataset,
     frames: Sequence[xr.Dataset],
     followed: Sequence[xr.Dataset],
-    known: Sequence[LineSeen],
+    electric: tuple[Sequence[Held], Sequence[LineSeen]],
     settings: Settings,
     doubt: str | None,
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
-    """Orders as the map and the modes that they cross tell them, and the modes without the ``known`` electric lines.
+    """Orders as the map and the modes that they cross tell them, and modes without ``electric`` lines (held, known).
 
     With a ``doubt`` about the speed no order is locked or slips.
     """
+    held, known = electric
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = without_doubles(with_mains_tones(modal, known, in_map))
+    modal = without_doubles(with_mains_tones(with_tones_parted(modal, held), known, in_map))
     return in_map if doubt is None else undecided_orders(in_map), modal
 
 
