@@ -509,7 +509,7 @@ def _made(
             results[Path(name)] = analyse_recording(one, manifest, settings, ShaftKnowledge(known))
         except InputError as error:
             faults.append(error)
-    results = without_changed_gains(results, ratio=settings.ingest.level_jump_ratio)
+    results = without_changed_gains(results, settings=settings.ingest)
     faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
     if not results:
         raise faults[0] if len(faults) == 1 else NoUsableRecordingError("no recording could be used", found=faults[0])

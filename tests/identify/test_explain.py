@@ -313,6 +313,22 @@ def test_a_tone_of_a_struck_race_at_one_speed_is_no_tone_of_its_own():
     assert harmonic_words([race], 4.93, 1e-4) == ""
 
 
+@pytest.mark.parametrize(("times", "words"), [(3.0, "bearing jack shaft BPFO, harmonic 3"), (3.3, "undecided")])
+def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(times: float, words: str) -> None:
+    """Strikes that wander make their third harmonic as wide as a natural frequency of little damping."""
+    rpm, bearing = 1772.0, JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0})
+    shaft = agreed(1.0, line(1.0, speed_rpm=[rpm]))
+    doubtful = mode(times * 3.572 * rpm / 60.0, 1e-3, undecided="no wider for sure than an order")
+    doubtful = dataclasses.replace(doubtful, frequency_error_hz=0.05)
+    found = causes(
+        [shaft],
+        dataclasses.replace(ROTOR, bearings=(bearing,)),
+        modal=fit(doubtful),
+        bearings=[bearing_record(bearing, "BPFO", 3.572, half=5e-4)],
+    )
+    assert found.modes[0].text == words
+
+
 @pytest.mark.parametrize("has_first", [False, True])
 def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(has_first: bool) -> None:
     """A shaft at 1480 rpm of which 1400 was stated: 1.057 and its multiples, and nothing at order 1."""

@@ -174,6 +174,12 @@ def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
     assert strongest_sentence(full, "Y").startswith("Order 2")
 
 
+def test_at_one_speed_no_tone_is_called_fixed(full: Any) -> None:
+    full["speed_range_rpm"] = [1777.0, 1777.4]
+    assert strongest_sentence(full, "Z").startswith("A line at 58.3 Hz is the strongest line in Z")
+    assert headline(full)[1].endswith("At one speed nothing tells whether it follows the shaft.")
+
+
 def test_a_mode_in_the_list_of_lines_is_not_taken_for_a_tone(full: Any) -> None:
     full["lines"] = [{"channel": "Z", "frequency_hz": 60.0, "explained_by": "mode", "amplitude": 99.0}]
     assert strongest_sentence(full, "Z").startswith("Order 2")

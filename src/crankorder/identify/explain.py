@@ -147,7 +147,9 @@ def explained(
     modes = tuple(
         Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
     )
-    tones = _explained_tones(modal.tones, races, _one_speed(orders), known, settings)
+    rpm = _one_speed(orders)
+    modes = tuple(_of_race(mode, cause, races, rpm) for mode, cause in zip(modal.modes, modes, strict=True))
+    tones = _explained_tones(modal.tones, races, rpm, known, settings)
     return _with_one_mains(Causes(causes, modes, tones), orders, modal.tones)
 
 
@@ -526,6 +528,18 @@ def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> str
     if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < LOW_MAINS_HZ):
         return ""
     return harmonic_words(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
+
+
+def _of_race(mode: Mode, cause: Cause, races: list[StruckRace], rpm: float | None) -> Cause:
+    """``cause`` of a ``mode``, or, where it may be none, the line that one of ``races`` has there at the only speed.
+
+    Strikes that wander make harmonics as wide as a natural frequency of little damping.
+    """
+    if not mode.undecided or rpm is None:
+        return cause
+    turns = 60.0 / rpm
+    words = harmonic_words(races, mode.frequency_hz * turns, mode.frequency_error_hz * turns, few=True)
+    return Cause(words, RACE_EVIDENCE) if words else cause
 
 
 def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:

@@ -111,5 +111,5 @@ def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
         return None
     rpm = float(speed.mean())
     return agreed.order * rpm / 60.0, float(
-        np.hypot(agreed.order_error * rpm, agreed.order * np.ptp(speed) / 4.0)
+        np.hypot(agreed.line_error * rpm, agreed.order * np.ptp(speed) / 4.0)
     ) / 60.0

@@ -29,5 +29,8 @@ MAY_BE_ALL = "stands there, and may be all of it"
 IF_WRONG = "this one if that is wrong"
 """Words of a shaft that may be the one whose speed was stated."""
 
+SPEAK_FOR = "the lines speak for"
+"""What is said of a speed that lines of the shaft tell, where another one was stated."""
+
 CLEARLY_EXCITED = 2.0
 """An order that cannot be so many times what it would be without the mode is not excited."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, ONE_SPEED, UNRESOLVED
-from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
+from crankorder.report.fixed_lines import at_one_speed, fixed_tones, hertz_of_order, is_electric, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     estimate_text,
@@ -130,7 +130,8 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
     above = stronger_above(findings, channel, largest)
     where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else " in the band that was looked at")
     if tone is not None and (order is None or float(tone["amplitude"]) > float(order["amplitude"])):
-        text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
+        noun = "line at" if at_one_speed(findings) else "fixed tone of"
+        text = f"A {noun} {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:
             hertz = hertz_of_order(order, findings)
             called = (
@@ -221,6 +222,8 @@ def _cause(record: dict[str, Any], findings: dict[str, Any]) -> str:
     if cause == "tone":
         if in_doubt:
             return " Whether it follows the shaft is not decided, for the speed is in doubt."
+        if at_one_speed(findings):
+            return " At one speed nothing tells whether it follows the shaft."
         return " The tone does not follow the shaft: it has a source of its own."
     if in_doubt:
         return f" Cause, if the speed is right: {named(cause, limit=2 * NAME_CHARACTERS)}."

@@ -111,6 +111,8 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
         name, hertz = order_name(record, findings), hertz_of_order(record, findings)
         if is_electric(record):
             continue
+        if hertz is not None and record.get("lock") == "undecided":
+            continue  # it speaks for another speed than the one that was stated
         if hertz is not None:
             loose.append(f"{hertz:.2f} Hz (order {estimate_text(record, 'order')})")
         elif record.get("lock") == "slips":
