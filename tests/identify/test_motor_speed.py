@@ -15,6 +15,7 @@ from crankorder.identify.explain import explained
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.speed_proof import NO_PULSES, STATED_SPEED_ERROR
 from crankorder.identify.motor_speed import SpeedRead, explained_at, speed_read, with_speed_read
+from crankorder.identify.said import LIKE_UNBALANCE
 from crankorder.identify.sources import Sources
 from crankorder.quantities import with_flags
 from crankorder.settings import load_settings
@@ -85,7 +86,7 @@ def test_at_the_speed_that_was_read_no_line_is_a_second_shaft_and_mains_are_main
         assert "second shaft" not in text
         turns = hertz * 60.0 / true
         if abs(turns - round(turns)) < 1e-6:
-            assert text == ("unbalance" if round(turns) == 1 else "shaft harmonic")
+            assert text == (LIKE_UNBALANCE if round(turns) == 1 else "shaft harmonic")
             assert "the lines speak for" in one.reservation and one.lock == "undecided"
         elif min(abs(hertz - supply), abs(hertz - 2.0 * supply)) < 1e-3:
             assert "mains" in text

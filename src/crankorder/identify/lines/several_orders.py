@@ -22,6 +22,12 @@ LEVEL_BINS = 16
 FREEDOM = 40.0
 """Degrees of freedom of an error that some 24 places beside a line tell."""
 
+SIGMAS = 3.0
+"""Standard errors within which two lines lie at one distance, or are of one size …"""
+
+ALIKE = 0.3
+"""… or shares of the larger: what changes the size changes the angle a little, which takes from one side."""
+
 SOLVED = "lines within a quarter order, solved together"
 """Words, after their number, of lines that were told apart so."""
 
@@ -65,7 +71,7 @@ def close_lines(
         if leave_noise(held, low, high, orders):
             continue
         inside = _solved(held, low, high)
-        if len(inside) > max(len(orders), 1):
+        if len(inside) > max(len(orders), 1) and not _is_modulated(inside):
             found.append(CloseLines(low, high, held.span_rev, tuple(inside)))
     return found
 
@@ -76,6 +82,31 @@ def _solved(held: Held, low: float, high: float) -> list[SolvedLine]:
     if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
         return []
     return [one for one in several_lines(held, low, high, beyond=beyond) if low <= one.order <= high]
+
+
+def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
+    """Whether ``lines`` are pairs about the strongest, as one line makes them whose size or angle changes."""
+    strongest = max(lines, key=lambda one: one.sigmas)
+    rest = [one for one in lines if one is not strongest]
+    for one in rest:
+        away = one.order - strongest.order
+        mirrored = [
+            other
+            for other in rest
+            if abs(other.order - strongest.order + away) < SIGMAS * np.hypot(one.error, other.error)
+            and _are_alike(one, other)
+        ]
+        if not mirrored:
+            return False
+    return True
+
+
+def _are_alike(one: SolvedLine, other: SolvedLine) -> bool:
+    """Whether both are of one size in all channels, as far as their errors and a changing speed tell."""
+    room = SIGMAS * np.hypot(one.amplitude_error, other.amplitude_error)
+    return bool(
+        (np.abs(one.amplitude - other.amplitude) <= room + ALIKE * np.maximum(one.amplitude, other.amplitude)).all()
+    )
 
 
 def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
