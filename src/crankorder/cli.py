@@ -149,19 +149,22 @@ def _run_plans(
     """Run all plans, publish the index, say what was found; returns the exit status."""
     helper = _started(plans, jobs)
     try:
-        from crankorder.batch.execute import run_test
-        from crankorder.batch.index import publish_index, summary
+        from crankorder.batch.campaign import run_plans
+        from crankorder.batch.index import summary
 
         if any("findings" in plan.settings.report.results for plan in plans):
             import crankorder.identify.findings  # noqa: F401  # while no garbage is looked for
         gc.enable()
-        outcomes = []
-        for plan in plans:
-            with _Progress(quiet, plan.name) as progress:
-                outcome = run_test(plan, helper=helper, jobs=jobs, fresh=fresh, strict=strict, progress=progress.update)
-            _say(outcome, quiet, verbose)
-            outcomes.append(outcome)
-        publish_index(out, outcomes, page_of=helper.index_page)
+        outcomes = run_plans(
+            plans,
+            out,
+            helper=helper,
+            jobs=jobs,
+            fresh=fresh,
+            strict=strict,
+            watched=lambda name: _Progress(quiet, name),
+            tell=lambda outcome: _say(outcome, quiet, verbose),
+        )
     finally:
         gc.enable()
         helper.close()
@@ -232,8 +235,8 @@ class _Progress:
         self._shown = sys.stderr.isatty() and not quiet
         self._label, self._bar, self._done = label, None, 0  # type: str, Any, int
 
-    def __enter__(self) -> _Progress:
-        return self
+    def __enter__(self) -> Callable[[str, int, int], None]:
+        return self.update
 
     def __exit__(self, *unused: object) -> None:
         if self._bar is not None:
@@ -364,7 +367,7 @@ def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> list[Path]:
     from crankorder.synth.write import write_scene
 
     with _Progress(quiet, f"synthesise {scene}") as progress:
-        return write_scene(scene, out, quick=quick, progress=lambda done, total: progress.update("", done, total))
+        return write_scene(scene, out, quick=quick, progress=lambda done, total: progress("", done, total))
 
 
 @main.command()

@@ -61,6 +61,7 @@ class IngestSettings(StageSettings):
     mains_share: Fraction
     level_ratio: Annotated[float, Field(gt=1)]
     level_jump_ratio: Annotated[float, Field(gt=1)]
+    gain_step_ratio: Annotated[float, Field(gt=1)]
     max_lost_fraction: Fraction
     lost_margin_s: Annotated[float, Field(ge=0)]
     fewest_samples: Count
@@ -243,7 +244,7 @@ def load_settings(
 ) -> Settings:
     """Settings of all stages with the differences of ``recipe`` (a shipped name or a path of a TOML file) applied.
 
-    A relative path is tried from the folder ``beside`` first. What the command line ``asked`` for, by stage and key,
+    A relative path is tried from the folder ``beside`` first. What the command or call ``asked`` for, by stage and key,
     goes before both.
     Raises ManyErrors that lists every unknown key and every value out of range, or RequestError for a missing file.
     """
@@ -257,7 +258,7 @@ def load_settings(
                 tables[stage] = table
     for stage, values in (asked or {}).items():
         tables[stage] = {**tables.get(stage, {}), **values}
-        source = "the command line" if values else source
+        source = "the options" if values else source
     try:
         return Settings.model_validate(tables)
     except ValidationError as error:

@@ -112,7 +112,6 @@ def stage(function: Stage) -> Stage:
     """``function`` with its datasets checked against their schemas at the door and its result signed."""
     hints = get_type_hints(function)
     schemas = {name: SCHEMAS[kind] for name, kind in hints.items() if kind in SCHEMAS}
-
     names = tuple(inspect.signature(function).parameters)
 
     @functools.wraps(function)
@@ -123,8 +122,7 @@ def stage(function: Stage) -> Stage:
         result = function(*inputs, **named)
         if "return" in schemas:
             check_dataset(result, schemas["return"])
-            said = (function.__doc__ or "").replace("``", "").rstrip(".")
-            history = [result.attrs.get("history", ""), f"{function.__name__}: {said}"]
+            history = [result.attrs.get("history", ""), f"{function.__name__}: from {', '.join(names)}"]
             result.attrs["history"] = "\n".join(line for line in history if line)
         return result
 
@@ -427,8 +425,17 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 
 
 @functools.cache
-def _plan_of_recording(wanted: tuple[Any, ...]) -> StagePlan:
-    return StagePlan(OF_RECORDING, wanted=wanted, given=(RecordingFile, Manifest, Settings, ShaftKnowledge))
+def _plan_of_recording(wanted: tuple[Any, ...], source: Any = RecordingFile) -> StagePlan:
+    return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, ShaftKnowledge))
+
+
+def stages_for(results: tuple[str, ...]) -> list[Callable[..., Any]]:
+    """The stages that a run of the ``results`` of that name goes through: of a recording, then of a test."""
+    of_test = _plan_of_test(results)
+    of_recording = _plan_of_recording(
+        (ShaftAngle, *(noun for whole, noun in FRAMES_OF.items() if whole in of_test.needs))
+    )
+    return [made for plan in (of_recording, of_test) for made, _, _ in plan.steps]
 
 
 @functools.cache
@@ -446,22 +453,25 @@ def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LineP
     return pattern
 
 
-def analyse_recording(
-    file: Path, manifest: Manifest, settings: Settings, knowledge: ShaftKnowledge | None = None
-) -> RecordingResult:
-    """Shaft angle and frames of the recording in ``file`` as ``manifest`` describes it, with ``settings``.
+def analyse_shaft(recording: xr.Dataset, settings: Settings, knowledge: ShaftKnowledge) -> ShaftAngle:
+    """Crank angle and speed of the ``recording`` alone, with ``settings`` and ``knowledge`` of its shaft."""
+    given = {Recording: recording, Settings: settings, ShaftKnowledge: knowledge}
+    made: ShaftAngle = _plan_of_recording((ShaftAngle,), Recording).run(given)[ShaftAngle]
+    return made
 
-    ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file, where the recording cannot be
-    used.
+
+def analyse_recording(
+    source: Path | xr.Dataset, manifest: Manifest, settings: Settings, knowledge: ShaftKnowledge | None = None
+) -> RecordingResult:
+    """Shaft angle and frames of the recording in ``source``, a file or a Recording, with ``settings``.
+
+    ``manifest`` describes it; ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file,
+    where the recording cannot be used.
     """
     frames = frames_wanted(settings)
-    given = {
-        RecordingFile: file,
-        Manifest: manifest,
-        Settings: settings,
-        ShaftKnowledge: knowledge or ShaftKnowledge(),
-    }
-    made = _plan_of_recording((ShaftAngle, *frames)).run(given)
+    noun = RecordingFile if isinstance(source, Path) else Recording
+    given = {noun: source, Manifest: manifest, Settings: settings, ShaftKnowledge: knowledge or ShaftKnowledge()}
+    made = _plan_of_recording((ShaftAngle, *frames), noun).run(given)
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 

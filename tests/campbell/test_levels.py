@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.campbell.levels import BLOCK, LINE_RATIO, LOBE_BINS, RING_BINS, _lobe, _sharp, recording_levels
+from crankorder.campbell.levels import (
+    BLOCK,
+    LINE_RATIO,
+    LOBE_BINS,
+    RING_BINS,
+    RING_PLACES,
+    _lobe,
+    _sharp,
+    recording_levels,
+)
 from crankorder.identify.levels import level_records
 from crankorder.quantities import check_dataset
 from crankorder.report.sentences.of_levels import GEAR_ORDER, GEAR_RECIPE
@@ -143,7 +152,10 @@ def plainly_sharp(power: np.ndarray, bins: np.ndarray, limit: np.ndarray) -> tup
     lobe = shifted.sum(axis=0)
     floor = np.median(power[:, :whole].reshape(len(power), -1, BLOCK), axis=2) / np.log(2.0)
     floor = np.pad(np.repeat(floor, BLOCK, axis=1), ((0, 0), (0, power.shape[1] - whole)), mode="edge")
-    ring = np.maximum(np.roll(lobe, RING_BINS, axis=1), np.roll(lobe, -RING_BINS, axis=1))
+    beside = [
+        np.maximum(np.roll(lobe, k, axis=1), np.roll(lobe, -k, axis=1)) * (k / RING_BINS) ** 2 for k in RING_PLACES
+    ]
+    ring = np.min(beside, axis=0)
     inside = (bins > limit[:, None] + bins[LOBE_BINS]) & (bins < bins[-RING_BINS - LOBE_BINS])
     clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
     at = np.argwhere(inside & clear & (power >= shifted.max(axis=0)))

@@ -193,6 +193,88 @@ def test_a_test_without_speeds_is_judged_by_its_order_map():
     assert total_of(channel) == pytest.approx(1.0)
 
 
+def order_map_of(lines=(), *, speeds=SPEEDS, floor=1e-4, n_frames=30, seed=0, modes=()):
+    """OrderMap of white noise of that power per hertz, of ``lines`` (frequency by speed, amplitude), and of ``modes``.
+
+    A mode (frequency, damping ratio, height over the floor) rings by noise; lines are as steady as none is.
+    """
+    rng = np.random.default_rng(seed)
+    axis = np.arange(0.0, 20.01, 1 / 16)
+    density = np.full((len(speeds), axis.size), floor)
+    for natural, damping, height in modes:
+        away = axis * speeds[:, None] / 60 / natural - 1.0
+        density += floor * height / (1.0 + (away / damping) ** 2)
+    mean = density * speeds[:, None] / 60 / 16
+    frames = rng.exponential(1.0, (n_frames, *mean.shape))
+    energy = mean * frames.mean(axis=0)
+    ratio = (frames**2).mean(axis=0) / frames.mean(axis=0) ** 2
+    kurtosis = ((n_frames + 1) * ratio - 2 * n_frames) / (n_frames - 1)
+    for frequency_of, amplitude in lines:
+        for row, rpm in enumerate(speeds):
+            away = 16 * (axis - 60 * frequency_of(rpm) / rpm)
+            shape = np.sinc(away) + 0.5 * (np.sinc(away - 1) + np.sinc(away + 1))
+            energy[row] += amplitude**2 / 2 / 1.5 * shape**2
+            kurtosis[row, np.abs(away) < 3] = -0.99
+    amplitude = np.sqrt(2 * 1.5 * energy)[None]
+    return xr.Dataset(
+        {
+            "amplitude": (("channel", "speed", "order"), amplitude),
+            "spectral_kurtosis": (("channel", "speed", "order"), kurtosis[None]),
+            "n_independent": ("speed", np.full(len(speeds), float(n_frames))),
+        },
+        coords={"channel": ["A"], "unit": ("channel", ["m/s2"]), "speed": speeds, "order": axis},
+        attrs={"enbw_bins": 1.5, "amplitude_scaling": "peak", "revs_per_cycle": 1},
+    )
+
+
+def joined(by_order, orders=(), known=(), lines=()):
+    """Energy of a quiet Campbell map to 500 Hz with ``lines``, and above it of the map ``by_order``."""
+    speeds = by_order["speed"].values
+    made = campbell(lines, speeds=speeds)
+    modal = fit(**surface())
+    return made, energy_shares(made, by_order, tuple(orders), modal, causes(orders, known), settings=SETTINGS)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_up(seed):
+    rng = np.random.default_rng([3, seed])
+    speeds = np.sort(rng.uniform(1600.0, 3000.0, rng.integers(1, 5)))
+    fixed, size = rng.uniform(560.0, 0.9 * 20 * speeds[-1] / 60), rng.uniform(0.3, 1.0)
+    known = [float(rng.integers(2, 18)), float(rng.uniform(0.3, 1.0))]
+    lines = [(order(known[0]), known[1]), (lambda _: fixed, size)]
+    made = order_map_of(lines, speeds=speeds, seed=seed)
+    below, record = joined(made, [seen(known[0], known[1], speeds=speeds)], (True,), lines)
+    (channel,) = record["channels"]
+    total = 0.5 * below["psd"].values[..., 2:].sum(axis=-1).mean()
+    hertz = made["order"].values * speeds[:, None] / 60
+    total += ((made["amplitude"].values[0] ** 2 / 3) * (hertz > 500.25)).sum(axis=-1).mean()
+    assert record["band_hz"] == pytest.approx(20.0 * speeds[-1] / 60)
+    assert channel["total"] == pytest.approx(total, rel=0.02)
+    assert total_of(channel) == pytest.approx(1.0, abs=1e-9)
+    assert channel["orders"] * channel["total"] == pytest.approx(known[1] ** 2 / 2, rel=0.03)
+    heard = np.mean(fixed < 20 * speeds / 60)
+    clear = np.abs(np.outer(speeds, [known[0], 20.0]) / 60 - fixed) > 8 * speeds[:, None] / 960
+    if clear.all():
+        assert channel["unexplained"] * channel["total"] == pytest.approx(heard * size**2 / 2, rel=0.03)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_natural_frequencies_above_the_campbell_map_are_no_lines(seed):
+    rng = np.random.default_rng([4, seed])
+    speeds = np.sort(rng.uniform(1600.0, 3000.0, rng.integers(1, 5)))
+    modes = [(rng.uniform(520.0, 900.0), 10.0 ** rng.uniform(-2.7, -1.3), 10.0 ** rng.uniform(1, 4)) for _ in range(3)]
+    _, record = joined(order_map_of(speeds=speeds, seed=seed, modes=modes, n_frames=int(rng.integers(2, 60))))
+    assert record["channels"][0]["unexplained"] == 0.0
+
+
+def test_a_line_above_the_campbell_map_that_nothing_explains_is_no_less_unexplained():
+    speeds = np.array([2920.0])
+    lines = [(order(2.0), 0.3), (order(13.3), 1.0)]
+    orders = [seen(2.0, 0.3, speeds=speeds), seen(13.3, 1.0, speeds=speeds)]
+    _, record = joined(order_map_of(lines, speeds=speeds), orders, (True, False), lines)
+    assert record["unexplained_energy_fraction"] == pytest.approx(1.0 / 1.09, rel=0.02)
+
+
 def test_amplitudes_given_as_root_mean_square_make_the_same_shares():
     made = campbell([(order(2.0), 1.0)])
     as_rms = made.assign_attrs(amplitude_scaling="rms")

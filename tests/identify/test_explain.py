@@ -15,6 +15,7 @@ from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.speed_proof import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
+from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.settings import load_settings
 from crankorder.shaft.folding import Fold
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
@@ -93,9 +94,38 @@ def test_unbalance_above_a_resonance_is_known_in_every_quantity(quantity, expone
     assert texts(falls, ROTOR, quantity=quantity) == {1.0: "shaft harmonic"}
 
 
-def test_order_one_at_one_speed_is_unbalance_with_that_reservation():
-    cause = causes([agreed(1.0, line(1.0, speed_rpm=[1500.0]))], ROTOR).orders["A", 1.0]
-    assert cause.text == "unbalance" and "too few speeds" in cause.evidence
+@pytest.mark.parametrize("speeds", [[1500.0], np.linspace(1480.0, 1520.0, 12)])
+def test_order_one_at_one_speed_may_be_unbalance_bent_shaft_or_misalignment(speeds):
+    cause = causes([agreed(1.0, line(1.0, speed_rpm=speeds))], ROTOR).orders["A", 1.0]
+    assert cause.text == LIKE_UNBALANCE and "too few speeds" in cause.evidence
+    assert NOT_AS_UNBALANCE not in cause.evidence
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_order_one_of_constant_size_is_no_unbalance_however_it_scatters(seed):
+    rng = np.random.default_rng(seed)
+    speeds = np.sort(rng.uniform(800.0, 3000.0, 8))
+    size = rng.lognormal(0.0, 0.05, speeds.size)
+    cause = causes([agreed(1.0, line(1.0, size, speed_rpm=speeds))], ROTOR).orders["A", 1.0]
+    assert cause.text == "shaft harmonic" and f"it {NOT_AS_UNBALANCE}" in cause.evidence
+
+
+def test_two_speeds_that_contradict_unbalance_say_so_with_what_else_it_may_be():
+    cause = causes([agreed(1.0, line(1.0, speed_rpm=[1000.0, 3000.0]))], ROTOR).orders["A", 1.0]
+    assert cause.text == LIKE_UNBALANCE
+    assert f"from 1000 to 3000 rpm it {NOT_AS_UNBALANCE}, unless a natural frequency" in cause.evidence
+    grows = line(1.0, [1.0, 9.0], speed_rpm=[1000.0, 3000.0])
+    assert NOT_AS_UNBALANCE not in causes([agreed(1.0, grows)], ROTOR).orders["A", 1.0].evidence
+
+
+def test_a_mode_below_the_speeds_lowers_the_exponent_of_an_unbalance():
+    at = mode(SPEEDS_RPM.min() / 60.0 / 1.1, 0.02)
+    ratio = SPEEDS_RPM / 60.0 / at.frequency_hz
+    size = ratio**4 / np.abs(1.0 - ratio**2 + 0.04j * ratio)
+    one = [agreed(1.0, line(1.0, size, error=0.01 * float(size.min())))]
+    assert "shaft harmonic" not in texts(one, ROTOR, modal=fit(at)).values()
+    flat = [agreed(1.0, line(1.0))]
+    assert texts(flat, ROTOR) == {1.0: "shaft harmonic"}
 
 
 def test_half_orders_in_a_cylinder_pressure_are_the_gas_cycle():
@@ -164,7 +194,7 @@ def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
     found = texts(orders, ROTOR)
     assert found[23.0] == "gear mesh or blade passing: integer order with sidebands"
     assert found[22.0] == found[24.0] == "sideband of order 23 spaced by 1"
-    assert found[1.0] == "unbalance"
+    assert found[1.0] == LIKE_UNBALANCE
     stated = texts(orders, dataclasses.replace(ROTOR, gears=(("pinion", 23.0),)))
     assert stated[23.0] == "gear mesh pinion" and stated[22.0] == "sideband of order 23 spaced by 1"
 
@@ -212,7 +242,7 @@ def test_each_channel_has_its_own_cause():
         quantity={"A": "acceleration", "B": "pressure"},
         settings=SETTINGS,
     ).orders
-    assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): "unbalance", ("B", 1.0): "gas cycle"}
+    assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): LIKE_UNBALANCE, ("B", 1.0): "gas cycle"}
 
 
 def test_an_order_that_is_a_fold_is_called_one():
@@ -281,6 +311,22 @@ def test_a_tone_of_a_struck_race_at_one_speed_is_no_tone_of_its_own():
     (race,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", 5.4)], sources, [])
     assert harmonic_words([race], 2 * 5.4 - 1.0, 1e-4) == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
     assert harmonic_words([race], 4.93, 1e-4) == ""
+
+
+@pytest.mark.parametrize(("times", "words"), [(3.0, "bearing jack shaft BPFO, harmonic 3"), (3.3, "undecided")])
+def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(times: float, words: str) -> None:
+    """Strikes that wander make their third harmonic as wide as a natural frequency of little damping."""
+    rpm, bearing = 1772.0, JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0})
+    shaft = agreed(1.0, line(1.0, speed_rpm=[rpm]))
+    doubtful = mode(times * 3.572 * rpm / 60.0, 1e-3, undecided="no wider for sure than an order")
+    doubtful = dataclasses.replace(doubtful, frequency_error_hz=0.05)
+    found = causes(
+        [shaft],
+        dataclasses.replace(ROTOR, bearings=(bearing,)),
+        modal=fit(doubtful),
+        bearings=[bearing_record(bearing, "BPFO", 3.572, half=5e-4)],
+    )
+    assert found.modes[0].text == words
 
 
 @pytest.mark.parametrize("has_first", [False, True])

@@ -98,3 +98,11 @@ def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end() -> None:
     assert largest(line).low == largest(line).high == 1.0
     line.amplitude_error[:] = np.inf
     assert (largest(line).low, largest(line).high) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_speeds_within_a_tenth_are_one_and_tell_no_growth(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    speed = np.linspace(2800.0, 2800.0 * rng.uniform(1.001, 1.09), 12)
+    for exponent in (0.0, 2.0):
+        assert growth(line_of(rng, (speed / 2800.0) ** exponent, speed=speed, relative=0.002)) is None

@@ -10,6 +10,8 @@ import pytest
 from crankorder.identify.explain import explained
 from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
+from crankorder.identify.lines.line_evidence import UNPROVEN
+from crankorder.identify.said import LIKE_UNBALANCE
 from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
@@ -62,7 +64,7 @@ def test_a_third_multiple_alone_is_not_called_mains_and_beside_the_first_it_is()
 def test_at_one_speed_an_order_on_the_mains_is_said_with_them() -> None:
     assert said(at_speed(2.0, 1500.0, lock="locked")) == ["shaft harmonic or mains"]
     assert said(at_speed(4.0, 1500.0, lock="locked")) == ["shaft harmonic or twice mains"]
-    assert said(at_speed(1.0, 3000.0, lock="locked")) == ["unbalance or mains"]
+    assert said(at_speed(1.0, 3000.0, lock="locked")) == [f"{LIKE_UNBALANCE} or mains"]
 
 
 def test_an_order_beside_mains_that_were_found_is_not_mains_too() -> None:
@@ -115,3 +117,11 @@ def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
     orders = (mains, tone, second, doubtful, swept)
     causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
     assert going_with_speed(orders, causes) == (second, swept)
+
+
+def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency() -> None:
+    """Noise rings a mode of 60 Hz: in half a second nothing tells it from mains."""
+    made = at_speed(12.1125, 300.0, error=0.05)
+    lines = tuple(dataclasses.replace(one, evidence=UNPROVEN) for one in made.lines)
+    assert said(dataclasses.replace(made, lines=lines)) == ["mains or a natural frequency"]
+    assert said(made) == ["mains"]

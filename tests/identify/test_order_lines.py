@@ -213,3 +213,17 @@ def test_noise_at_few_speeds_makes_no_order_of_all_together() -> None:
         signal = [rng.standard_normal(120 * PER_REV) for _ in range(3)]
         noise = dict(zip((1500.0, 1750.0, 2000.0), signal, strict=True))
         assert lines_of(lambda angle, rpm, noise=noise: noise[rpm][: len(angle)], speeds=list(noise)) == []
+
+
+@pytest.mark.parametrize(("seed", "modes"), [(4, 8), (5, 14), (6, 14)])
+def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(seed: int, modes: int) -> None:
+    """Noise excites modes: orders cross them at some of 35 speeds, and the last bin of the map sees flanks of them."""
+    rng = np.random.default_rng(seed)
+    natural_hz, damping = np.exp(rng.uniform(np.log(50.0), np.log(500.0), modes)), rng.uniform(0.002, 0.012, modes)
+
+    def ringing(angle: np.ndarray, rpm: float) -> np.ndarray:
+        ratio = np.fft.rfftfreq(len(angle), 60.0 / (PER_REV * rpm))[:, None] / natural_hz
+        path = 0.3 + (1.0 / (1.0 - ratio**2 + 2j * damping * ratio)).sum(axis=1)
+        return np.fft.irfft(path * np.fft.rfft(rng.standard_normal(len(angle))), len(angle))
+
+    assert lines_of(ringing, speeds=np.arange(300.0, 2001.0, 50.0), revs=300) == []

@@ -61,3 +61,10 @@ def test_without_a_speed_every_narrow_line_is_a_tone() -> None:
     floor = floor_with(37.5, np.array([1500.0, 2000.0, 900.0]), np.array([900.0, 0.0, 0.0]), 1)
     still = replace(floor, speed_rpm=np.full(3, np.nan))
     assert kind_of(37.5, 0.01, still, settings=SETTINGS)[0] == "tone"
+
+
+@pytest.mark.parametrize("hertz", [33.7, 50.03])
+def test_at_one_speed_no_line_is_said_to_stay(hertz: float) -> None:
+    speed = np.array([1777.0, 1777.5])
+    kind, words = kind_of(hertz, 0.01, floor_with(hertz, speed, np.full(2, 300.0), 1), settings=SETTINGS)
+    assert kind in ("tone", "mains") and "speeds" not in words

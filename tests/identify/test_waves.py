@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crankorder.identify.known_lines import Held, _waves
+from crankorder.identify.known_lines import Held, waves_of
 
 
 def test_waves_of_all_lines_are_those_of_each_in_each_frame_and_bin() -> None:
@@ -17,7 +17,7 @@ def test_waves_of_all_lines_are_those_of_each_in_each_frame_and_bin() -> None:
         (float(hertz), float(turns)) for hertz, turns in zip(rng.uniform(-5, 110, 6), (0, 0, 2, 4, 0, 4), strict=True)
     ]
     places.append((0.0, 65.0 / 16.0))  # on bins beside it the response has a pole of its formula
-    made = _waves(held, bins, places).reshape(12, 15, len(places))
+    made = waves_of(held, bins, places).reshape(12, 15, len(places))
     pace = np.gradient(time_s, turn)
     for frame in range(12):
         for number, place in enumerate(bins):

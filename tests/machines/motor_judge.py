@@ -11,6 +11,7 @@ from typing import Any
 from click.testing import CliRunner
 
 from crankorder.cli import main
+from crankorder.identify.said import LIKE_UNBALANCE
 from machines.motor_rig import Line, MotorRig, write_folder
 
 PARTS = ("bearing", "gear mesh", "blade", "second shaft", "motor,", "mains", "half order")
@@ -103,7 +104,8 @@ def _made_up(rig: MotorRig, text: str, hertz: float, half: float, rpm: float | N
 
 
 def _is_shaft(text: str) -> bool:
-    return text in ("unbalance", "shaft harmonic", "order") or text.startswith("order ")
+    parts_of_order_1 = LIKE_UNBALANCE.split(" or ")
+    return text in ("unbalance", *parts_of_order_1, "shaft harmonic", "order") or text.startswith("order ")
 
 
 def _named(rig: MotorRig, line: Line, said: list[tuple[str, float, float, float | None]]) -> Verdict:

@@ -94,20 +94,36 @@ def test_a_wrong_count_of_rotor_bars_is_said_with_the_one_that_the_lines_speak_f
     assert not any("bar pass" in line["name"] for line in motor["lines"])
 
 
+def stating(folder: Path, rpm: float) -> None:
+    """Make the test in ``folder`` one whose speed is stated as ``rpm``, without an encoder."""
+    text = (folder / "run.toml").read_text(encoding="utf-8")
+    before, after = text.split("[encoder]")
+    motor = after[after.index("[motor]") :]
+    names = f'files = ["rec_*.h5"]\nspeed_rpm = {{ "rec_000.h5" = {rpm!r} }}'
+    before = before.replace('files = ["rec_*.h5"]', names)
+    (folder / "run.toml").write_text(f'{before}[encoder]\nkind = "constant"\n{motor}', encoding="utf-8")
+
+
+def test_a_stated_speed_that_is_the_fields_own_tells_no_slip_and_no_second_shaft(tmp_path: Path) -> None:
+    rig = short(replace(draw_rig(14, "motor"), condition="healthy"))
+    mains = Line("mains", 0.5, hz=rig.mains_hz)
+    rig = replace(rig, takes=(replace(rig.takes[0], lines=(*rig.takes[0].lines, mains)),))
+    field = 120.0 * rig.supply_hz / rig.poles
+    found = findings_of(rig, tmp_path, then=lambda folder: stating(folder, field))
+    assert "that of the field" in found["motor"]["speed_doubt"] and found["motor"]["speeds"][0]["slip"] is None
+    assert f"the lines speak for {rig.takes[0].rpm[0]:.5g} rpm" in found["motor"]["speed_doubt"]
+    said = {text for text, *_ in said_of(found)}
+    assert {"unbalance, bent shaft or misalignment", "mains"} <= said and not any(
+        "second shaft" in text for text in said
+    )
+
+
 @pytest.mark.parametrize("off", [0.011, -0.008])
 def test_a_slip_is_not_told_by_a_stated_speed_that_the_shaft_speaks_against(off: float, tmp_path: Path) -> None:
     rig = short(replace(draw_rig(14, "motor"), condition="healthy"))
     rpm = rig.takes[0].rpm[0] * (1.0 + off)
 
-    def stated(folder: Path) -> None:
-        text = (folder / "run.toml").read_text(encoding="utf-8")
-        before, after = text.split("[encoder]")
-        motor = after[after.index("[motor]") :]
-        names = f'files = ["rec_*.h5"]\nspeed_rpm = {{ "rec_000.h5" = {rpm!r} }}'
-        before = before.replace('files = ["rec_*.h5"]', names)
-        (folder / "run.toml").write_text(f'{before}[encoder]\nkind = "constant"\n{motor}', encoding="utf-8")
-
-    motor = findings_of(rig, tmp_path, then=stated)["motor"]
+    motor = findings_of(rig, tmp_path, then=lambda folder: stating(folder, rpm))["motor"]
     assert motor["speed_doubt"] and motor["speeds"][0]["slip"] is None
     told = float(motor["speed_doubt"].split("slips by ")[1].split(" %")[0])
     assert told == pytest.approx(100.0 * rig.slips[0], abs=0.06)

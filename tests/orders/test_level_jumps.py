@@ -110,3 +110,71 @@ def test_a_load_that_raises_all_floors_is_no_gain(seed: int) -> None:
     for name in NAMES:
         chosen.floor[name] *= 8.0
     assert level_jumps(levels, ratio=3.0) == []
+
+
+BLOCKS, ORDERS = 16, 8
+
+
+def proven(rng: np.random.Generator, n_channels: int = 3, n_speeds: int = 7) -> list[RecordedLevel]:
+    """A machine's floors by block and orders: both grow, orders scatter from channel to channel as modes make them."""
+    names = "XYZW"[:n_channels]
+    shape, growth = rng.lognormal(0.0, 1.0, (n_channels, BLOCKS)), rng.uniform(0.0, 2.0)
+    size, force = rng.lognormal(2.0, 1.0, (n_channels, ORDERS)), rng.uniform(0.0, 2.0, ORDERS)
+    made = []
+    for speed in 700.0 * np.cumprod(rng.uniform(1.05, 1.3, n_speeds)):
+        floor = shape * (speed / 1500.0) ** growth * rng.lognormal(0.0, 0.02, (n_channels, BLOCKS))
+        lines = size * (speed / 1500.0) ** force * rng.lognormal(0.0, 0.07, (n_channels, ORDERS))
+        lines *= rng.lognormal(0.0, 0.5, ORDERS)  # what a resonance does to all channels alike
+        whole = dict(zip(names, np.median(floor, axis=1), strict=True))
+        level = dict(zip(names, np.sqrt((lines**2).sum(axis=1)), strict=True))
+        steady = (speed, speed * 1.001)
+        by_name = (dict(zip(names, floor, strict=True)), dict(zip(names, lines, strict=True)))
+        made.append(RecordedLevel(f"{speed:.1f}", steady, level, whole, *by_name))
+    return made
+
+
+def with_gain(one: RecordedLevel, name: str, factor: float, *, only: tuple[str, ...] = ()) -> None:
+    for key in only or ("floor", "blocks", "lines"):
+        getattr(one, key)[name] = factor * getattr(one, key)[name]
+
+
+def told(levels: list[RecordedLevel]) -> set[tuple[str, str]]:
+    return {(flag["recording"], flag["channel"]) for flag in level_jumps(levels, ratio=3.0, proven_ratio=1.4)}
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("factor", [1.5, 2.0, 0.5])
+def test_floors_and_orders_together_prove_a_gain_that_no_level_shows(seed: int, factor: float) -> None:
+    rng = np.random.default_rng([1, seed])
+    levels = proven(rng, n_channels=int(rng.integers(2, 5)))
+    assert told(levels) == set()
+    chosen = levels[rng.integers(len(levels))]
+    with_gain(chosen, "Y", factor)
+    assert told(levels) == {(chosen.recording, "Y")}
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_of_a_gain_that_was_switched_for_good_the_fewer_recordings_are_left_out(seed: int) -> None:
+    levels = proven(np.random.default_rng([2, seed]))
+    for one in levels[5:]:
+        with_gain(one, "X", 2.0)
+    assert told(levels) == {(one.recording, "X") for one in levels[5:]}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_no_gain_proves_none(seed: int) -> None:
+    rng = np.random.default_rng([3, seed])
+    alone = proven(rng, n_channels=1)
+    with_gain(alone[3], "X", 2.0)
+    assert told(alone) == set()
+    noisy = proven(rng)
+    with_gain(noisy[3], "X", 2.0, only=("floor", "blocks"))  # its orders stay: noise of the cable
+    assert told(noisy) == set()
+    loaded = proven(rng)
+    for name in "XYZ":
+        with_gain(loaded[3], name, 2.0)
+    assert told(loaded) == set()
+    ringing = proven(rng)
+    ringing[3].blocks["X"][:6] *= 2.0  # a resonance raises a part of the spectrum
+    with_gain(ringing[3], "X", 2.0, only=("lines",))
+    assert told(ringing) == set()

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.identify.said import UNRESOLVED
+from crankorder.identify.order_one import if_unbalance
+from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED, UNRESOLVED
 from crankorder.report.contradictions import contradictions
 from crankorder.report.notation import (
     estimate_text,
@@ -24,9 +25,12 @@ from crankorder.report.notation import (
     order_texts,
     percent_text,
 )
+from crankorder.report.sentences.of_balance import balance_sentences
+from crankorder.report.sentences.of_orders import law_sentences
 from crankorder.report.sentences.story import (
     ALL_CLEAR,
     ALL_CLEAR_WITH_ENVELOPE,
+    MORE_SPEEDS,
     TOO_SHORT,
     avoid_sentences,
     bearing_sentences,
@@ -168,6 +172,12 @@ def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
     only = {"lines": full["lines"], "channels": full["channels"]}
     assert strongest_sentence(only, "Z") == "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10)."
     assert strongest_sentence(full, "Y").startswith("Order 2")
+
+
+def test_at_one_speed_no_tone_is_called_fixed(full: Any) -> None:
+    full["speed_range_rpm"] = [1777.0, 1777.4]
+    assert strongest_sentence(full, "Z").startswith("A line at 58.3 Hz is the strongest line in Z")
+    assert headline(full)[1].endswith("At one speed nothing tells whether it follows the shaft.")
 
 
 def test_a_mode_in_the_list_of_lines_is_not_taken_for_a_tone(full: Any) -> None:
@@ -410,6 +420,40 @@ def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_s
 def test_an_unbalance_that_leads_asks_for_balancing(full: Any) -> None:
     full["orders"] = [{**full["orders"][0], "explained_by": "unbalance", "amplitude": 99.0}]
     assert any(sentence.startswith("Balance it") for sentence in story_of(full)["what_to_do"])
+
+
+@pytest.mark.parametrize(("speeds", "words"), [((1800.0, 1800.0), "one speed"), ((900.0, 1800.0), "so few speeds")])
+def test_order_one_at_few_speeds_may_be_unbalance_and_asks_for_more(full: Any, speeds: Any, words: str) -> None:
+    one = {**full["orders"][0], "order": 1.0, "explained_by": LIKE_UNBALANCE, "amplitude": 99.0}
+    full |= {"orders": [one | {"evidence": f"order 1; {ONE_SPEED}"}], "speed_range_rpm": list(speeds)}
+    assert any(f"Cause: {LIKE_UNBALANCE}; {words} cannot tell which." in said for said in headline(full))
+    asked = story_of(full)["what_to_do"]
+    assert MORE_SPEEDS in asked and not any(said.startswith("Balance it") for said in asked)
+
+
+def test_grams_are_told_under_the_condition_that_their_evidence_states(full: Any) -> None:
+    balance = {"residual_rotating_gmm": 12.0, "residual_rotating_gmm_ci95": [11.0, 13.0], "evidence": IF_UNBALANCE}
+    assert balance_sentences({"balance": balance})[0].startswith(f"Rotating unbalance, {IF_UNBALANCE}: ")
+    assert if_unbalance(balance, [("shaft harmonic", f"order 1, but it {NOT_AS_UNBALANCE}")])[0] is None
+    made = if_unbalance({"evidence": "a path"}, [(LIKE_UNBALANCE, ONE_SPEED), ("tone", "")])[0]
+    assert made is not None and IF_UNBALANCE in made["evidence"]
+    assert if_unbalance({"evidence": "a path"}, [("unbalance", "grows")])[0] == {"evidence": "a path"}
+
+
+def test_an_order_one_that_does_not_grow_as_unbalance_does_is_said_with_its_exponent(full: Any) -> None:
+    one = {**full["orders"][0], "order": 1.0, "explained_by": "shaft harmonic", "amplitude": 99.0}
+    one |= {"speed_exponent": 0.02, "speed_exponent_ci95": [-0.1, 0.12], "evidence": f"but it {NOT_AS_UNBALANCE}"}
+    said = law_sentences({**full, "orders": [one]})
+    assert any(words.startswith(f"Order 1 {NOT_AS_UNBALANCE}: it goes with speed to the 0.02") for words in said)
+
+
+@pytest.mark.parametrize(
+    ("order", "named"), [(23.0, "`--recipe gear-mesh`"), (59.5, "`max_order = 70`"), (151.0, "`max_order = 200`")]
+)
+def test_what_lies_above_the_band_is_told_how_to_reach(full: Any, order: float, named: str) -> None:
+    mesh = {"amplitude_above": 1e6, "frequency_hz_above": 30 * order, "order_above": order, "speed_rpm_above": 1800.0}
+    (asked,) = [said for said in story_of(with_levels(full, **mesh))["what_to_do"] if said.startswith("Run it again")]
+    assert named in asked
 
 
 def with_levels(findings: dict[str, Any], **of_z: Any) -> dict[str, Any]:

@@ -9,18 +9,29 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps
-from crankorder.quantities import QualityFlag, RecordingLevels, ShaftAngle, with_flags
+from crankorder.quantities import OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
+from crankorder.settings import IngestSettings
 from crankorder.stages import RecordingResult
 
 _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
 """Variables in which a channel without data has 0; in all others NaN."""
 
+HALF = 16
+"""Bins on each side of an order whose median is its floor."""
 
-def without_changed_gains(results: Mapping[Path, RecordingResult], *, ratio: float) -> dict[Path, RecordingResult]:
-    """``results`` of the recordings by file, in which a channel whose level jumps by ``ratio`` or more holds no data.
+STANDS = 20.0
+"""Power of an order over its floor from which it is one whose size can be compared."""
 
+
+def without_changed_gains(
+    results: Mapping[Path, RecordingResult], *, settings: IngestSettings
+) -> dict[Path, RecordingResult]:
+    """``results`` of the recordings by file, in which a channel whose gain is another holds no data.
+
+    ``settings`` say by how much a level must jump for that, and by how much where floors and orders together prove it.
     Such a recording carries the flag that says so. Bad recordings take no part.
     """
     sound = {
@@ -28,7 +39,8 @@ def without_changed_gains(results: Mapping[Path, RecordingResult], *, ratio: flo
         for path, result in results.items()
         if not any(flag["severity"] == "bad" and "left_out" not in flag for flag in result.flags)
     }
-    flags = level_jumps(_levels(sound), ratio=ratio)
+    ratios = settings.level_jump_ratio, settings.gain_step_ratio
+    flags = level_jumps(_levels(sound), ratio=ratios[0], proven_ratio=ratios[1])
     made = dict(results)
     for path in sound:
         own = [flag for flag in flags if flag["recording"] == path.name]
@@ -60,7 +72,8 @@ def _emptied(frame: xr.Dataset, names: list[str]) -> xr.Dataset:
 
 def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
     """Speed and level of every recording whose level was looked at."""
-    made = []
+    made: list[RecordedLevel] = []
+    places: NDArray[np.float64] | None = None
     for path, result in results.items():
         levels = result.frames.get(RecordingLevels)
         speed = result.shaft["speed"].values
@@ -69,5 +82,30 @@ def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
             rms, floor = (dict(zip(names, levels[key].values.tolist(), strict=True)) for key in ("rms", "floor"))
             # of the means of tenths: what a shaft does within a turn, and an encoder's edges, is no other speed
             means = [float(np.nanmean(part)) for part in np.array_split(speed, 10) if np.isfinite(part).any()]
-            made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor))
+            here = levels["block"].values
+            places = here if places is None else places
+            # the floors of recordings at another rate are those of other frequencies
+            alike = np.array_equal(here, places)
+            blocks = dict(zip(names, levels["block_floor"].values, strict=True)) if alike else {}
+            lines = _lines(result.frames.get(OrderFrames), names)
+            made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor, blocks, lines))
     return made
+
+
+def _lines(frames: xr.Dataset | None, names: list[str]) -> dict[str, NDArray[np.float64]]:
+    """Amplitude of the orders of the cycle in the channels ``names``, by name; NaN where none stands out."""
+    if frames is None or "spectrum" not in frames or frames.sizes["order"] <= 2 * HALF:
+        return {}
+    order = frames["order"].values
+    per_order = 1.0 / float(order[1] - order[0])
+    step = 1.0 / int(frames.attrs["revs_per_cycle"])
+    at = np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64)
+    made = {}
+    for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
+        power = np.abs(spectrum) ** 2
+        known = np.isfinite(power)
+        mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(mean, HALF, mode="reflect"), 2 * HALF + 1)
+        stands = mean[at] > STANDS * np.median(beside, axis=-1)[at]
+        made[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
+    return {name: made[name] for name in names if name in made}

@@ -31,11 +31,12 @@ from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
+from crankorder.ingest.manifest import Manifest
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.report.speed_trace import trace_variables
-from crankorder.settings import toml_table
+from crankorder.settings import Settings, toml_table
 from crankorder.shaft.swing import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
@@ -90,9 +91,9 @@ def run_test(
             return outcome
         first_run = load_kernels()
         results = _analyse(plan, hashes, jobs, outcome, progress, one_first=first_run)
-        results = without_changed_gains(results, ratio=plan.settings.ingest.level_jump_ratio)
+        results = without_changed_gains(results, settings=plan.settings.ingest)
         clock.lap("recordings")
-        _leave_out(results, outcome, ("bad", "suspect") if strict else ("bad",))
+        outcome.faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
         if not results:
             raise NoUsableRecordingError(
                 "no recording could be used",
@@ -117,23 +118,13 @@ def _finish(
     clock: _Clock,
 ) -> None:
     """Maps, findings, files and their publication."""
-    made = analyse_test(list(results.values()), test=plan.name, sources=_sources(plan), settings=plan.settings)
+    sources = sources_of(plan.manifest, _engine(plan), plan.settings)
+    groups, findings, left_out = results_of_test(
+        results, test=plan.name, sources=sources, settings=plan.settings, flags=outcome.flags, faults=outcome.faults
+    )
+    outcome.faults += left_out
     clock.lap("test")
-    if made.findings is not None:
-        findings = dict(made.findings)
-    else:
-        findings = unsought_findings(made.datasets, test=plan.name, settings=plan.settings)
-    outcome.faults += [
-        InputError("left out of the order map", file=flag["recording"], found=flag["detail"])
-        for flag in findings["quality"]
-        if flag["flag"] == "frame_length_differs"
-    ]
-    told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
-    findings["quality"] = [*findings["quality"], *told, *outcome.flags, *_fault_flags(outcome.faults)]
-    findings["speed_swing"] = _swing_records(results, findings["quality"])
-    findings["quality"] += contradiction_flags(findings)
-    groups = {**made.datasets, "shaft": _shaft_summary(results)}
-    outcome.accuracy = _accuracy_text(made.datasets.get("order_map"))
+    outcome.accuracy = _accuracy_text(groups.get("order_map"))
     stated = {**provenance, "quality": findings["quality"]}
     files = helper.files_of_test(groups, findings, stated, plan.settings.report)
     clock.lap("report")
@@ -144,6 +135,37 @@ def _finish(
     # timings are no result: a full disk must not turn a finished test into a failed one
     with contextlib.suppress(OSError):
         write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
+
+
+def results_of_test(
+    results: dict[Path, RecordingResult],
+    *,
+    test: str,
+    sources: Sources,
+    settings: Settings,
+    flags: list[QualityFlag],
+    faults: list[CrankorderError],
+) -> tuple[dict[str, xr.Dataset], dict[str, Any], list[CrankorderError]]:
+    """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
+
+    ``results`` of its recordings by file; ``sources``: what the machine is made of; ``settings`` of all stages;
+    ``flags`` and ``faults`` of the test so far, which the findings tell too.
+    """
+    made = analyse_test(list(results.values()), test=test, sources=sources, settings=settings)
+    if made.findings is not None:
+        findings = dict(made.findings)
+    else:
+        findings = unsought_findings(made.datasets, test=test, settings=settings)
+    left_out: list[CrankorderError] = [
+        InputError("left out of the order map", file=flag["recording"], found=flag["detail"])
+        for flag in findings["quality"]
+        if flag["flag"] == "frame_length_differs"
+    ]
+    told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
+    findings["quality"] = [*findings["quality"], *told, *flags, *_fault_flags([*faults, *left_out])]
+    findings["speed_swing"] = _swing_records(results, findings["quality"])
+    findings["quality"] += contradiction_flags(findings)
+    return {**made.datasets, "shaft": _shaft_summary(results)}, findings, left_out
 
 
 class _Clock:
@@ -220,11 +242,13 @@ def _collect(
         outcome.internal.append(error)
 
 
-def _leave_out(results: dict[Path, RecordingResult], outcome: Outcome, severities: tuple[Severity, ...]) -> None:
-    """Leave out recordings with a flag of one of ``severities``, as faults: bad data take no part in averages.
+def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity, ...]) -> list[CrankorderError]:
+    """Faults of the recordings that leave ``results`` (changed in place): bad data take no part in averages.
 
-    What a flag says was left out already, a channel or a stretch of it, does not take the recording along.
+    Those with a flag of one of ``severities`` leave; what a flag says was left out already, a channel or a stretch of
+    it, does not take the recording along.
     """
+    faults: list[CrankorderError] = []
     for path, result in list(results.items()):
         doubts = [
             flag
@@ -235,12 +259,13 @@ def _leave_out(results: dict[Path, RecordingResult], outcome: Outcome, severitie
             del results[path]
             found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
             problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
-            outcome.faults.append(InputError(problem, file=path.name, found=found))
+            faults.append(InputError(problem, file=path.name, found=found))
             continue
-        outcome.faults += [
+        faults += [
             InputError("one channel left out of all averages", file=path.name, place=place, found=found)
             for place, found in _channels_left_out(result.flags).items()
         ]
+    return faults
 
 
 def _channels_left_out(flags: list[QualityFlag]) -> dict[str, str]:
@@ -263,25 +288,24 @@ def _engine(plan: TestPlan) -> Engine | None:
     return None if name is None else load_engine(name, beside=plan.folder)
 
 
-def _sources(plan: TestPlan) -> Sources:
-    """What the manifest and the engine say of the machine; less where no findings are asked for that need it."""
+def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> Sources:
+    """What ``manifest`` and ``engine`` say of the machine; less where ``settings`` ask for no findings that need it."""
     orders: tuple[float, ...] = ()
-    bearings = plan.manifest.bearings
-    engine = _engine(plan)
-    if engine is not None and "findings" in plan.settings.report.results:
-        orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(plan.settings.orders.max_order))
+    bearings = manifest.bearings
+    if engine is not None and "findings" in settings.report.results:
+        orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(settings.orders.max_order))
         named = {bearing.name for bearing in bearings}
         bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
     return Sources(
-        revs_per_cycle=plan.manifest.revs_per_cycle,
+        revs_per_cycle=manifest.revs_per_cycle,
         engine_orders=orders,
         bearings=bearings,
         firing=engine is not None and engine.gas is not None,
-        gears=tuple((gear.name, gear.mesh_order) for gear in plan.manifest.gears),
+        gears=tuple((gear.name, gear.mesh_order) for gear in manifest.gears),
         engine=engine,
-        paths=plan.manifest.transfer_paths,
-        added=plan.manifest.added_masses,
-        motor=plan.manifest.motor,
+        paths=manifest.transfer_paths,
+        added=manifest.added_masses,
+        motor=manifest.motor,
     )
 
 

@@ -89,7 +89,7 @@ def _plan(
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
-    settings = _up_to_stated(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
+    settings = up_to_stated(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
     found = recordings_of(folder, stated)
     name = folder_name(stated.test.name or folder.resolve().name, taken)
     _refuse_inside(folder, out / name)
@@ -104,7 +104,7 @@ def _plan(
     )
 
 
-def _up_to_stated(settings: Settings, stated: Manifest) -> Settings:
+def up_to_stated(settings: Settings, stated: Manifest) -> Settings:
     """``settings`` whose highest order holds the gears and the motor that ``stated`` names: what they excite is to be
     judged."""
     meshes = [gear.mesh_order for gear in stated.gears]

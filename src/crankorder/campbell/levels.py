@@ -27,11 +27,17 @@ _LOBE = range(LOBE_BINS, -LOBE_BINS - 1, -1)
 BLOCK = 64
 """Bins over whose median the floor about a line is taken."""
 
+FLOOR_BLOCKS = 16
+"""Blocks of the spectrum whose floors are told one by one: a resonance raises few of them, a gain all."""
+
 LINE_RATIO = 100.0
 """Energy of a line over that of as many bins of the floor about it: in so few pieces noise does not reach it."""
 
 RING_BINS = 8
 """Bins beside a line where it is gone, and a mode that noise makes ring is not."""
+
+RING_PLACES = (RING_BINS, 13, 18)
+"""Bins beside a line at one of which no sideband stands on either side: a mode's skirts fall there with the square."""
 
 STEADY = 0.4
 """Of the mean power of a line over the pieces: in none it has less. Of noise in twelve, once in a hundred."""
@@ -87,9 +93,11 @@ def recording_levels(
     with np.errstate(invalid="ignore", divide="ignore"):
         rms, share = np.sqrt(total / usable.sum(axis=0)), high / total
     floor = np.array([_floor(power[:, channel]) for channel in range(len(share))])
+    floors = np.stack([_floors(power[:, channel]) for channel in range(len(share))])
     peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(share))]
     ends = limit[np.isfinite(limit)]
-    return _dataset(recording, rms, share, floor, peaks, np.nan if per_rev or not ends.size else float(ends.max()))
+    end = np.nan if per_rev or not ends.size else float(ends.max())
+    return _dataset(recording, rms, share, floor, floors, peaks, rate, end)
 
 
 def _rate_and_speeds(
@@ -165,7 +173,7 @@ def _sharp(power: Floats, bins: Floats, limit: Floats) -> NDArray[np.int64]:
     found = (place < ends[:, None]) & (power[pieces, place] * (1.0 + 1e-9) > LINE_RATIO * floor)
     pieces, place, floor = pieces[found], place[found], floor[found]
     lobe = _lobe(power, pieces, place)
-    ring = np.maximum(_lobe(power, pieces, place - RING_BINS), _lobe(power, pieces, place + RING_BINS))
+    ring = _ring(power, pieces, place)
     clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
     clear &= bins[place] > limit[pieces] + bins[LOBE_BINS]
     clear &= bins[place] < bins[-RING_BINS - LOBE_BINS]
@@ -173,6 +181,15 @@ def _sharp(power: Floats, bins: Floats, limit: Floats) -> NDArray[np.int64]:
         [power[pieces, (place + shift) % power.shape[1]] for shift in _LOBE], axis=0
     )
     return np.stack([pieces[clear], place[clear]], axis=1)
+
+
+def _ring(power: Floats, piece: NDArray[np.int64], place: NDArray[np.int64]) -> Floats:
+    """Energy that a mode at bin ``place`` of each ``piece`` of ``power`` would leave RING_BINS beside it, at most."""
+    beside = [
+        np.maximum(_lobe(power, piece, place - away), _lobe(power, piece, place + away)) * (away / RING_BINS) ** 2
+        for away in RING_PLACES
+    ]
+    return np.asarray(np.min(beside, axis=0))
 
 
 def _lobe(power: Floats, piece: NDArray[np.int64], place: NDArray[np.int64]) -> Floats:
@@ -207,8 +224,25 @@ def _floor(power: Floats) -> float:
     return float(np.sqrt(np.median(whole.mean(axis=0)))) if whole.size else math.nan
 
 
+def _floors(power: Floats) -> Floats:
+    """As the floor of all, of each of FLOOR_BLOCKS blocks of the mean ``power`` (pieces, bins); NaN where too short."""
+    whole = power[np.isfinite(power).all(axis=1)]
+    size = power.shape[1] // FLOOR_BLOCKS
+    if not whole.size or size < BLOCK // 4:
+        return np.full(FLOOR_BLOCKS, math.nan)
+    blocks = whole.mean(axis=0)[: FLOOR_BLOCKS * size].reshape(FLOOR_BLOCKS, size)
+    return np.asarray(np.sqrt(np.median(blocks, axis=1)))
+
+
 def _dataset(
-    recording: xr.Dataset, rms: Floats, share: Floats, floor: Floats, peaks: list[Peak], band_hz: float
+    recording: xr.Dataset,
+    rms: Floats,
+    share: Floats,
+    floor: Floats,
+    floors: Floats,
+    peaks: list[Peak],
+    rate: float,
+    band_hz: float,
 ) -> xr.Dataset:
     lines = np.array(peaks, dtype=np.float64).reshape(len(rms), len(Peak._fields))
     told = {
@@ -225,5 +259,9 @@ def _dataset(
         name: ("channel", values, {"units": units, "long_name": text}) for name, (values, units, text) in told.items()
     }
     made = xr.Dataset(variables, coords=channel_coords(recording))
+    words = {"units": "Hz", "long_name": "middle of a block of the spectrum; per revolution by crank angle"}
+    made.coords["block"] = ("block", 0.5 * rate * (np.arange(FLOOR_BLOCKS) + 0.5) / FLOOR_BLOCKS, words)
+    words = {"units": "see unit", "long_name": "root of the middling bin of each block of the power spectrum"}
+    made["block_floor"] = (("channel", "block"), floors, words)
     made.attrs = {"recording": str(recording.attrs["recording"]), "band_hz": band_hz}
     return made

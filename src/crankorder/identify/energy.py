@@ -10,17 +10,22 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from crankorder.identify.energy_maps import (
+    LINE_BINS,
+    EnergyLines,
+    EnergyMap,
+    band_end_hz,
+    beyond,
+    by_frequency,
+    by_order,
+)
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.lines.cfar import highest_of_three, noise_level
+from crankorder.identify.lines.line_evidence import STEADY_KURTOSIS, log_chance_of_kurtosis
 from crankorder.settings import IdentifySettings
 
 Floats = NDArray[np.float64]
-
-LINE_BINS = 3.0
-"""Bins on each side of a line that are the line's own: the main lobe of its window and a slow change of speed."""
-
-STEADY_BINS = 2.0
-"""Noise bandwidths from zero up in which the mean of the signal lies: they count as no vibration."""
 
 SUNK = 0.1
 """Share of the floor below which the side lobes of a line are no more to be seen."""
@@ -28,8 +33,11 @@ SUNK = 0.1
 MOST_HEIGHT = 1e8
 """No line stands higher than this over the floor of a cell."""
 
-SMOOTHED_BINS = 9
-"""Bins over whose median the floor under the lines is taken where no surface was fitted."""
+SMOOTHED_BINS = 33
+"""Bins over whose median the floor under the lines is taken where no surface was fitted: some lobes of lines wide."""
+
+SKIRT_BINS = (4, 5, 6)
+"""Bins beside a line where its window shows next to nothing of it, and a natural frequency rings on."""
 
 CLEAR_SIGMAS = 4.0
 """Standard deviations from which what stands in a line's cells is more than its own amplitude and noise."""
@@ -39,30 +47,6 @@ MAP_CHANCE = 0.01
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-
-
-@dataclass(frozen=True)
-class _Lines:
-    """Lines as they lie in the map: ``centre`` and ``reach`` (rows, lines) on its axis.
-
-    ``stated`` (channels, rows, lines) is the energy measured, NaN where the line was not seen; ``known`` (channels,
-    lines) whether its cause is; ``is_tone`` (lines,) whether it stays at its frequency.
-    """
-
-    centre: Floats
-    reach: Floats
-    stated: Floats
-    known: NDArray[np.bool_]
-    is_tone: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class _Map:
-    """Mean square (channels, rows, cells) in each cell of ``axis`` (cells,), from ``averages`` (rows,) frames."""
-
-    axis: Floats
-    energy: Floats
-    averages: Floats
 
 
 def energy_shares(
@@ -78,11 +62,14 @@ def energy_shares(
 
     Of each channel, as fractions of its mean square (``total``, in ``unit``) over all speeds alike, without the mean:
     ``orders`` and ``tones`` whose cause is known, ``modes_and_floor``, ``unexplained``; they add up to 1.
+    The band is that of orders and Campbell map together: what the latter does not reach is read in the order map, up to
+    ``band_hz`` at the fastest speed.
     ``unexplained`` is ``unexplained_lines`` (orders and tones without a known cause) and ``unexplained_cells`` (what
     cells of the map have above the fitted surface where they stand over it; noise puts any cell of the map there with a
-    chance of 1 %, and no single one with more than ``settings.false_alarm_probability``). At each speed a line has
-    amplitude² / 2, or all that stands over the surface in its own cells if that is clearly more, and never more than
-    these hold; where it was not seen, what stands there on the mean of those speeds.
+    chance of 1 %, and no single one with more than ``settings.false_alarm_probability``; where none was fitted, lines
+    that nobody named and that are sharper or steadier than ``settings.least_damping_ratio`` allows). At each speed a
+    line has amplitude² / 2, or all that stands over the surface in its own cells if that is clearly more, and never
+    more than these hold; where it was not seen, what stands there on the mean of those speeds.
 
     ``unexplained_energy_fraction`` is the mean over the channels of unexplained / (orders + tones + unexplained):
     of the energy that is not broadband, the share without a known cause; in a channel without any line, of all its
@@ -99,18 +86,17 @@ def energy_shares(
     causes : what explains each line
     settings : those of identify
     """
-    by_frequency = bool(campbell.sizes["speed"])
-    if by_frequency:
-        made, lines = _by_frequency(campbell, orders, modal, causes)
+    if campbell.sizes["speed"]:
+        made, lines = by_frequency(campbell, orders, modal, causes)
+        judged = modal.fitted_psd.size > 0
+        parts = [_looked_at(made, lines, modal, settings) if judged else _looked_at(made, lines, None, settings)]
+        above = beyond(campbell, order_map, orders, causes)
+        parts += [] if above is None else [_looked_at(*above, None, settings)]
     else:
-        made, lines = _by_order(order_map, orders, causes)
-    owner = _owners(made.axis, lines)
-    surface, judged = _surface(made, owner, modal if by_frequency else None)
-    owner = _owners(made.axis, _with_skirts(made, lines, surface))
-    unexplained = _over_surface(made, owner, surface, modal, settings) if judged else np.zeros(made.energy.shape)
+        judged, parts = False, [_looked_at(*by_order(order_map, orders, causes), None, settings)]
     names, units = order_map["channel"].values.tolist(), order_map["unit"].values.tolist()
     channels = [
-        {"channel": name, "unit": f"({unit})²"} | _channel(number, made, lines, owner, surface, unexplained)
+        {"channel": name, "unit": f"({unit})²"} | _shares([_channel(number, part) for part in parts])
         for number, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
     shares = [_fraction(record) for record in channels]
@@ -118,8 +104,36 @@ def energy_shares(
     return {
         "unexplained_energy_fraction": float(np.mean(decided)) if decided else 0.0,
         "cells_judged": judged,
+        "band_hz": band_end_hz(campbell, order_map),
         "channels": channels,
     }
+
+
+@dataclass(frozen=True)
+class _LookedAt:
+    """A map with its lines: ``owner`` (rows, cells) is the line of each cell, -1 for none.
+
+    ``surface`` is the energy expected without lines, ``unexplained`` what stands over it as noise does not: both of
+    the shape of the map's energy.
+    """
+
+    made: EnergyMap
+    lines: EnergyLines
+    owner: NDArray[np.int64]
+    surface: Floats
+    unexplained: Floats
+
+
+def _looked_at(made: EnergyMap, lines: EnergyLines, modal: ModalFit | None, settings: IdentifySettings) -> _LookedAt:
+    """What each cell of a map belongs to, by the fitted surface of ``modal`` where there is one."""
+    owner = _owners(made.axis, lines)
+    surface = _surface(made, owner, modal)
+    owner = _owners(made.axis, _with_skirts(made, lines, surface))
+    if modal is not None:
+        unexplained = _over_surface(made, owner, surface, modal, settings)
+    else:
+        unexplained = _lines_alone(made, owner, surface, settings)
+    return _LookedAt(made, lines, owner, surface, unexplained)
 
 
 def _fraction(record: dict[str, Any]) -> float | None:
@@ -129,90 +143,7 @@ def _fraction(record: dict[str, Any]) -> float | None:
     return float(record["unexplained"]) if record["unexplained"] > 0.0 else None
 
 
-def _by_frequency(
-    campbell: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, causes: Causes
-) -> tuple[_Map, _Lines]:
-    """The Campbell map as energies, and where orders and tones lie in it."""
-    resolution, enbw_hz = float(campbell.attrs["resolution_hz"]), float(campbell.attrs["enbw_hz"])
-    frequency, speed = campbell["frequency"].values, campbell["speed"].values
-    channels = campbell["channel"].values.tolist()
-    energy = campbell["psd"].values.astype(np.float64) * resolution
-    energy[..., frequency < STEADY_BINS * enbw_hz] = 0.0
-    own = LINE_BINS * max(resolution, enbw_hz / 1.5)
-    number = np.array([agreed.order for agreed in orders])
-    wander = 0.5 * (_group_width_rpm(campbell) / 60.0 + float(campbell.attrs.get("sweep_hz_per_order", 0.0)))
-    tones = np.array([tone.frequency_hz for tone in modal.tones])
-    centre = np.concatenate([np.outer(speed / 60.0, number), np.broadcast_to(tones, (len(speed), len(tones)))], axis=1)
-    reach = np.broadcast_to(np.concatenate([own + wander * number, np.full(len(tones), own)]), centre.shape)
-    half = _square_of_peak(campbell)
-    stated = np.full((len(channels), len(speed), centre.shape[1]), np.nan)
-    near_rpm = max(0.5 * float(campbell.attrs["speed_bin_rpm"]), 1e-3)
-    for at, agreed in enumerate(orders):
-        for line in agreed.lines:
-            _put(stated[channels.index(line.channel), :, at], speed, line.speed_rpm, half * line.amplitude**2, near_rpm)
-    for at, tone in enumerate(modal.tones, start=len(orders)):
-        for name, (amplitude, _) in tone.amplitude.items():
-            stated[channels.index(name), :, at] = half * amplitude**2
-    known = np.concatenate(
-        [
-            _known_orders(channels, orders, causes),
-            np.broadcast_to(np.array([cause.known for cause in causes.tones], dtype=bool), (len(channels), len(tones))),
-        ],
-        axis=1,
-    )
-    counts = campbell["n_frames"].values.astype(np.float64)
-    is_tone = np.arange(centre.shape[1]) >= len(orders)
-    return _Map(frequency, energy, counts), _Lines(centre, reach, stated, known, is_tone)
-
-
-def _by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Causes) -> tuple[_Map, _Lines]:
-    """The order map as energies, and where the orders lie in it."""
-    axis, channels = order_map["order"].values, order_map["channel"].values.tolist()
-    half, enbw = _square_of_peak(order_map), float(order_map.attrs.get("enbw_bins", 1.5))
-    energy = half * order_map["amplitude"].values.astype(np.float64) ** 2 / enbw
-    energy[..., axis < STEADY_BINS * enbw * (axis[1] - axis[0])] = 0.0
-    shape = (order_map.sizes["speed"], len(orders))
-    centre = np.broadcast_to(np.array([agreed.order for agreed in orders]), shape)
-    reach = np.full(shape, LINE_BINS * max(1.0, enbw / 1.5) * float(axis[1] - axis[0]))
-    stated = np.full((len(channels), *shape), np.nan)
-    for at, agreed in enumerate(orders):
-        for line in agreed.lines:
-            stated[channels.index(line.channel), line.seen, at] = half * line.amplitude**2
-    counts = order_map["n_independent"].values.astype(np.float64)
-    lines = _Lines(centre, reach, stated, _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool))
-    return _Map(axis, energy, counts), lines
-
-
-def _square_of_peak(made: xr.Dataset) -> float:
-    """Mean square of a line over its squared amplitude."""
-    return 1.0 if made.attrs.get("amplitude_scaling") == "rms" else 0.5
-
-
-def _group_width_rpm(campbell: xr.Dataset) -> float:
-    """Width in rpm of a speed group of a run-up, whose groups touch; a stepped test's groups are narrow."""
-    speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
-    return width if len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width else 0.0
-
-
-def _put(into: Floats, speed: Floats, of_line: Floats, energy: Floats, near_rpm: float) -> None:
-    """Put the ``energy`` of a line at its speeds ``of_line`` into the rows of ``speed`` nearest to them."""
-    for rpm, value in zip(of_line, energy, strict=True):
-        row = int(np.argmin(np.abs(speed - rpm)))
-        if abs(speed[row] - rpm) <= near_rpm:
-            into[row] = value if np.isnan(into[row]) else max(value, into[row])
-
-
-def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> NDArray[np.bool_]:
-    """Whether the cause of each order is known (channels, orders); where it is no line of a channel, by the others."""
-    known = np.zeros((len(channels), len(orders)), dtype=bool)
-    for at, agreed in enumerate(orders):
-        known[:, at] = all(causes.orders[line.channel, agreed.order].known for line in agreed.lines)
-        for line in agreed.lines:
-            known[channels.index(line.channel), at] = causes.orders[line.channel, agreed.order].known
-    return known
-
-
-def _owners(axis: Floats, lines: _Lines) -> NDArray[np.int64]:
+def _owners(axis: Floats, lines: EnergyLines) -> NDArray[np.int64]:
     """Line (rows, cells) to which each cell of ``axis`` belongs, the nearest within its reach; -1 for none."""
     owner = np.full((len(lines.centre), len(axis)), -1)
     for row, (centres, reaches) in enumerate(zip(lines.centre, lines.reach, strict=True)):
@@ -227,11 +158,8 @@ def _owners(axis: Floats, lines: _Lines) -> NDArray[np.int64]:
     return owner
 
 
-def _with_skirts(made: _Map, lines: _Lines, surface: Floats) -> _Lines:
-    """The ``lines`` with a reach up to where the side lobes of their window sink into the floor.
-
-    A Hann window shows a line x bins away with 1 / (π x³)² of its power at most.
-    """
+def _with_skirts(made: EnergyMap, lines: EnergyLines, surface: Floats) -> EnergyLines:
+    """The ``lines`` with a reach up to where the side lobes of their window sink into the floor."""
     if not lines.centre.size:
         return lines
     own = lines.reach.min() / LINE_BINS
@@ -239,16 +167,14 @@ def _with_skirts(made: _Map, lines: _Lines, surface: Floats) -> _Lines:
     floor = surface[:, np.arange(len(at))[:, None], at]
     with np.errstate(invalid="ignore", divide="ignore"):
         height = np.where(floor > 0.0, np.nan_to_num(lines.stated) / floor, 0.0).max(axis=0)
-    bins = (np.minimum(height, MOST_HEIGHT) / SUNK) ** (1 / 6) / np.pi ** (1 / 3)
-    return replace(lines, reach=np.maximum(lines.reach, own * bins))
+    return replace(lines, reach=np.maximum(lines.reach, own * _skirt_bins(np.minimum(height, MOST_HEIGHT))))
 
 
-def _surface(made: _Map, owner: NDArray[np.int64], modal: ModalFit | None) -> tuple[Floats, bool]:
-    """Energy expected in each cell without lines (channels, rows, cells); whether it comes from the fit ``modal``."""
+def _surface(made: EnergyMap, owner: NDArray[np.int64], modal: ModalFit | None) -> Floats:
+    """Energy expected in each cell without lines (channels, rows, cells), from the fit ``modal`` where there is one."""
     free = np.where(owner < 0, made.energy, np.nan)
     free[..., (made.energy == 0.0).all(axis=(0, 1))] = np.nan
-    judged = modal is not None and modal.fitted_psd.size > 0
-    if modal is not None and judged:
+    if modal is not None:
         shape = np.stack([_filled(made.axis, modal.frequency_hz, psd) for psd in modal.fitted_psd])
     else:
         shape = np.stack([_filled(made.axis, made.axis, _smoothed(_median(rows, axis=0))) for rows in free])
@@ -256,7 +182,7 @@ def _surface(made: _Map, owner: NDArray[np.int64], modal: ModalFit | None) -> tu
         ratio = free / shape[:, None, :]
     # the median of a mean of n energies of noise is below its mean (Wilson and Hilferty 1931)
     gain = _median(ratio, axis=-1) / (1.0 - 1.0 / (9.0 * np.maximum(made.averages, 1.0))) ** 3
-    return np.nan_to_num(gain)[..., None] * shape[:, None, :], judged
+    return np.nan_to_num(gain)[..., None] * shape[:, None, :]
 
 
 def _median(values: Floats, *, axis: int) -> Floats:
@@ -282,7 +208,7 @@ def _smoothed(values: Floats) -> Floats:
 
 
 def _over_surface(
-    made: _Map, owner: NDArray[np.int64], surface: Floats, modal: ModalFit, settings: IdentifySettings
+    made: EnergyMap, owner: NDArray[np.int64], surface: Floats, modal: ModalFit, settings: IdentifySettings
 ) -> Floats:
     """Energy (channels, rows, cells) outside the lines that stands over the ``surface`` as noise does not."""
     free = (owner >= 0)[None] == np.zeros(made.energy.shape, dtype=bool)
@@ -303,6 +229,62 @@ def _over_surface(
     return np.asarray(np.nan_to_num(over) + np.nan_to_num(everywhere))
 
 
+def _lines_alone(made: EnergyMap, owner: NDArray[np.int64], surface: Floats, settings: IdentifySettings) -> Floats:
+    """Energy (channels, rows, cells) over the ``surface`` in lines that nobody named, where no surface was fitted.
+
+    Such a line is sharper, or steadier from frame to frame, than the least damped natural frequency that noise rings.
+    """
+    found = np.zeros(made.energy.shape)
+    if made.kurtosis is None:
+        return found
+    chance = min(settings.false_alarm_probability, MAP_CHANCE / max(1, made.energy.size))
+    step = float(made.axis[1] - made.axis[0])
+    least = settings.least_damping_ratio * np.maximum(made.axis, step) / step
+    level = np.array([noise_level(max(1.0, float(n)), len(SKIRT_BINS), chance) for n in made.averages])[:, None]
+    skirts = 1.0 / np.mean([1.0 / (1.0 + (away / least) ** 2) for away in SKIRT_BINS], axis=0)
+    with np.errstate(invalid="ignore"):
+        sharp = (made.energy > level * skirts * _beside(made.energy)) & (made.kurtosis < STEADY_KURTOSIS)
+        stands = (made.energy > level * surface) & (sharp | _steady(made, least, chance)) & (owner < 0)
+    stands &= highest_of_three(made.energy) & (surface > 0.0) & (made.averages >= 2.0)[:, None]
+    cells = np.arange(len(made.axis))
+    for channel, row, at in zip(*np.nonzero(stands), strict=True):
+        height = min(float(made.energy[channel, row, at] / surface[channel, row, at]), MOST_HEIGHT)
+        own = (np.abs(cells - at) <= max(LINE_BINS, _skirt_bins(height))) & (owner[row] < 0)
+        over = made.energy[channel, row] - surface[channel, row]
+        found[channel, row] = np.where(own, np.maximum(over, 0.0), found[channel, row])
+    return found
+
+
+def _steady(made: EnergyMap, least: Floats, chance: float) -> NDArray[np.bool_]:
+    """Where noise that rings over 2 ``least`` cells (cells,) is so steady with less than ``chance``.
+
+    Independent spectra begin half a frame apart; what rings on from one to the next makes them fewer.
+    """
+    assert made.kurtosis is not None
+    frames = np.maximum(made.averages[:, None] * -np.expm1(-2.0 * np.pi * least), 2.0)
+    told = log_chance_of_kurtosis(np.nan_to_num(made.kurtosis, nan=1.0), frames) < np.log(chance)
+    return np.asarray(told & (made.kurtosis < STEADY_KURTOSIS))
+
+
+def _beside(energy: Floats) -> Floats:
+    """Mean ``energy`` (…, cells) of the cells SKIRT_BINS away, on the side where it is less: a line may stand there.
+
+    What rings leaves its skirts on both sides.
+    """
+    reach, n = max(SKIRT_BINS), energy.shape[-1]
+    padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), constant_values=np.inf)
+    sides = [np.mean([padded[..., reach + k * sign :][..., :n] for k in SKIRT_BINS], axis=0) for sign in (-1, 1)]
+    return np.asarray(np.minimum(*sides))
+
+
+def _skirt_bins(height: Any) -> Any:
+    """Bins up to which the side lobes of a line that stands ``height`` times over its floor are seen over it.
+
+    A Hann window shows a line x bins away with 1 / (π x³)² of its power at most.
+    """
+    return (height / SUNK) ** (1 / 6) / np.pi ** (1 / 3)
+
+
 def _level(ratio: Floats, averages: Floats, false_alarm_probability: float) -> Floats:
     """Level that the ``ratio`` (…, cells) of noise to its mean passes with the chance given: (…).
 
@@ -316,35 +298,52 @@ def _level(ratio: Floats, averages: Floats, false_alarm_probability: float) -> F
     return np.asarray(gammainccinv(n, false_alarm_probability) / n)
 
 
-def _channel(
-    number: int, made: _Map, lines: _Lines, owner: NDArray[np.int64], surface: Floats, unexplained: Floats
-) -> dict[str, Any]:
-    """Shares of one channel, and its mean square; rows without data take no part."""
+def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
+    """Mean square of each part of one channel and in ``total``, over the rows that hold data."""
+    made, lines = looked.made, looked.lines
     rows = np.flatnonzero(np.isfinite(made.energy[number]).all(axis=-1))
-    energy, expected, owner = made.energy[number, rows], surface[number, rows], owner[rows]
-    total, n_lines = float(energy.sum()), lines.centre.shape[1]
+    share, owner = made.share[rows], looked.owner[rows]
+    energy, expected = share * made.energy[number, rows], share * looked.surface[number, rows]
+    n_lines = lines.centre.shape[1]
     of_line = np.zeros(n_lines)
     stated = lines.stated[number, rows]
     if n_lines:
         place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]
         there: Floats = _sums(place, energy[owner >= 0], stated.shape)
         floor: Floats = _sums(place, expected[owner >= 0], stated.shape)
-        seen = np.isfinite(stated)
+        seen = np.isfinite(stated) & _inside(made, lines)[rows]
         cells = np.maximum(1.0, _sums(place, np.ones(len(place)), stated.shape))
         more = _more_than_noise(there, floor, np.nan_to_num(stated), cells, made.averages[rows])
         of_line += np.where(seen, np.clip(np.where(more, there - floor, stated), 0.0, there), 0.0).sum(axis=0)
         of_line += np.maximum(0.0, np.where(seen, 0.0, there - floor).sum(axis=0))
     known, tone = lines.known[number], lines.is_tone
     parts = {
-        "orders": float(of_line[known & ~tone].sum()),
-        "tones": float(of_line[known & tone].sum()),
-        "unexplained_lines": float(of_line[~known].sum()),
-        "unexplained_cells": float(np.nan_to_num(unexplained[number, rows]).sum()),
+        "orders": of_line[known & ~tone].sum(),
+        "tones": of_line[known & tone].sum(),
+        "unexplained_lines": of_line[~known].sum(),
+        "unexplained_cells": np.nan_to_num(share * looked.unexplained[number, rows]).sum(),
+        "total": energy.sum(),
     }
-    shares = {name: part / total if total > 0.0 else 0.0 for name, part in parts.items()}
+    return {name: float(part) / max(1, len(rows)) for name, part in parts.items()}
+
+
+def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:
+    """Whether the middle of each line lies in what counts of the map (rows, lines); else only its skirts do."""
+    step = float(made.axis[1] - made.axis[0])
+    at = np.rint((lines.centre - made.axis[0]) / step).astype(np.int64)
+    last = len(made.axis) - 1
+    counts = np.take_along_axis(made.share, np.clip(at, 0, last), axis=1)
+    return np.asarray((at <= last) & (counts > 0.5))
+
+
+def _shares(parts: list[dict[str, float]]) -> dict[str, Any]:
+    """Shares of one channel in the sum of the ``parts`` that the maps of one band hold, and its mean square."""
+    joined = {name: sum(part[name] for part in parts) for name in parts[0]}
+    total = joined.pop("total")
+    shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
     shares["unexplained"] = shares["unexplained_lines"] + shares["unexplained_cells"]
     rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - shares["unexplained"])
-    return shares | {"modes_and_floor": rest if total > 0.0 else 0.0, "total": total / max(1, len(rows))}
+    return shares | {"modes_and_floor": rest if total > 0.0 else 0.0, "total": total}
 
 
 def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> Floats:

@@ -12,16 +12,17 @@ from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_
 from crankorder.identify.encoder_sidebands import OR_OWN
 from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
 from crankorder.identify.folds import ShownFold
-from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import APART_CYCLES
-from crankorder.identify.lines.growth import growth, largest
+from crankorder.identify.lines.growth import largest
 from crankorder.identify.mains import mains_words, multiple_in, multiple_on, nearest_multiple
 from crankorder.identify.mains_orders import mains_orders
 from crankorder.identify.motors import LineSeen, named_by, words_of
 from crankorder.identify.one_mains import OR_ANOTHER, claims_of, doubtful
+from crankorder.identify.order_one import is_motion, order_one
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
-from crankorder.identify.said import ALIKE_SPEEDS, ONE_SPEED
+from crankorder.identify.said import ALIKE_SPEEDS, LIKE_UNBALANCE
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
 from crankorder.settings import IdentifySettings
@@ -43,16 +44,6 @@ VAGUE = 0.125
 
 EITHER = "gas cycle or engine kinematics"
 """What makes an order that gas and masses of an engine both do, as far as is known."""
-
-UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
-"""Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own
-eccentricity at any speed; 2 in acceleration, and in all other quantities that of the force."""
-
-NO_MOTION = ("pressure", "voltage", "current", "temperature")
-"""In these quantities order 1 is no motion, and no sign of an unbalance."""
-
-SLOWER = 1.0
-"""A line that surely grows more slowly than that by this power of the speed is something else."""
 
 MOST_HARMONICS = 10
 """Multiples of a stated gear mesh or of a bearing line that are named after it."""
@@ -128,7 +119,17 @@ def explained(
     for agreed in orders:
         for line in agreed.lines:
             cause = _first_cause(
-                agreed, line, orders, bearings, races, sources, quantity[line.channel], folds, settings, forces
+                agreed,
+                line,
+                orders,
+                bearings,
+                races,
+                sources,
+                quantity[line.channel],
+                folds,
+                settings,
+                forces,
+                modal.modes,
             )
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
     for key, (text, evidence) in (of_encoder or {}).items():
@@ -146,7 +147,9 @@ def explained(
     modes = tuple(
         Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
     )
-    tones = _explained_tones(modal.tones, races, _one_speed(orders), known, settings)
+    rpm = _one_speed(orders)
+    modes = tuple(_of_race(mode, cause, races, rpm) for mode, cause in zip(modal.modes, modes, strict=True))
+    tones = _explained_tones(modal.tones, races, rpm, known, settings)
     return _with_one_mains(Causes(causes, modes, tones), orders, modal.tones)
 
 
@@ -166,7 +169,7 @@ def _with_one_mains(causes: Causes, orders: tuple[AgreedOrder, ...], tones: Sequ
     return Causes(of_orders, causes.modes, tuple(of_tones))
 
 
-MAY_BE_MAINS = ("unbalance", "shaft harmonic", "half order of the four-stroke cycle")
+MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", "half order of the four-stroke cycle")
 """What a line is called that is an order of the shaft for no other reason than that it is one."""
 
 
@@ -249,6 +252,7 @@ def _first_cause(
     folds: Sequence[ShownFold],
     settings: IdentifySettings,
     forces: ForcesOfCycle,
+    modes: Sequence[Mode],
 ) -> Cause | None:
     """The first cause that the evidence supports for one line by itself."""
     of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
@@ -262,7 +266,7 @@ def _first_cause(
         lambda: _gas_or_masses(forces.get((line.channel, agreed.order)), proof),
         lambda: _kinematics(of_cycle, orders, sources, proof),
         lambda: _stated_gear(agreed, sources, proof, settings),
-        lambda: _first_order(of_cycle, line, sources, quantity, proof),
+        lambda: _first_order(of_cycle, line, sources, quantity, modes, proof),
         lambda: _combustion(of_cycle, sources, proof),
         lambda: _bearing(agreed, of_cycle, bearings, sources, settings),
         lambda: _race_harmonic(agreed, of_cycle, races),
@@ -325,24 +329,18 @@ def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: Id
     return None
 
 
-def _first_order(of_cycle: float | None, line: OrderLine, sources: Sources, quantity: str, proof: str) -> Cause | None:
-    """Unbalance, where order 1 does not surely grow more slowly than one does in that ``quantity``."""
-    if of_cycle != 1.0 or any(word in quantity for word in NO_MOTION):
+def _first_order(
+    of_cycle: float | None, line: OrderLine, sources: Sources, quantity: str, modes: Sequence[Mode], proof: str
+) -> Cause | None:
+    """What order 1 is by how it grows; a harmonic of the shaft, or unexplained, where that is not as unbalance does."""
+    if of_cycle != 1.0 or not is_motion(quantity):
         return None
-    grown = growth(line)
-    if grown is None:
-        return Cause("unbalance", f"order 1, {proof}; {ONE_SPEED}")
-    if grown.law == "follows no power law":
-        return Cause("unbalance", f"order 1, {proof}; no power of the speed describes how it grows")
-    low, high = grown.ci95
-    grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
-    least = UNBALANCE_EXPONENT.get(quantity, 2.0)
-    if high < least - SLOWER:
-        if sources.firing:
-            return None
-        text = "unexplained" if sources.engine_orders else "shaft harmonic"
-        return Cause(text, f"order 1, {proof}, but {grows}: unbalance alone would with {least:g} or more")
-    return Cause("unbalance", f"order 1, {proof}, {grows}")
+    text, why = order_one(line, quantity, modes)
+    if text is not None:
+        return Cause(text, f"order 1, {proof}; {why}")
+    if sources.firing:
+        return None
+    return Cause("unexplained" if sources.engine_orders else "shaft harmonic", f"order 1, {proof}, but {why}")
 
 
 def _combustion(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
@@ -530,6 +528,18 @@ def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> str
     if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < LOW_MAINS_HZ):
         return ""
     return harmonic_words(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
+
+
+def _of_race(mode: Mode, cause: Cause, races: list[StruckRace], rpm: float | None) -> Cause:
+    """``cause`` of a ``mode``, or, where it may be none, the line that one of ``races`` has there at the only speed.
+
+    Strikes that wander make harmonics as wide as a natural frequency of little damping.
+    """
+    if not mode.undecided or rpm is None:
+        return cause
+    turns = 60.0 / rpm
+    words = harmonic_words(races, mode.frequency_hz * turns, mode.frequency_error_hz * turns, few=True)
+    return Cause(words, RACE_EVIDENCE) if words else cause
 
 
 def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:

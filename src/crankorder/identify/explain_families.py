@@ -152,7 +152,11 @@ def _shafts(
     free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
     found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
     made: Words = {}
-    has_first = any(abs(agreed.order - 1.0) < FIRST_REACH for agreed in orders)
+    has_first = any(
+        abs(agreed.order - 1.0) < FIRST_REACH
+        and not any("mains" in texts[line.channel, agreed.order] for line in agreed.lines)
+        for agreed in orders
+    )
     speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.reservation for agreed in free)
     for at, (first, multiple) in found.items():
         base = free[first].order

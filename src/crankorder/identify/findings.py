@@ -29,6 +29,7 @@ from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
+from crankorder.identify.motor_speed import SpeedRead, explained_at, with_speed_read
 from crankorder.identify.motors import (
     LineSeen,
     MotorFound,
@@ -39,6 +40,8 @@ from crankorder.identify.motors import (
     without_known,
 )
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
+from crankorder.identify.order_one import if_unbalance
+from crankorder.identify.parted_tones import with_tones_parted
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.identify.sources import Sources
@@ -76,16 +79,16 @@ def find(
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
-    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, known, settings, doubt)
-    reader = TrackReader(order_map, frames=frames, followed=without_swings(followed, modal.swings))
-    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, (held, known), settings, doubt)
+    in_map, read = with_speed_read(sources.motor, in_map, order_map, settings=asked)
+    orders = _with_rows(in_map, order_map, frames, without_swings(followed, modal.swings), settings)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
-    explain = partial(explain, longest_rev=max((one.span_rev for one in held), default=np.inf))
-    causes = explain(in_map, modal, bearings, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    explain = partial(explain, longest_rev=_longest(held), of_encoder=encoder_sidebands(in_map, order_map, frames))
+    causes = explained_at(read, in_map, modal, bearings, explain=explain)
     modal = with_neighbours_named(modal, in_map, causes)
-    motor = _judged(motor, in_map, causes, order_map, doubt)
+    motor = _judged(motor, in_map, causes, order_map, doubt, read)
     tested = _tested_rpm(order_map, campbell)
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
@@ -103,9 +106,8 @@ def find(
         "bearings": bearings,
         **({} if motor is None else {"motor": motor_record(motor)}),
         "lines": line_records(records, modal, causes, channels=list(unit)),
-        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)),
-        "levels": level_records(levels),
-        **_balance(order_map, orders, modal, sources),
+        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked), level_records(levels)),
+        **_balance(order_map, orders, modal, sources, causes),
         "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
         "false_alarm_probability": asked.false_alarm_probability,
         "quality": flags + fold_flags(order_map, settings=settings, folds=folds),
@@ -128,6 +130,23 @@ def _speeds(
     return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)
 
 
+def _with_rows(
+    in_map: tuple[AgreedOrder, ...],
+    order_map: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    followed: Sequence[xr.Dataset],
+    settings: Settings,
+) -> tuple[AgreedOrder, ...]:
+    """Orders ``in_map`` with the rows of their tracks, from the map and as ``followed``."""
+    reader = TrackReader(order_map, frames=frames, followed=followed)
+    return with_track_rows(in_map, reader, settings=settings.orders)
+
+
+def _longest(held: Sequence[Held]) -> float:
+    """Revolutions of the longest of the recordings ``held``; infinite where none is."""
+    return max((one.span_rev for one in held), default=np.inf)
+
+
 def _bearings(
     orders: tuple[AgreedOrder, ...], envelope: xr.Dataset | None, sources: Sources, asked: IdentifySettings
 ) -> list[dict[str, Any]]:
@@ -141,9 +160,10 @@ def _judged(
     causes: Causes,
     order_map: xr.Dataset,
     doubt: str | None,
+    read: SpeedRead | None,
 ) -> MotorFound | None:
-    """The ``motor`` beside all other lines: its rivals, the speed that is stated and the bars."""
-    judged = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt)
+    """The ``motor`` beside all other lines: its rivals, the speed that is stated, or was ``read``, and the bars."""
+    judged = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt, read)
     return with_bars_judged(judged, in_map, causes, order_map)
 
 
@@ -154,10 +174,12 @@ def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
 
 
 def _balance(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources, causes: Causes
 ) -> dict[str, Any]:
     """The residual unbalance, or why it is not known, as the findings hold it."""
     made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
+    if made is not None:
+        made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
     return {"balance": made} if made is not None else {"balance": None, "balance_reason": reason}
 
 
@@ -166,18 +188,19 @@ def _orders_and_modes(
     campbell: xr.Dataset,
     frames: Sequence[xr.Dataset],
     followed: Sequence[xr.Dataset],
-    known: Sequence[LineSeen],
+    electric: tuple[Sequence[Held], Sequence[LineSeen]],
     settings: Settings,
     doubt: str | None,
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
-    """Orders as the map and the modes that they cross tell them, and the modes without the ``known`` electric lines.
+    """Orders as the map and the modes that they cross tell them, and modes without ``electric`` lines (held, known).
 
     With a ``doubt`` about the speed no order is locked or slips.
     """
+    held, known = electric
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = without_doubles(with_mains_tones(modal, known, in_map))
+    modal = without_doubles(with_mains_tones(with_tones_parted(modal, held), known, in_map))
     return in_map if doubt is None else undecided_orders(in_map), modal
 
 
@@ -200,10 +223,16 @@ def _electric(
     return found, found.seen or mains_seen(held, settings=settings.identify)
 
 
-def _energy(shares: dict[str, Any]) -> dict[str, Any]:
-    """Shares of the energy as the findings hold them: what is not explained beside the rest."""
+def _energy(shares: dict[str, Any], levels: list[dict[str, Any]]) -> dict[str, Any]:
+    """Shares of the energy as the findings hold them: what is not explained, the rest, what lies above; the levels."""
     rest = {key: value for key, value in shares.items() if key != "unexplained_energy_fraction"}
-    return {"unexplained_energy_fraction": shares["unexplained_energy_fraction"], "energy": rest}
+    above = {one["channel"]: one["share_above"] for one in levels}
+    channels = [one | {"above_band": above.get(one["channel"])} for one in rest["channels"]]
+    return {
+        "unexplained_energy_fraction": shares["unexplained_energy_fraction"],
+        "energy": rest | {"channels": channels},
+        "levels": levels,
+    }
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

@@ -66,7 +66,8 @@ class AgreedOrder:
     ``order`` with its ``order_error`` (standard, with ``degrees_of_freedom``); ``lock`` says whether it is an exact
     multiple of the cycle's frequency; ``needed_revs`` are the revolutions of one recording after which that could be
     told, where it is undecided. ``lines`` holds one line per channel that shows it. ``reservation`` says, where it is
-    not empty, what speaks against the number or against its being one line.
+    not empty, what speaks against the number or against its being one line. ``own_error`` is the standard error but for
+    that of the speed, which shifts all orders by one share; None where it is the whole one.
     """
 
     order: float
@@ -76,6 +77,12 @@ class AgreedOrder:
     needed_revs: float | None
     lines: tuple[OrderLine, ...]
     reservation: str = ""
+    own_error: float | None = None
+
+    @property
+    def line_error(self) -> float:
+        """Standard error beside the other orders of the test, and of the frequency at the speed that is counted by."""
+        return self.order_error if self.own_error is None else self.own_error
 
 
 @dataclass(frozen=True, eq=False)

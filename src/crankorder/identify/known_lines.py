@@ -126,14 +126,14 @@ def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place
     step = GRID_CYCLES / max(float(np.ptp(held.time_s)), 1e-9)
     trial = np.arange(low_hz, high_hz + step, step)
     known = [*others, *_shaft_orders(held, [(low_hz, 0.0), (high_hz, 0.0)], [])]
-    near = _bins(held, np.array([held.order_of((f, 0.0)) for f in (low_hz, high_hz)]))
+    near = bins_of(held, np.array([held.order_of((f, 0.0)) for f in (low_hz, high_hz)]))
     if not near.size or len(trial) < 3:
         return None
-    rest = _data(held, near)
+    rest = data_of(held, near)
     if known:
-        waves = _waves(held, near, known)
+        waves = waves_of(held, near, known)
         rest = rest - waves @ np.linalg.lstsq(waves, rest, rcond=None)[0]
-    shapes = _waves(held, near, [(float(f), 0.0) for f in trial])
+    shapes = waves_of(held, near, [(float(f), 0.0) for f in trial])
     gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
     power = np.square(np.abs(shapes.conj().T @ rest)) / gain[:, None]
     total = np.maximum(np.square(np.abs(rest)).sum(axis=0), 1e-300)
@@ -143,8 +143,8 @@ def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place
     for place in known:
         score[np.abs(own - held.order_of(place)) * held.span_rev < APART_CYCLES] = 0.0
     best = int(np.argmax(score))
-    if score[best] <= 0.0:
-        return None
+    if score[best] <= 0.0 or best in (0, len(trial) - 1):
+        return None  # at an end it is the flank of a line beyond
     frequency = _summit(trial, score, best)
     sighting = sightings(held, [(frequency, 0.0), *others])[0]
     if sighting is None or not sighting.seen:
@@ -154,8 +154,6 @@ def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place
 
 def _summit(trial: Floats, score: Floats, best: int) -> float:
     """Top of the parabola through three points of ``score``."""
-    if best in (0, len(trial) - 1):
-        return float(trial[best])
     left, middle, right = score[best - 1 : best + 2]
     bend = left - 2.0 * middle + right
     shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
@@ -184,27 +182,34 @@ def _fitted(held: Held, places: list[Place]) -> list[Sighting]:
         head_of.append(same[0] if same else k)
     own = [places[h] for h in heads]
     everything = [*own, *_shaft_orders(held, places, own)]
-    bins = _bins(held, orders)
-    waves, data = _waves(held, bins, everything), _data(held, bins)
+    bins = bins_of(held, orders)
+    waves, data = waves_of(held, bins, everything), data_of(held, bins)
     amplitude = np.linalg.lstsq(waves, data, rcond=None)[0]
     left = data - waves @ amplitude
     all_orders = np.array([held.order_of(place) for place in everything])
-    errors = {h: _noise_beside(held, bins, places[h], left, all_orders) for h in heads}
+    errors = {h: noise_beside(held, bins, places[h], left, all_orders) for h in heads}
     size = {h: np.abs(amplitude[number]) for number, h in enumerate(heads)}
     return [Sighting(float(orders[k]), size[h], errors[h]) for k, h in enumerate(head_of)]
 
 
-def _noise_beside(held: Held, bins: NDArray[np.int64], place: Place, left: Complex, lines: Floats) -> Floats:
-    """Root mean square along one axis (channels,) of what a line beside ``place`` would be in what is ``left``."""
+def noise_beside(
+    held: Held, bins: NDArray[np.int64], place: Place, left: Complex, lines: Floats, *, median: bool = False
+) -> Floats:
+    """Root mean square along one axis (channels,) of what a line beside ``place`` would be in what is ``left``.
+
+    ``left`` (frames x bins, channels) is of ``bins`` of ``held`` without the ``lines`` (orders), beside which
+    nothing is looked at; by the ``median`` of the places where other lines may still be left.
+    """
     seconds = held.span_rev * 60.0 / held.rpm
     beside = [(place[0] + side * cycles / seconds, place[1]) for cycles in BESIDE_CYCLES for side in (-1.0, 1.0)]
     clear = [
         one for one in beside if np.min(np.abs(held.order_of(one) - lines)) * held.span_rev >= APART_CYCLES
     ] or beside
-    shapes = _waves(held, bins, clear)
+    shapes = waves_of(held, bins, clear)
     gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
     power = np.square(np.abs(shapes.conj().T @ left) / gain[:, None])
-    return np.asarray(np.sqrt(0.5 * power.mean(axis=0)))
+    mean = np.median(power, axis=0) / np.log(2.0) if median else power.mean(axis=0)
+    return np.asarray(np.sqrt(0.5 * mean))
 
 
 def _shaft_orders(held: Held, places: Sequence[Place], own: Sequence[Place]) -> list[Place]:
@@ -221,19 +226,20 @@ def _shaft_orders(held: Held, places: Sequence[Place], own: Sequence[Place]) -> 
     ]
 
 
-def _bins(held: Held, orders: Floats) -> NDArray[np.int64]:
+def bins_of(held: Held, orders: Floats) -> NDArray[np.int64]:
+    """Bins of ``held`` that lines between the least and the largest of ``orders`` reach."""
     reach = LOBE_BINS / held.revs
     return np.flatnonzero((held.axis >= orders.min() - reach) & (held.axis <= orders.max() + reach))
 
 
-def _data(held: Held, bins: NDArray[np.int64]) -> Complex:
-    """Phasors (frames x bins, channels)."""
+def data_of(held: Held, bins: NDArray[np.int64]) -> Complex:
+    """Phasors (frames x bins, channels) of ``held`` in ``bins``."""
     chosen = held.spectrum[:, :, bins]
     return np.asarray(chosen.reshape(len(chosen), -1).T, dtype=np.complex128)
 
 
-def _waves(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Complex:
-    """What lines of amplitude 1 at ``places`` are in each frame and bin: (frames x bins, places).
+def waves_of(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Complex:
+    """What lines of amplitude 1 at ``places`` are in the frames and ``bins`` of ``held``: (frames x bins, places).
 
     A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²),
     and turns from frame to frame with its own phase less that of the bin.

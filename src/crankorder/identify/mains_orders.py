@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder
+from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.mains import ALONE, mains_words, nearest_multiple
 from crankorder.identify.said import ALIKE_SPEEDS
 from crankorder.settings import IdentifySettings
@@ -27,6 +28,9 @@ SAME_SIGMAS = 3.0
 
 NOT_BOTH = "mains or another tone"
 """What lines are called that only two mains frequencies at one place would explain together."""
+
+OR_RESONANCE = "or a natural frequency"
+"""What is added where the recordings are too short to tell a line from a resonance that noise excites."""
 
 Floats = NDArray[np.float64]
 
@@ -70,12 +74,14 @@ def mains_orders(
     )
     hits = {mains: found for mains in settings.mains_hz if (found := _hits(lines, mains, tones_hz, settings)).any()}
     sure = [mains for mains, found in hits.items() if (found & ~lines.exact).any()]
+    unproven = {one.order for one in orders if all(line.evidence == UNPROVEN for line in one.lines)}
     made: dict[float, tuple[str, str]] = {}
     for mains, found in hits.items():
         multiple, _ = nearest_multiple(lines.hertz, mains, settings=settings)
         for at in np.flatnonzero(found).tolist():
             number = int(multiple[at])
             words = NOT_BOTH if len(sure) > 1 else mains_words(number)
+            words = f"{words} {OR_RESONANCE}" if names[at] in unproven else words
             text = f"{lines.hertz[at]:.6g} Hz, {number} x {mains:g} Hz within what mains wander by"
             made.setdefault(names[at], (words, f"{text}; at one speed mains look like orders"))
     return made
@@ -111,5 +117,5 @@ def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
         return None
     rpm = float(speed.mean())
     return agreed.order * rpm / 60.0, float(
-        np.hypot(agreed.order_error * rpm, agreed.order * np.ptp(speed) / 4.0)
+        np.hypot(agreed.line_error * rpm, agreed.order * np.ptp(speed) / 4.0)
     ) / 60.0

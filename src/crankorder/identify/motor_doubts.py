@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import xarray as xr
 
 from crankorder.engine.motor import BAR_PASS
@@ -14,12 +15,16 @@ from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
 from crankorder.identify.mains import mains_words
-from crankorder.identify.motors import MotorFound
+from crankorder.identify.motor_speed import RATED, SpeedRead
+from crankorder.identify.motors import MotorFound, MotorSpeed
 from crankorder.identify.one_mains import OR_ANOTHER
 from crankorder.identify.said import IF_WRONG
 
 MOST_TURNS = 4
 """Multiples of the shaft's turns up to which a line that may be one speaks for the speed: higher ones are hit often."""
+
+THE_FIELDS = "that of the field, behind which the shaft of every motor lags"
+"""What is said of a stated speed from which no slip can follow."""
 
 LEAST_BARS = 12
 """Fewer bars no rotor has; whole orders below are the shaft's own."""
@@ -29,16 +34,29 @@ SIDE_REACH = 0.005
 
 
 def with_speed_judged(
-    found: MotorFound | None, orders: Sequence[AgreedOrder], causes: Causes, order_map: xr.Dataset, doubt: str | None
+    found: MotorFound | None,
+    orders: Sequence[AgreedOrder],
+    causes: Causes,
+    order_map: xr.Dataset,
+    doubt: str | None,
+    read: SpeedRead | None = None,
 ) -> MotorFound | None:
-    """``found`` with the reason why its slip is not known, where its speed is in ``doubt`` or only stated and none of
-    the ``orders`` (explained by ``causes``, of the test of ``order_map``) agrees with it.
+    """``found`` with its slip by the speed that was ``read`` off its lines, or with the reason why that is not known.
+
+    That is a speed in ``doubt``, or one that was only stated with which none of the ``orders`` (explained by
+    ``causes``, of the test of ``order_map``) agrees, or from which no slip can follow as it is that of the field.
     """
-    if found is None or found.misfit or not found.speeds:
+    if found is None or not found.speeds:
         return found
     if doubt is not None:
-        return replace(found, speed_doubt="the speed is in doubt")
-    if speed_source([order_map]) != "stated" or any(_agrees(one) for one in orders):
+        return found if found.misfit else replace(found, speed_doubt="the speed is in doubt")
+    if read is not None:
+        return _as_read(found, read)
+    if found.misfit or speed_source([order_map]) != "stated":
+        return found
+    if any(abs(one.speed_rpm * found.motor.shaft_ratio / _field_rpm(found) - 1.0) < RATED for one in found.speeds):
+        return replace(found, speed_doubt=f"the stated speed is {THE_FIELDS}, and no line of the shaft tells its own")
+    if any(_agrees(one) for one in orders):
         return found
     said = "the speed was only stated, and no line of the shaft agrees with it"
     bases = {key[1] for key, cause in causes.orders.items() if IF_WRONG in cause.text and cause.text.startswith("a ")}
@@ -50,6 +68,31 @@ def with_speed_judged(
             f"% at {base * slowest.speed_rpm:.4g} rpm"
         )
     return replace(found, speed_doubt=said)
+
+
+def _field_rpm(found: MotorFound) -> float:
+    """Speed of the field at the supply that was stated, in rpm."""
+    return found.motor.synchronous_rpm(float(found.motor.supply_hz or found.supply_hz or np.nan))
+
+
+def _as_read(found: MotorFound, read: SpeedRead) -> MotorFound:
+    """``found`` at the speed that was ``read``: its slip where the stated one agrees, else what it would be."""
+    if read.supply is not None:
+        hertz, error = read.supply
+        found = replace(found, supply_hz=hertz, supply_half_hz=Z95 * max(error, 1e-6), measured=True)
+    supply = float(found.supply_hz or np.nan)
+    synchronous = found.motor.synchronous_rpm(supply)
+    slip = 1.0 - read.rpm * found.motor.shaft_ratio / synchronous
+    half = float(np.hypot(found.supply_half_hz / supply, Z95 * read.error_rpm / read.rpm))
+    if read.agrees:
+        return replace(found, misfit="", speeds=(MotorSpeed(read.rpm, synchronous, slip, half, 2.0 * slip * supply),))
+    of_field = abs(read.stated_rpm * found.motor.shaft_ratio / _field_rpm(found) - 1.0) < RATED
+    why = f"the stated speed is {THE_FIELDS}" if of_field else "no line of the shaft agrees with the stated speed"
+    said = (
+        f"{why}; {read.words}: if the line at {read.hertz:.4g} Hz is its shaft's, it slips by {100.0 * slip:.2g} % at "
+        f"{read.rpm:.4g} rpm"
+    )
+    return replace(found, misfit="", speed_doubt=said)
 
 
 def with_rivals(found: MotorFound | None, causes: Causes) -> MotorFound | None:

@@ -19,6 +19,7 @@ NEAR_SHARE = 0.01
 """An interval that reaches farther than this share of the frequency says nothing of what stands in it."""
 
 _CALLED = {"tone": "a fixed tone", "order": "an order or a tone"}
+_AT_ONE_SPEED = {"tone": "a line without width", "order": "an order or a tone"}
 
 MOST_NAMED = 2
 """So many lines are named beside a natural frequency that is not decided."""
@@ -50,8 +51,9 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
 
     Tones, and of a test at one speed the ``orders``, as ``causes`` explain them.
     """
+    called = _AT_ONE_SPEED if _one_speed(orders) is not None else _CALLED
     lines = [
-        (tone.frequency_hz, _CALLED.get(cause.text, cause.text))
+        (tone.frequency_hz, called.get(cause.text, cause.text))
         for tone, cause in zip(modal.tones, causes.tones, strict=True)
     ]
     lines += _at_one_speed(orders, causes)
@@ -75,9 +77,15 @@ def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
 
 def _at_one_speed(orders: Sequence[AgreedOrder], causes: Causes) -> list[tuple[float, str]]:
     """Frequency in Hz and cause of each of ``orders``, where all were seen at one speed; else none."""
-    speeds = np.array([rpm for one in orders for line in one.lines for rpm in line.speed_rpm])
-    if not len(speeds) or not np.isfinite(speeds).all() or speeds.max() > ALIKE_SPEEDS * speeds.min():
+    rpm = _one_speed(orders)
+    if rpm is None:
         return []
-    rpm = float(speeds.mean())
     found = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order].text) for one in orders]
     return [(hertz, text) for hertz, text in found if text not in NOT_KNOWN]
+
+
+def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
+    """The one speed in rpm at which all ``orders`` were seen; None where there are several, or none is known."""
+    speeds = np.array([rpm for one in orders for line in one.lines for rpm in line.speed_rpm])
+    alike = len(speeds) > 0 and bool(np.isfinite(speeds).all()) and speeds.max() <= ALIKE_SPEEDS * speeds.min()
+    return float(speeds.mean()) if alike else None

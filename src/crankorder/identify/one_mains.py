@@ -61,7 +61,7 @@ def claims_of(
             continue
         speeds = np.concatenate([line.speed_rpm for line in one.lines])
         rpm = float(speeds.mean())
-        error = float(np.hypot(one.order_error * rpm, one.order * np.ptp(speeds) / 4.0)) / 60.0
+        error = float(np.hypot(one.line_error * rpm, one.order * np.ptp(speeds) / 4.0)) / 60.0
         made.append(Claim(multiple, one.order * rpm / 60.0, error, tuple(np.unique(speeds)), order=one.order))
     for number, (tone, words) in enumerate(zip(tones, tone_words, strict=True)):
         if (multiple := multiple_in(words)) is not None:

@@ -9,6 +9,15 @@ ALIKE_SPEEDS = 1.005
 ONE_SPEED = "too few speeds to tell how it grows"
 """What is said of an order of which nothing tells whether it grows as an unbalance does."""
 
+LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
+"""What order 1 is called where nothing tells these apart."""
+
+NOT_AS_UNBALANCE = "does not grow as unbalance does"
+"""What is said of an order 1 that surely grows more slowly."""
+
+IF_UNBALANCE = "if order 1 is unbalance"
+"""What is said of a residual unbalance where nothing tells order 1 from a bent shaft or misalignment."""
+
 UNRESOLVED = (
     "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance"
 )
@@ -19,6 +28,9 @@ MAY_BE_ALL = "stands there, and may be all of it"
 
 IF_WRONG = "this one if that is wrong"
 """Words of a shaft that may be the one whose speed was stated."""
+
+SPEAK_FOR = "the lines speak for"
+"""What is said of a speed that lines of the shaft tell, where another one was stated."""
 
 CLEARLY_EXCITED = 2.0
 """An order that cannot be so many times what it would be without the mode is not excited."""

@@ -173,6 +173,18 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
             remedy="Update crankorder",
         )
     lines = key_lines(text)
+    found = manifest_of(table, path, lines)
+    paths, unread = with_tables(found.transfer_paths, folder)
+    if unread:
+        raise ManyErrors([_located(fault, path, lines) for fault in unread])
+    return found.model_copy(update={"transfer_paths": paths})
+
+
+def manifest_of(table: dict[str, Any], path: Path, lines: dict[str, int]) -> Manifest:
+    """Manifest of the ``table`` that ``path`` holds, or that errors call so; ``lines`` of its keys, where it has any.
+
+    Raises ManyErrors listing every fault.
+    """
     try:
         found = Manifest.model_validate(table)
     except ValidationError as error:
@@ -180,10 +192,7 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     faults: list[CrankorderError] = [_located(fault, path, lines) for fault in _cross_faults(found)]
     if faults:
         raise ManyErrors(faults)
-    paths, unread = with_tables(found.transfer_paths, folder)
-    if unread:
-        raise ManyErrors([_located(fault, path, lines) for fault in unread])
-    return found.model_copy(update={"transfer_paths": paths})
+    return found
 
 
 def _text_of(path: Path, folder: Path) -> str:

@@ -40,6 +40,16 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     what can be mended is mended and flagged in ``attrs["quality"]``.
     """
     raw = read_file(path, sources=_wanted(manifest), settings=settings)
+    return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
+
+
+def recording_of(
+    raw: RawFile, path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings
+) -> Recording:
+    """The Recording of the columns of ``raw``, called ``path``, as :func:`read_recording` makes it of a file.
+
+    ``manifest``, ``settings`` and ``shaft`` are those of :func:`read_recording`; columns are changed in place.
+    """
     flags = list(raw.flags)
     recording, rate_hz, start_s = _axis(raw, manifest, path, settings, flags)
     _check_lengths(raw, manifest, path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from crankorder.report.notation import is_number, named, number_text, percent_text, unit_text
+from crankorder.report.notation import frequency_text, is_number, named, number_text, percent_text, unit_text
 from crankorder.report.rows import Bar, Table, table_of
 
 PARTS = (
@@ -13,7 +13,10 @@ PARTS = (
     ("modes_and_floor", "Natural frequencies and floor"),
     ("unexplained", "Unexplained"),
 )
-"""Key in the findings and title of each part, in the order of bar and table."""
+"""Key in the findings and title of each part of the band, in the order of bar and table: together all of it."""
+
+ABOVE = ("above_band", "Above the band, of all recorded")
+"""Key and title of the share that no part of the band holds."""
 
 
 def energy_table(findings: dict[str, Any], limit: int) -> Table:
@@ -22,15 +25,22 @@ def energy_table(findings: dict[str, Any], limit: int) -> Table:
     Names are cut at ``limit`` characters.
     """
     energy = findings.get("energy")
-    records = [one for one in (energy.get("channels") if isinstance(energy, dict) else None) or [] if _known(one)]
+    energy = energy if isinstance(energy, dict) else {}
+    records = [one for one in energy.get("channels") or [] if _known(one)]
+    columns = [*PARTS, *([ABOVE] if any(is_number(one.get(ABOVE[0])) for one in records) else [])]
     rows = []
     for record in records:
         total, unit = record.get("total"), _square_unit(str(record.get("unit") or ""))
         mean_square = f"{number_text(float(total))} {unit}".strip() if is_number(total) else "–"
-        shares = [percent_text(float(record[key])) if is_number(record.get(key)) else "–" for key, _ in PARTS]
-        rows.append([named(record.get("channel", ""), limit=limit), *shares, mean_square])
-    heads = "|".join(["Channel", *(f"{title}#" for _, title in PARTS), "Total mean square#"])
-    return table_of("Where the energy is", heads, rows, empty="", bars=[_bar(record, limit) for record in records])
+        shares = [percent_text(float(record[key])) if is_number(record.get(key)) else "–" for key, _ in columns]
+        shares.insert(len(PARTS), mean_square)
+        rows.append([named(record.get("channel", ""), limit=limit), *shares])
+    titles = [title for _, title in columns]
+    titles.insert(len(PARTS), "Mean square of the band")
+    end = energy.get("band_hz")
+    title = "Where the energy is" + (f", up to {frequency_text(float(end))} Hz" if is_number(end) else "")
+    heads = "|".join(["Channel", *(f"{title}#" for title in titles)])
+    return table_of(title, heads, rows, empty="", bars=[_bar(record, limit) for record in records])
 
 
 def _square_unit(unit: str) -> str:

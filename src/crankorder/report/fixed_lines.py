@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TypedDict
 
 from crankorder.identify import mains
-from crankorder.identify.said import ALIKE_SPEEDS
+from crankorder.identify.said import ALIKE_SPEEDS, SPEAK_FOR
 from crankorder.report.notation import interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
@@ -32,19 +32,25 @@ def is_electric(record: dict[str, Any]) -> bool:
     return mains.is_electric(str(record.get("explained_by") or ""))
 
 
+def at_one_speed(findings: dict[str, Any]) -> bool:
+    """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
+    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
+    return is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
+
+
 def hertz_of_order(record: dict[str, Any], findings: dict[str, Any]) -> float | None:
     """Frequency [Hz] by which an order ``record`` of the ``findings`` is called first; None where its order says more.
 
     That of a line of the mains or of a motor's field, and of one that at the only speed of a test is no multiple of the
-    half revolution: whether it goes with the speed nobody knows. A bearing's line has its order.
+    half revolution: whether it goes with the speed nobody knows. So is one that speaks for another speed than the one
+    that was stated. A bearing's line has its order.
     """
     rpm = record.get("speed_rpm_at_max")
     if not is_number(rpm) or not is_number(record.get("order")):
         return None
-    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    one_speed = is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
     cause = str(record.get("explained_by") or "unexplained")
-    loose = one_speed and record.get("lock") == "slips" and not cause.startswith(("bearing", "gear"))
+    loose = at_one_speed(findings) and record.get("lock") == "slips" and not cause.startswith(("bearing", "gear"))
+    loose = loose or SPEAK_FOR in str(record.get("evidence") or "")
     return float(record["order"]) * float(rpm) / 60.0 if loose or is_electric(record) else None
 
 

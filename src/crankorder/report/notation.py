@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, TypeGuard
 
 from crankorder.errors import printable
+from crankorder.identify.said import ALIKE_SPEEDS
 from crankorder.settings import ReportSettings
 
 _TYPOGRAPHY = {
@@ -179,6 +180,12 @@ def least_of(record: dict[str, Any], key: str) -> float | None:
     if not isinstance(ends, list | tuple) or len(ends) != 2 or not is_number(ends[0]) or is_number(ends[1]):
         return None
     return float(ends[0])
+
+
+def several_speeds(findings: dict[str, Any]) -> bool:
+    """True unless the tested range of ``findings`` says that there was one speed."""
+    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
+    return not (is_number(low) and is_number(high) and high <= ALIKE_SPEEDS * low)
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -18,6 +18,7 @@ from crankorder.identify.lines.line_phasors import Recording, is_swept, recordin
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
+from crankorder.identify.lines.several_orders import FREEDOM, SOLVED, close_lines, lines_at
 from crankorder.identify.lines.speed_proof import (
     NO_PULSES,
     PROVEN_SPEED_ERROR,
@@ -28,6 +29,8 @@ from crankorder.identify.lines.speed_proof import (
 from crankorder.identify.lines.swept_company import NEAREST_BINS
 from crankorder.identify.lines.swept_phase import Course
 from crankorder.identify.lines.zoom import Zoomed
+from crankorder.identify.mains import nearest_multiple as nearest_mains
+from crankorder.identify.said import ALIKE_SPEEDS, UNRESOLVED
 from crankorder.settings import IdentifySettings
 
 SAME_ORDER = 0.125
@@ -152,12 +155,47 @@ def orders_agreed(
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
     held = [line for line in lines if test.holds(line.order)]
     found = _each_once([one for group in _groups(held) for one in _parted(group, test)])
+    found = _with_close_lines(found, test)
     if source == "stated":
-        told = [(one.number.order, one.number.error, one.number.freedom) for one in found if one.number.by_phase]
+        numbers = [one.number for one in found if one.number.by_phase and not _may_be_mains(one, settings)]
+        told = [(one.order, one.error, one.freedom) for one in numbers]
         test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
     agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
     agreed.sort(key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
+
+
+def _with_close_lines(found: list[_Unnamed], test: _Test) -> list[_Unnamed]:
+    """``found`` of a test at one speed with all lines of those neighbourhoods that hold more than was told there."""
+
+    def told(low: float, high: float) -> list[float]:
+        return [one.number.order for one in found if low <= one.number.order <= high]
+
+    for close in close_lines(test.recordings, test.order_map, told=told):
+        text = f"{len(close.solved)} {SOLVED}"
+        added = [
+            _Unnamed(_Number(one.order, one.error, FREEDOM, True, parted_rev=close.span_rev), lines, text)
+            for one in close.solved
+            if (lines := lines_at(close, one, test.order_map))
+        ]
+        found = [one for one in found if not close.holds(one.number.order)] + added
+    return found
+
+
+def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
+    """Whether a line stands on a multiple of the mains and speeds too alike tell it from one: it proves no speed.
+
+    A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
+    """
+    speeds = np.concatenate([line.speed_rpm for line in one.lines])
+    if not np.isfinite(speeds).all() or speeds.max() > ALIKE_SPEEDS * speeds.min():
+        return False
+    hertz = one.number.order * float(speeds.mean()) / 60.0
+    for mains in settings.mains_hz:
+        multiple, reach = nearest_mains(hertz, mains, settings=settings)
+        if abs(hertz - float(multiple) * mains) <= float(reach):
+            return True
+    return False
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
@@ -187,7 +225,7 @@ def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list
     for item in agreed:
         twin = bool(kept) and item.order - kept[-1].order < min(near, match)
         twin = twin and not all(PARTED_IN_SWEEP in one.reservation for one in (item, kept[-1]))
-        error = np.hypot(item.order_error, kept[-1].order_error) if twin else 0.0
+        error = np.hypot(item.line_error, kept[-1].line_error) if twin else 0.0
         if twin and item.order - kept[-1].order < 4.0 * error:
             kept[-1] = max(kept[-1], item, key=lambda one: sum(len(line.seen) for line in one.lines))
         else:
@@ -362,6 +400,8 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
         lock = "undecided"
         reasons.append(UNPARTED)
+    if lock == "slips" and any(UNRESOLVED in line.reservation for line in lines):
+        lock = "undecided"  # a resonance that passes has no order to slip from
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
@@ -372,7 +412,8 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         if needed is None and any(is_swept(item.speed_rpm) for item in test.recordings) and IN_SWEEP not in reasons:
             reasons.append(IN_SWEEP)
     reasons += sorted({line.reservation for line in lines if line.reservation})
-    return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons))
+    own = None if test.by_pulses else number.error
+    return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons), own)
 
 
 def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:

@@ -47,7 +47,8 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
 
     The ``excess`` is over one with the chance ``settings.false_alarm_probability`` in noise that is level, or slopes,
     over the bins beside; it allows for what the floor itself, a median of few bins, errs by. It is zero where a bin of
-    ``order_map`` is not the highest of three, by energy or by what agrees in phase, and at its first bins. A resonance
+    ``order_map`` is not the highest of three, by energy or by what agrees in phase, and at its first bins. At one
+    speed, which no other bears out, a line also stands over its noise by what agrees in phase alone. A resonance
     narrower than the bins beside is above the level too: what tells it from a line is not energy. ``orders`` give the
     floor's width (``floor_bins``) and distance from possible lines (``guard_bins``).
     """
@@ -69,6 +70,8 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
         ratio = np.nan_to_num(np.where(floor > 0.0, energy / floor, 0.0), nan=0.0, posinf=0.0)
     over = ratio / np.where(narrowed, level[None, :, 1:], level[None, :, :1])
     excess = np.where(highest_of_three(energy) | by_phase, over, 0.0)
+    if len(n_independent) == 1:
+        excess = np.maximum(excess, _by_phase_alone(order_map, chance))
     excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
     return OverNoise(excess, ratio, floor, np.where(narrowed, near, wide))
 
@@ -184,15 +187,32 @@ def _stands_by_phase(order_map: xr.Dataset) -> NDArray[np.bool_]:
     Its coherent amplitude is the highest of three, and frames of noise agree so well in phase only once in
     1 / BY_PHASE_CHANCE (Goodman 1957); that it is locked is proven over all speeds. Nowhere in a map without phases.
     """
+    return np.asarray(_log_chance_of_phase(order_map) < np.log(BY_PHASE_CHANCE))
+
+
+def _by_phase_alone(order_map: xr.Dataset, false_alarm_probability: float) -> Floats:
+    """Excess over one where a line of the cycle's orders agrees in phase as noise of the whole map would so seldom.
+
+    Two lines that nearly cancel, or one in noise that is loud at low frequencies, hide in the energy of their bin.
+    """
+    chance = _log_chance_of_phase(order_map)
+    axis, cycle = order_map["order"].values, int(order_map.attrs["revs_per_cycle"])
+    on_cycle = np.abs(axis * cycle - np.rint(axis * cycle)) < 1e-6
+    return np.where(on_cycle, np.maximum(chance / np.log(false_alarm_probability / chance.size), 0.0), 0.0)
+
+
+def _log_chance_of_phase(order_map: xr.Dataset) -> Floats:
+    """Logarithm of the chance that frames of noise agree in phase as well as each bin's do; 0 where a bin beside does
+    better, and in a map without phases."""
     energy = order_map["amplitude"].values ** 2
     if "coherent_amplitude" not in order_map:
-        return np.zeros(energy.shape, dtype=np.bool_)
+        return np.zeros(energy.shape)
     coherent = order_map["coherent_amplitude"].values ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         coherence = np.nan_to_num(np.where(energy > 0.0, coherent / energy, 0.0))
     frames = np.maximum(1.0, order_map["n_coherent"].values)
     chance = (frames - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))
-    return np.asarray(highest_of_three(coherent) & (chance < np.log(BY_PHASE_CHANCE)))
+    return np.where(highest_of_three(coherent), chance, 0.0)
 
 
 def _nanmedian(values: Floats) -> Floats:

@@ -19,6 +19,10 @@ SpeedLaw = Literal["grows with speed^n", "falls with speed^n", "keeps its size",
 FEWEST_SPEEDS = 4
 """Speeds below which no law is told from two numbers."""
 
+LEAST_RANGE = 1.1
+"""Fastest over slowest speed below which they are one: a square law moves an amplitude by 20 % over this, and so does
+a natural frequency nearby, a load, or a sensor that grows warm."""
+
 LAW_TOLERANCE = 0.005
 """No machine follows a law, and no sensor a scale, better than by this share of the amplitude."""
 
@@ -103,7 +107,7 @@ class MeanLevel:
 
 
 def growth(line: OrderLine) -> Growth | None:
-    """How the amplitude of ``line`` grows with speed; None for fewer than four speeds, or all alike.
+    """How the amplitude of ``line`` grows with speed; None for fewer than four speeds, or all nearly alike.
 
     Weighted regression of log amplitude on log speed: a speed counts by its own error and by the scatter that all of
     them show beyond that, and less the farther it deviates (biweight), so that speeds near a resonance do not make the
@@ -111,7 +115,7 @@ def growth(line: OrderLine) -> Growth | None:
     """
     known = (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(line.speed_rpm)
     speed, amplitude = line.speed_rpm[known], line.amplitude[known]
-    if len(speed) < FEWEST_SPEEDS or not np.ptp(speed) > 0.0:
+    if len(speed) < FEWEST_SPEEDS or not speed.max() >= LEAST_RANGE * speed.min():
         return None
     x, y = np.log(speed / np.exp(np.log(speed).mean())), np.log(amplitude)
     shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth[known])

@@ -98,7 +98,10 @@ def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen:
         return False
     span = slice(int(seen[0]), int(seen[-1]) + 1)
     height = np.log(np.maximum(ratio[span], 1e-3)).mean(axis=0)
-    beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 <= k < len(axis)]
+    below, above = range(max(0, peak - 6), peak - 2), range(peak + 3, min(peak + 7, len(axis)))
+    if not below or not above:
+        return False  # at an end of the map the flank of a resonance beyond looks like a ridge
+    beside = [*below, *above]
     frames = float(order_map["n_frames"].values[span].sum())
     independent = frames * min(1.0, 2.0 * (1.0 - float(order_map.attrs["overlap"])))
     scatter = np.pi / np.sqrt(6.0 * independent)

@@ -167,7 +167,8 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
 def _seen_together(search: _Search, channel: int, peak: int) -> NDArray[np.int64]:
     """Speeds at which a line stands that all of them together show, though each alone does not; none where noise would.
 
-    The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map.
+    The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map. The half of
+    the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
     n = search.order_map["n_independent"].values
     chances = np.array(
@@ -178,10 +179,17 @@ def _seen_together(search: _Search, channel: int, peak: int) -> NDArray[np.int64
             for s in range(len(search.speed))
         ]
     )
-    joined = float(chdtrc(2.0 * len(chances), -2.0 * np.sum(np.log(np.maximum(chances, 1e-300)))))
     cells = search.excess.shape[0] * search.excess.shape[2]
-    shown = cells * joined < search.false_alarm_probability
-    return np.flatnonzero(chances < WEAK_CHANCE) if shown else np.zeros(0, dtype=np.int64)
+    shown = cells * _joined_chance(chances) < search.false_alarm_probability
+    least = np.sort(chances)[len(chances) // 2 :]
+    if not shown or _joined_chance(least) > WEAK_CHANCE:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(chances < WEAK_CHANCE)
+
+
+def _joined_chance(chances: Floats) -> float:
+    """Chance that noise alone makes ``chances`` as small as these together (Fisher 1925)."""
+    return float(chdtrc(2.0 * len(chances), -2.0 * np.sum(np.log(np.maximum(chances, 1e-300)))))
 
 
 def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> bool:

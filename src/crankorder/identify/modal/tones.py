@@ -13,6 +13,7 @@ from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
 from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
 from crankorder.identify.modal.surface_fit import WIDEST, Problem, SurfaceFit, evaluate, fit_surface
+from crankorder.identify.said import ALIKE_SPEEDS
 from crankorder.settings import IdentifySettings
 
 WIDTH_CHANCE = 1e-4
@@ -235,7 +236,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
         if abs(frequency_hz - multiple * mains) <= reach + 2.0 * error_hz:
             return (
                 "mains",
-                f"no damping, {multiple:.0f} times the mains frequency of {mains:g} Hz, the same at all speeds",
+                f"no damping, {multiple:.0f} times the mains frequency of {mains:g} Hz{_same_at(floor)}",
             )
     rows = _rows_that_show(frequency_hz, floor)
     if rows.any() and np.count_nonzero(rows) < FEW_OF * len(rows) and _on_half_orders(frequency_hz, rows, floor):
@@ -244,7 +245,18 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
             "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it",
         )
     stays = "stays at all speeds" if rows.all() else f"stands out at {np.count_nonzero(rows)} of {len(rows)} speeds"
-    return "tone", f"no damping: as narrow as the window makes any tone; {stays}"
+    stays = f"; {stays}" if _moves(floor) else ""
+    return "tone", f"no damping: as narrow as the window makes any tone{stays}"
+
+
+def _moves(floor: Floor) -> bool:
+    """Whether several speeds were tested, between which an order would have moved: one cannot tell what stays."""
+    speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
+    return len(speed) > 1 and bool(speed.max() > ALIKE_SPEEDS * speed.min())
+
+
+def _same_at(floor: Floor) -> str:
+    return ", the same at all speeds" if _moves(floor) else ""
 
 
 def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:

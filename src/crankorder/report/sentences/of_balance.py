@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.identify.said import IF_UNBALANCE
 from crankorder.report.notation import NAME_CHARACTERS, estimate_text, is_number, listed, named, order_texts
 
 QUANTITIES = {
@@ -32,11 +33,12 @@ def balance_sentences(findings: dict[str, Any]) -> list[str]:
         reason = named(findings.get("balance_reason") or "", limit=_LETTERS).rstrip(".")
         return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
     sentences = []
+    but = f", {IF_UNBALANCE}" if IF_UNBALANCE in str(balance.get("evidence")) else ""
     if is_number(balance.get("residual_reciprocating_g")):
         text = f"Unbalanced reciprocating mass: {estimate_text(balance, 'residual_reciprocating_g', unit='g')}"
         sentences.append(f"{text}{source_text(balance)}.")
     if is_number(balance.get("residual_rotating_gmm")):
-        text = f"Rotating unbalance: {estimate_text(balance, 'residual_rotating_gmm', unit='g·mm')}"
+        text = f"Rotating unbalance{but}: {estimate_text(balance, 'residual_rotating_gmm', unit='g·mm')}"
         if is_number(balance.get("angle_deg")):
             text += f" at {estimate_text(balance, 'angle_deg')}° from the crank"
         sentences.append(f"{text}.")
@@ -46,7 +48,7 @@ def balance_sentences(findings: dict[str, Any]) -> list[str]:
         if is_number(balance.get(key))
     ]
     if sides:
-        sentences.append(f"Residual unbalance at the crank radius: {listed(sides)} the cylinder.")
+        sentences.append(f"Residual unbalance at the crank radius{but}: {listed(sides)} the cylinder.")
     if not sentences:
         sentences.append("Residual unbalance in grams is not decided.")
     return [*sentences, *_open(balance)]

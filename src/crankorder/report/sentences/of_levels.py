@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from crankorder.report.notation import (
@@ -20,6 +21,9 @@ GEAR_RECIPE, GEAR_ORDER = "gear-mesh", 60.0
 
 FULL_RECIPE = "maps-full-band"
 """The recipe that maps all that was recorded."""
+
+BESIDE = 1.0
+"""Orders below the end of a recipe's band that a line must lie, so that its sidebands and floor are in it."""
 
 _MANY = 4  # channels that a sentence names one by one
 _WORTH_SAYING = 0.005  # share of the energy below which a channel is not named
@@ -50,6 +54,30 @@ def above_sentence(findings: dict[str, Any], record: dict[str, Any]) -> str:
         f"The strongest line in {where} lies above the band that was looked at{end}: about "
         f"{', '.join(places)}{at}, about {level}. The recipe {recipe} looks there."
     )
+
+
+def look_above(record: dict[str, Any]) -> str:
+    """What to do about the strongest line of a channel above the band, by its ``record`` in the levels."""
+    where, order = named(record["channel"], limit=NAME_CHARACTERS), record.get("order_above")
+    if not is_number(order):
+        hertz = record.get("frequency_hz_above")
+        reach = f"`max_frequency_hz = {_beyond(float(hertz)):.0f}` under `[campbell]`" if is_number(hertz) else ""
+        return _run_again(where, f"a recipe of your own that states {reach}") if reach else ""
+    if float(order) <= GEAR_ORDER - BESIDE:
+        return _run_again(where, f"`--recipe {GEAR_RECIPE}`, which finds orders to {GEAR_ORDER:g}")
+    return _run_again(
+        where, f"a recipe of your own that states `max_order = {_beyond(float(order)):.0f}` under `[orders]`"
+    )
+
+
+def _run_again(where: str, how: str) -> str:
+    return f"Run it again with {how}: the strongest line in {where} lies above the band that was looked at."
+
+
+def _beyond(value: float) -> float:
+    """A round number above ``value`` with room for sidebands and the floor beside it."""
+    step = 10.0 ** math.floor(math.log10(value))
+    return math.ceil(1.1 * value / step * 2.0) * step / 2.0
 
 
 def share_sentences(findings: dict[str, Any]) -> list[str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from crankorder.identify.said import MAY_BE_ALL, UNRESOLVED
-from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
+from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, ONE_SPEED, UNRESOLVED
+from crankorder.report.fixed_lines import at_one_speed, fixed_tones, hertz_of_order, is_electric, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     estimate_text,
@@ -19,9 +19,10 @@ from crankorder.report.notation import (
     order_name,
     order_texts,
     percent_text,
+    several_speeds,
     unit_of,
 )
-from crankorder.report.sentences.of_levels import above_sentence, stronger_above
+from crankorder.report.sentences.of_levels import above_sentence, look_above, stronger_above
 
 _MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
 _MANY = 3  # channels that a summary names one by one
@@ -53,6 +54,16 @@ def line_sentences(findings: dict[str, Any]) -> list[str]:
 
 def _above(findings: dict[str, Any]) -> list[str]:
     """That the strongest line of a channel lies above the band, of the channel where it is largest; else nothing."""
+    return [above_sentence(findings, one) for one in _strongest_above(findings)]
+
+
+def above_asks(findings: dict[str, Any]) -> list[str]:
+    """What to do where ``findings`` say that the strongest line of a channel lies above the band; else nothing."""
+    return [asked for asked in map(look_above, _strongest_above(findings)) if asked]
+
+
+def _strongest_above(findings: dict[str, Any]) -> list[dict[str, Any]]:
+    """Levels of the channel with the largest line above the band that is the strongest of its channel; else none."""
     found = []
     for record in findings.get("levels") or []:
         channel = str(record.get("channel"))
@@ -62,12 +73,12 @@ def _above(findings: dict[str, Any]) -> list[str]:
             found.append(above)
     units = list(dict.fromkeys(str(one.get("unit")) for one in found))
     found.sort(key=lambda one: (units.index(str(one.get("unit"))), -float(one["amplitude_above"])))
-    return [above_sentence(findings, one) for one in found[:1]]
+    return found[:1]
 
 
 def lies_above(findings: dict[str, Any]) -> bool:
     """Whether the first of :func:`line_sentences` of ``findings`` says that the strongest line is above the band."""
-    return bool(_above(findings))
+    return bool(_strongest_above(findings))
 
 
 def nothing_proven(findings: dict[str, Any]) -> bool:
@@ -119,7 +130,8 @@ def strongest_sentence(findings: dict[str, Any], channel: str, *, with_cause: bo
     above = stronger_above(findings, channel, largest)
     where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else " in the band that was looked at")
     if tone is not None and (order is None or float(tone["amplitude"]) > float(order["amplitude"])):
-        text = f"A fixed tone of {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
+        noun = "line at" if at_one_speed(findings) else "fixed tone of"
+        text = f"A {noun} {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:
             hertz = hertz_of_order(order, findings)
             called = (
@@ -210,10 +222,21 @@ def _cause(record: dict[str, Any], findings: dict[str, Any]) -> str:
     if cause == "tone":
         if in_doubt:
             return " Whether it follows the shaft is not decided, for the speed is in doubt."
+        if at_one_speed(findings):
+            return " At one speed nothing tells whether it follows the shaft."
         return " The tone does not follow the shaft: it has a source of its own."
     if in_doubt:
         return f" Cause, if the speed is right: {named(cause, limit=2 * NAME_CHARACTERS)}."
-    return f" Cause: {named(cause, limit=2 * NAME_CHARACTERS)}."
+    return f" Cause: {named(cause, limit=2 * NAME_CHARACTERS)}{_untold(record, findings)}."
+
+
+def _untold(record: dict[str, Any], findings: dict[str, Any]) -> str:
+    """Why nothing tells which of the causes of an order ``record`` it is, where these are those of order 1."""
+    if record.get("explained_by") != LIKE_UNBALANCE:
+        return ""
+    if ONE_SPEED not in str(record.get("evidence")):
+        return "; how it grows does not tell which"
+    return "; so few speeds cannot tell which" if several_speeds(findings) else "; one speed cannot tell which"
 
 
 def tone_sentences(findings: dict[str, Any]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.identify.said import NOT_AS_UNBALANCE
 from crankorder.report.fixed_lines import hertz_of_order, is_electric
 from crankorder.report.notation import (
     estimate_text,
@@ -14,6 +15,7 @@ from crankorder.report.notation import (
     listed,
     nominal_order,
     order_name,
+    several_speeds,
 )
 
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
@@ -43,13 +45,22 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
         )
     if steady:
         verb = "keep their" if len(steady) > 1 else "keeps its"
-        where = "at all tested speeds" if _several_speeds(findings) else "where seen"
+        where = "at all tested speeds" if several_speeds(findings) else "where seen"
         sentences.append(f"{_orders(steady)} {verb} size {where}: not an unbalance, rather a bearing or a gear.")
+    sentences += _unlike_unbalance(strongest)
     if met:
         said = [f"{frequency_text(mode_hz)} Hz shapes order {listed(names)}" for mode_hz, names in sorted(met.items())]
         more = " and others" if len(said) > _SHOWN else ""
         sentences.append(f"Natural frequencies shape orders: {', '.join(said[:_SHOWN])}{more}.")
     return [*sentences, *_half_orders(strongest, findings)]
+
+
+def _unlike_unbalance(strongest: dict[float, dict[str, Any]]) -> list[str]:
+    """That order 1 surely grows more slowly than an unbalance, by the exponent of its record."""
+    record = strongest.get(1.0, {})
+    if f"it {NOT_AS_UNBALANCE}" not in str(record.get("evidence")) or not is_number(record.get("speed_exponent")):
+        return []
+    return [f"Order 1 {NOT_AS_UNBALANCE}: it goes with speed to the {estimate_text(record, 'speed_exponent')}."]
 
 
 def _may_be_steady(record: dict[str, Any]) -> bool:
@@ -72,12 +83,6 @@ def _strongest(findings: dict[str, Any]) -> dict[float, dict[str, Any]]:
 def _is_square(record: dict[str, Any]) -> bool:
     ends = interval_of(record, "speed_exponent")
     return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
-
-
-def _several_speeds(findings: dict[str, Any]) -> bool:
-    """True unless the tested range says that there was one speed."""
-    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    return not (is_number(low) and is_number(high) and high - low < 1e-6 * abs(high))
 
 
 def _half_orders(strongest: dict[float, dict[str, Any]], findings: dict[str, Any]) -> list[str]:
@@ -106,6 +111,8 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
         name, hertz = order_name(record, findings), hertz_of_order(record, findings)
         if is_electric(record):
             continue
+        if hertz is not None and record.get("lock") == "undecided":
+            continue  # it speaks for another speed than the one that was stated
         if hertz is not None:
             loose.append(f"{hertz:.2f} Hz (order {estimate_text(record, 'order')})")
         elif record.get("lock") == "slips":

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, TypedDict
 
-from crankorder.identify.said import ONE_SPEED
+from crankorder.identify.said import LIKE_UNBALANCE, ONE_SPEED
 from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
 from crankorder.report.sentences.of_levels import share_sentences
 from crankorder.report.sentences.of_lines import (
+    above_asks,
     lies_above,
     line_sentences,
     nothing_proven,
@@ -48,6 +49,10 @@ ALL_CLEAR_WITH_ENVELOPE = (
 STILL_CLEAR = "Nothing asks for action: natural frequencies are no fault by themselves."
 INTERVALS = "Numbers in brackets are 95 % intervals."
 BALANCE = "Balance it: the strongest order is that of an unbalanced mass."
+MORE_SPEEDS = (
+    "Record four speeds or more, the fastest twice the slowest: what does not grow with the square of the speed is no "
+    "unbalance."
+)
 TOO_SHORT = "Record more revolutions at each speed: what was recorded proves neither a fault nor that there is none."
 _MANY = 3  # speeds to avoid that a summary names one by one
 _MUCH_UNKNOWN = 0.05  # of the energy: more than this asks for a look
@@ -215,8 +220,11 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     asks = [*sentences]
     if any(RE_RUN_RULE in one for one in bearing_sentences(findings)):
         asks.append(RE_RUN_RULE)
-    if _unbalance_leads(findings):
+    asks += above_asks(findings)
+    if _leads(findings, "unbalance"):
         asks.append(BALANCE)
+    if _leads(findings, LIKE_UNBALANCE):
+        asks.append(MORE_SPEEDS)
     fraction = findings.get("unexplained_energy_fraction")
     if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
         asks.append("Look for the cause of the lines that the tables call unexplained.")
@@ -234,18 +242,16 @@ def _has_unexplained(findings: dict[str, Any]) -> bool:
     return any(record.get("explained_by") == "unexplained" for record in findings.get("lines", []))
 
 
-def _unbalance_leads(findings: dict[str, Any]) -> bool:
-    """Whether the strongest order of any channel is unbalance."""
+def _leads(findings: dict[str, Any], cause: str) -> bool:
+    """Whether the strongest order of any channel of ``findings`` has that ``cause``, or may for want of speeds."""
     records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude"))]
     names = {str(record.get("channel")) for record in records}
     of = {name: [one for one in records if str(one.get("channel")) == name] for name in names}
     strongest = [max(group, key=lambda one: float(one["amplitude"])) for group in of.values()]
     if findings.get("speed_doubt") or lies_above(findings):
         return False
-    return any(
-        str(record.get("explained_by")) == "unbalance" and ONE_SPEED not in str(record.get("evidence"))
-        for record in strongest
-    )
+    told = [record for record in strongest if record.get("explained_by") == cause]
+    return any(cause != LIKE_UNBALANCE or ONE_SPEED in str(record.get("evidence")) for record in told)
 
 
 def _repeat_sentences(findings: dict[str, Any]) -> list[str]:

@@ -1,0 +1,227 @@
+"""The front door: what it gives of arrays is what a run gives of files, and of signals whose truth is known."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import crankorder as co
+from crankorder import front_door
+from crankorder.errors import InputError, ManyErrors, RequestError
+
+RATE_HZ, SPEED_RPM = 8192.0, 1470.0
+TIME = np.arange(int(6.0 * RATE_HZ)) / RATE_HZ
+TURNS = TIME * SPEED_RPM / 60.0
+
+
+def line(order: float, amplitude: float, phase_deg: float = 0.0) -> np.ndarray:
+    """Signal of a line, its phase from top dead centre at the first sample."""
+    return amplitude * np.cos(2.0 * np.pi * order * TURNS + np.radians(phase_deg))
+
+
+def square(per_rev: float) -> np.ndarray:
+    """Voltage of an encoder with ``per_rev`` pulses, one of which begins at top dead centre."""
+    return np.where((TURNS * per_rev + 0.25) % 1.0 < 0.5, 5.0, 0.0)
+
+
+@pytest.mark.parametrize("name", co.__all__)
+def test_every_example_is_executed_and_holds(name: str) -> None:
+    (example,) = [one for one in doctest.DocTestFinder(recurse=False).find(getattr(co, name), name) if one.examples]
+    outcome = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example)
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
+
+
+def test_no_room_takes_the_place_of_a_function() -> None:
+    for room in pkgutil.iter_modules(co.__path__):
+        if room.name != "__main__":
+            importlib.import_module(f"crankorder.{room.name}")
+    for name in co.__all__:
+        assert getattr(co, name) is getattr(front_door, name)
+    assert set(co.__all__) < set(dir(co))
+    assert co.__version__.count(".") >= 1
+
+
+def test_the_import_loads_nothing_heavy() -> None:
+    code = "import sys, crankorder; print(*(n for n in ('numpy', 'xarray', 'scipy', 'pydantic') if n in sys.modules))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == []
+
+
+def test_a_name_that_is_not_there_is_told_with_those_that_are() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'ordermap'.*order_map"):
+        getattr(co, "ordermap")  # noqa: B009
+
+
+TOLD = {
+    "constant": {"speed_rpm": SPEED_RPM},
+    "speed signal": {"speed_rpm": np.full(len(TIME), SPEED_RPM)},
+    "pulse times": {"pulse_times_s": np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60), "pulses_per_rev": 60},
+    "encoder": {"encoder": square(60), "pulses_per_rev": 60},
+    "ratio": {"encoder": square(30), "pulses_per_rev": 60, "ratio": 0.5},
+}
+
+
+@pytest.mark.parametrize("told", TOLD)
+def test_lines_have_their_amplitude_however_the_shaft_is_told(told: str) -> None:
+    signals = {"a": line(2.0, 3.0) + line(5.0, 0.5), "b": line(2.0, 0.25)}
+    made = co.recording(signals, rate_hz=RATE_HZ, **TOLD[told])
+    shown = co.order_map(made, max_order=8.0)["amplitude"].squeeze("speed")
+    for channel, order, amplitude in (("a", 2.0, 3.0), ("a", 5.0, 0.5), ("b", 2.0, 0.25)):
+        assert float(shown.sel(channel=channel, order=order)) == pytest.approx(amplitude, rel=2e-3)
+
+
+def test_phases_count_from_the_mark_and_its_angle_to_top_dead_centre() -> None:
+    marks = np.arange(0.0, 6.0, 60.0 / SPEED_RPM)
+    for to_tdc_deg in (0.0, 30.0):
+        made = co.recording(
+            line(2.0, 1.0, 40.0),
+            rate_hz=RATE_HZ,
+            pulse_times_s=np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60),
+            pulses_per_rev=60,
+            index=marks,
+            index_to_tdc_deg=to_tdc_deg,
+        )
+        tracks = co.order_tracks(made, orders=[2.0])
+        assert float(tracks["phase"].item()) == pytest.approx(40.0 + 2.0 * to_tdc_deg, abs=0.3)
+
+
+def test_samples_by_crank_angle_need_no_speed() -> None:
+    turns = np.arange(360 * 40) / 360.0
+    made = co.recording(np.cos(2 * np.pi * 3.5 * turns), samples_per_rev=360, cycle="four-stroke")
+    assert float(co.order_map(made)["amplitude"].sel(order=3.5).item()) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_units_are_those_stated() -> None:
+    made = co.recording({"a": line(1.0, 1.0), "p": line(1.0, 1.0)}, rate_hz=RATE_HZ, unit={"a": "g", "p": "bar"})
+    assert made["unit"].values.tolist() == ["g", "bar"]
+    assert made["quantity"].values.tolist() == ["acceleration", "pressure"]
+
+
+def test_the_arrays_of_the_caller_stay_as_they_are() -> None:
+    signal = line(1.0, 1.0)
+    signal[1000:1003] = np.nan
+    kept = signal.copy()
+    co.recording(signal, rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
+    np.testing.assert_array_equal(signal, kept)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A test-run folder with two recordings of a rotor at two speeds, an order that slips, and a manifest."""
+    made = tmp_path_factory.mktemp("rotor")
+    rng = np.random.default_rng(4)
+    for rpm in (1200, 1800):
+        turns = TIME * rpm / 60.0
+        signal = (
+            np.cos(2 * np.pi * turns) + 0.2 * np.cos(2 * np.pi * 3.58 * turns) + 0.05 * rng.standard_normal(len(TIME))
+        )
+        np.savetxt(made / f"{rpm}.csv", np.column_stack([TIME, signal]), delimiter=",", header="time,a", comments="")
+    (made / "run.toml").write_text(
+        'schema_version = 1\n[test]\nname = "rotor"\ncycle = "rotor"\n[recordings]\nfiles = ["*.csv"]\n'
+        'speed_rpm = { "1200.csv" = 1200.0, "1800.csv" = 1800.0 }\n[sampling]\ntime_source = "time"\n'
+        '[[channels]]\nname = "a"\nunit = "m/s2"\n[encoder]\nkind = "constant"\n'
+    )
+    return made
+
+
+def test_recordings_in_memory_give_what_their_files_give(folder: Path, tmp_path: Path) -> None:
+    on_disk = co.run(folder, out=tmp_path / "out", jobs=1)
+    recordings = co.read(folder)
+    assert [one.attrs["recording"] for one in recordings] == ["1200.csv", "1800.csv"]
+    in_memory = co.run(recordings, test="rotor")
+    for group in ("order_map", "campbell_map", "order_tracks"):
+        for name, variable in on_disk[group].data_vars.items():
+            given = in_memory[group][name].values
+            if variable.dtype.kind == "f":
+                largest = float(np.nanmax(np.abs(given), initial=0.0))
+                np.testing.assert_allclose(variable.values, given, rtol=0.0, atol=1e-6 * largest + 1e-300)
+    found = co.diagnose(recordings, test="rotor")
+    table = on_disk["findings/orders"]
+    assert [record["order"] for record in found["orders"]] == pytest.approx(table["order"].values, rel=1e-9)
+    assert [record["amplitude"] for record in found["orders"]] == pytest.approx(table["amplitude"].values, rel=1e-9)
+    again = co.run(folder, out=tmp_path / "out", jobs=1)
+    xr.testing.assert_identical(again["order_map"].to_dataset(), on_disk["order_map"].to_dataset())
+
+
+def test_two_builds_are_compared_by_their_folders(folder: Path, tmp_path: Path) -> None:
+    for name in ("base", "new"):
+        co.run(folder, out=tmp_path / name, recipe="maps", jobs=1)
+    made = co.compare(tmp_path / "base", tmp_path / "new", out=tmp_path / "comparison")
+    assert "No difference" in made["headline"][0]
+    assert (tmp_path / "comparison" / "comparison.json").is_file()
+
+
+def test_a_damaged_file_is_left_out_with_a_warning(folder: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "with a bad one"
+    bad.mkdir()
+    for file in folder.iterdir():
+        (bad / file.name).write_bytes(file.read_bytes())
+    (bad / "1200.csv").write_text("time,b\n0,1\n")
+    with pytest.warns(UserWarning, match=r"1200\.csv"):
+        (one,) = co.read(bad)
+    assert one.attrs["recording"] == "1800.csv"
+    with pytest.warns(UserWarning, match=r"1200\.csv"):
+        tree = co.run(bad, out=tmp_path / "out", recipe="maps", jobs=1)
+    assert tree["order_map"].sizes["speed"] == 1
+
+
+def test_what_a_bearing_is_made_of_is_said_as_in_a_manifest() -> None:
+    made = co.recording(line(1.0, 1.0), rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
+    with pytest.raises(ManyErrors, match=r"bearings\.0"):
+        co.diagnose(made, bearings=[{"name": "front", "balls": 9}])
+    with pytest.raises(RequestError, match="no bearing is named"):
+        co.envelope(made)
+
+
+REFUSED = {
+    "two ways": ({"speed_rpm": 1500.0, "encoder": square(60)}, "more than one way"),
+    "no rate": ({"rate_hz": None}, "state rate_hz"),
+    "no shaft by crank angle": ({"cycle": "none", "speed_rpm": 1500.0}, "structure without a shaft"),
+    "a matrix": ({"pulse_times_s": np.zeros((2, 2))}, "pulse_times_s: must be real numbers"),
+    "a backward list": ({"pulse_times_s": [1.0, 0.5, 2.0], "pulses_per_rev": 1}, "must not go back"),
+    "another length": ({"encoder": square(60)[:-5], "pulses_per_rev": 60}, "lengths differ"),
+    "an unknown unit": ({"unit": "furlong"}, "furlong"),
+    "a negative rate": ({"rate_hz": -1.0}, "rate_hz"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_arguments_that_cannot_be_are_refused_with_what_they_are(case: str) -> None:
+    options, said = REFUSED[case]
+    with pytest.raises((RequestError, ManyErrors, InputError), match=said):
+        co.recording(line(1.0, 1.0), **{"rate_hz": RATE_HZ, **options})
+
+
+@pytest.mark.parametrize("signals", [[[1.0j] * 9], np.zeros((2, 3, 4)), ["a", "b"], [], [[1.0, 2.0], [3.0]]])
+def test_signals_that_are_none_are_refused(signals: object) -> None:
+    with pytest.raises((RequestError, InputError)):
+        co.recording(signals, rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
+
+
+def test_only_recordings_have_maps() -> None:
+    for given, said in (("a folder", "not a Recording"), ([], "no recording"), (xr.Dataset(), "missing")):
+        with pytest.raises(Exception, match=said):
+            co.order_map(given)
+
+
+def test_recordings_of_one_name_stay_apart() -> None:
+    made = [co.recording(line(1.0, 1.0), rate_hz=RATE_HZ, speed_rpm=rpm) for rpm in (1200.0, 1500.0)]
+    assert co.run(made, recipe="maps")["shaft"]["recording"].values.tolist() == ["recording", "recording (2)"]
+
+
+def test_folders_need_a_place_for_results_and_recordings_none(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="out"):
+        co.run(folder)
+    with pytest.raises(RequestError, match="write no file"):
+        co.run(co.read(folder), out=tmp_path)
+    with pytest.raises(RequestError, match="no finished results"):
+        co.open(tmp_path)

@@ -1,0 +1,63 @@
+"""Tones of the map beside the recordings: no flank of a stronger tone, and no narrow interval between two lines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crankorder.identify.found import ModalFit, Tone
+from crankorder.identify.intervals import Z95
+from crankorder.identify.known_lines import Held, held_recordings
+from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.parted_tones import with_tones_parted
+from made.found_lines import fit
+from made.line_frames import angle_of, frames_of, wave
+
+RPM = 1777.0
+
+
+def recorded(*lines: tuple[float, float], seed: int = 0) -> list[Held]:
+    """A recording of 20 s at RPM with ``lines`` (Hz, amplitude) in noise."""
+    rng, angle = np.random.default_rng(seed), angle_of(round(20.0 * RPM / 60.0))
+    signal = wave(angle, 1.0, 1.0) + 0.3 * rng.standard_normal(len(angle))
+    for hertz, size in lines:
+        signal += wave(angle, 60.0 * hertz / RPM, size, rng.uniform(0.0, 6.0))
+    frames = frames_of([signal], speed_rpm=RPM)
+    return held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+
+
+def told(*tones: tuple[float, float]) -> ModalFit:
+    made = tuple(Tone(hertz, 0.005, "tone", {"A": (size, 0.01)}, "no damping") for hertz, size in tones)
+    return replace(fit(), tones=made, frequency_hz=np.arange(1.0, 400.0, 0.5))
+
+
+@pytest.mark.parametrize("flank", [149.41, 149.58, 150.76])
+def test_the_flank_of_a_strong_tone_is_none(flank: float) -> None:
+    made = with_tones_parted(told((150.03, 3.0), (flank, 1.6)), recorded((150.03, 3.0)))
+    assert [tone.frequency_hz for tone in made.tones] == [150.03]
+    assert len(with_tones_parted(told((150.03, 3.0), (flank, 1.6)), []).tones) == 1
+
+
+@pytest.mark.parametrize("beside", [149.4, 150.8])
+def test_a_line_that_a_recording_shows_beside_a_stronger_tone_stays(beside: float) -> None:
+    held = recorded((150.03, 3.0), (beside, 0.8))
+    made = with_tones_parted(told((150.03, 3.0), (beside, 0.8)), held)
+    assert len(made.tones) == 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, apart = float(rng.uniform(45.0, 55.0)), float(rng.uniform(0.1, 0.3))
+    size = float(rng.uniform(0.3, 1.0))
+    between = (first + size * (first + apart)) / (1.0 + size)
+    (tone,) = with_tones_parted(told((between, 1.3)), recorded((first, 1.0), (first + apart, size), seed=seed)).tones
+    low, high = (between + side * Z95 * tone.frequency_error_hz for side in (-1, 1))
+    assert low <= first and first + apart <= high and "more than one line" in tone.evidence
+
+
+def test_a_tone_of_one_line_stays_as_it_is() -> None:
+    modal = told((50.01, 1.0))
+    assert with_tones_parted(modal, recorded((50.01, 1.0))).tones == modal.tones

@@ -1,0 +1,82 @@
+"""Lines within one bin at a held speed are solved together, as many as there are; a resonance is no set of lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from crankorder.identify.known_lines import held_recordings
+from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.several_lines import several_lines
+from crankorder.orders.map import order_map
+from crankorder.settings import load_settings
+from made.line_frames import PER_REV, angle_of, frames_of, wave
+
+SETTINGS = load_settings()
+
+
+def solved(signal: np.ndarray, low: float = 0.75, high: float = 1.25):
+    """What is found in ``signal`` between two orders."""
+    frames = frames_of([signal])
+    (held,) = held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+    return several_lines(held, low, high, beyond=0.125)
+
+
+def test_every_line_of_several_is_found_and_lies_in_its_interval() -> None:
+    off = []
+    for seed in range(16):
+        rng = np.random.default_rng([seed, 3])
+        revs, count = int(rng.choice([150, 300, 600])), 2 + seed % 4
+        angle = angle_of(revs)
+        orders = 1.0 + (np.arange(count) - 1) * rng.uniform(2.5, 5.0) / revs
+        sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), count))
+        signal = 0.3 * rng.standard_normal(len(angle))
+        for order, size in zip(orders, sizes, strict=True):
+            signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
+        found = solved(signal)
+        assert len(found) == count
+        off += [(one.order - order) / one.error for one, order in zip(found, orders, strict=True)]
+        off += [(one.amplitude[0] - a) / one.amplitude_error[0] for one, a in zip(found, sizes, strict=True)]
+    assert np.mean(np.abs(off) < 2.0) > 0.9 and np.abs(off).max() < 4.0
+
+
+@pytest.mark.parametrize("damping", [2e-4, 1e-3, 1e-2])
+def test_a_resonance_that_noise_excites_is_no_set_of_lines(damping: float) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng([seed, 7])
+        order, n = rng.uniform(1.0, 3.0), 300 * PER_REV
+        turn = 2.0 * np.pi * order / PER_REV
+        decay, before = np.exp(-damping * turn), int(5.0 / (damping * turn))
+        rung = lfilter([1.0], [1.0, -2.0 * decay * np.cos(turn), decay**2], rng.standard_normal(n + before))[before:]
+        signal = rung / rung.std() + 0.05 * rng.standard_normal(n)
+        assert not solved(signal, order - 0.25, order + 0.25)
+
+
+def test_order_1_between_the_mains_and_both_sidebands_is_an_order_at_one_speed() -> None:
+    """49.7 Hz of a motor of two poles, mains at 50 Hz and pole-pass sidebands 0.6 Hz off, in 6 s."""
+    rng, angle = np.random.default_rng(4), angle_of(298)
+    signal = 0.3 * rng.standard_normal(len(angle))
+    places = {0.98793: 0.5, 1.0: 2.0, 1.00604: 0.3, 1.01207: 0.5}
+    for order, size in places.items():
+        signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
+    frames = frames_of([signal], speed_rpm=2982.0)
+    made = order_map([frames], settings=SETTINGS.orders)
+    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
+    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    assert [one.order for one in found] == pytest.approx(list(places), abs=1e-4)
+    assert [one.lock for one in found] == ["slips", "locked", "slips", "slips"]
+
+
+def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase() -> None:
+    hidden = 0
+    for seed in range(6):
+        rng, angle = np.random.default_rng([seed, 8]), angle_of(1100)
+        signal = wave(angle, 1.0, 2.0) + wave(angle, 2.0, 0.055, 1.0) + rng.standard_normal(len(angle))
+        frames = frames_of([signal])
+        made = order_map([frames], settings=SETTINGS.orders)
+        found = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
+        hidden += len(found) == 2 and abs(found[1].order - 2.0) < 0.1 and found[1].evidence == "locked to the shaft"
+    assert hidden >= 5
