@@ -155,23 +155,26 @@ def orders_agreed(
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
     held = [line for line in lines if test.holds(line.order)]
     found = _each_once([one for group in _groups(held) for one in _parted(group, test)])
-    found = _with_close_lines(found, test)
+    found = _with_close_lines(found, test, settings)
     if source == "stated":
-        numbers = [one.number for one in found if one.number.by_phase and not _may_be_mains(one, settings)]
-        told = [(one.order, one.error, one.freedom) for one in numbers]
-        test = replace(test, speed_is_sure=proves_speed(told, revs_per_cycle=test.revs_per_cycle))
+        numbers = [one for one in found if one.number.by_phase]
+        # the mains prove no speed, but with them and without them the others must
+        sure = [numbers, [one for one in numbers if not _may_be_mains(one, settings)]]
+        told = [[(one.number.order, one.number.error, one.number.freedom) for one in some] for some in sure]
+        proven = all(proves_speed(some, revs_per_cycle=test.revs_per_cycle) for some in told)
+        test = replace(test, speed_is_sure=proven)
     agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
     agreed.sort(key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
 
 
-def _with_close_lines(found: list[_Unnamed], test: _Test) -> list[_Unnamed]:
-    """``found`` of a test at one speed with all lines of those neighbourhoods that hold more than was told there."""
+def _with_close_lines(found: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
+    """``found`` of a test at one speed with all lines about the mains where more of them stand than were told there."""
 
     def told(low: float, high: float) -> list[float]:
         return [one.number.order for one in found if low <= one.number.order <= high]
 
-    for close in close_lines(test.recordings, test.order_map, told=told):
+    for close in close_lines(test.recordings, test.order_map, told=told, mains_hz=settings.mains_hz):
         text = f"{len(close.solved)} {SOLVED}"
         added = [
             _Unnamed(_Number(one.order, one.error, FREEDOM, True, parted_rev=close.span_rev), lines, text)

@@ -15,6 +15,7 @@ from crankorder.identify.known_lines import LOBE_BINS, Held, held_recordings
 from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, ONE_SPEED
 from crankorder.identify.lines.several_lines import STANDS_OVER, SolvedLine, leave_noise, several_lines
+from crankorder.identify.mains import ALONE
 
 LEVEL_BINS = 16
 """Bins on both sides of one whose median is the level that it stands over."""
@@ -49,12 +50,18 @@ class CloseLines:
 
 
 def close_lines(
-    recordings: Sequence[Recording], order_map: xr.Dataset, *, told: Callable[[float, float], Sequence[float]]
+    recordings: Sequence[Recording],
+    order_map: xr.Dataset,
+    *,
+    told: Callable[[float, float], Sequence[float]],
+    mains_hz: Sequence[float],
 ) -> list[CloseLines]:
-    """Neighbourhoods of the OrderMap ``order_map`` of one speed in which more lines stand than were told there.
+    """Neighbourhoods of the mains in the OrderMap ``order_map`` of one speed that hold more lines than were told there.
 
-    ``recordings`` are those of the test, of which the longest is looked at; ``told`` gives the orders that were told
-    between two.
+    Where the mains or their double meet an order of a motor, sidebands stand about both; elsewhere a line beside
+    another is told by its beat, and what swells in a third way is a line that changes. ``recordings`` are those of the
+    test, of which the longest is looked at; ``told`` gives the orders that were told between two; ``mains_hz``: the
+    frequencies of supplies.
     """
     if order_map.sizes["speed"] != 1 or order_map.attrs.get("window", "hann") != "hann":
         return []
@@ -65,8 +72,11 @@ def close_lines(
         return []
     reach = min(NEIGHBOUR_ORDERS, NEIGHBOUR_BINS * float(axis[1] - axis[0]))
     found = []
+    of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in range(1, ALONE + 1)]
     for peak in _peaks(order_map, reach):
         low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
+        if not any(low <= order <= high for order in of_mains):
+            continue
         orders = told(low, high)
         if leave_noise(held, low, high, orders):
             continue
