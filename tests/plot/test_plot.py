@@ -78,7 +78,7 @@ def single() -> SimpleNamespace:
 
 @pytest.fixture(scope="module")
 def swept() -> SimpleNamespace:
-    return made_of(recorded(np.linspace(600.0, 2400.0, int(12 * RATE_HZ)), seconds=12.0))
+    return made_of(recorded(np.linspace(600.0, 2400.0, int(8 * RATE_HZ)), seconds=8.0))
 
 
 FINDINGS: dict[str, Any] = {
@@ -128,12 +128,19 @@ def assert_legible(axes: Axes) -> None:
     """No text meets another, and each is inside the figure."""
     texts = drawn(axes)
     renderer = axes.figure.canvas.get_renderer()
-    every = [*texts, *axes.get_xticklabels(), *axes.get_yticklabels(), axes.xaxis.label, axes.yaxis.label]
+    ticks = [
+        text
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim()))
+        for place, text in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=True)
+        if low <= place <= high
+    ]
+    every = [*texts, *ticks, axes.xaxis.label, axes.yaxis.label, axes.title, axes._left_title, axes._right_title]
+    every += axes.get_legend().get_texts() if axes.get_legend() else []
     every += [
-        axes.title,
-        axes._left_title,
-        axes._right_title,
-        *(axes.get_legend() or axes).findobj(matplotlib.text.Text),
+        text
+        for other in axes.figure.axes
+        if other is not axes
+        for text in (other.yaxis.label, *other.get_yticklabels())
     ]
     boxes = {id(text): (text.get_text(), text.get_window_extent(renderer)) for text in every if text.get_text().strip()}
     for (one, box), (two, other) in combinations(boxes.values(), 2):
@@ -213,7 +220,7 @@ def test_campbell_draws_orders_modes_and_crossings_where_they_are(steady: Simple
         assert x == pytest.approx(order * y / 60.0)
         assert y == pytest.approx([low, high])
     assert line(axes, "61 Hz").get_xdata() == pytest.approx([61.0, 61.0])
-    assert not line(axes, "62.5? Hz").get_linestyle() == "-"
+    assert line(axes, "62.5? Hz").get_linestyle() != "-"
     rings = [one for one in axes.lines if one.get_gid() == "crossings"]
     assert [ring.get_xydata().tolist() for ring in rings] == [[[61.0, 1830.0]]] * 2
     assert len(axes.images) == 1
@@ -342,8 +349,7 @@ def test_nothing_measured_and_silence_are_said(name: str, steady: SimpleNamespac
     empty, silent = data.isel(speed=slice(0, 0)), data.copy()
     for variable in ("amplitude", "amplitude_low", "amplitude_high"):
         if variable in silent:
-            silent[variable] = 0.0 * silent[variable].assign_attrs()
-            silent[variable].attrs = data[variable].attrs
+            silent[variable] = data[variable].copy(data=np.zeros(data[variable].shape))
     for given in (empty, silent):
         axes = getattr(co.plot, name)(given, ax=new_axes())
         axes.figure.canvas.draw()
@@ -357,7 +363,8 @@ def test_orders_are_drawn_with_their_intervals_to_their_ends(steady: SimpleNames
     assert x[known] == pytest.approx(SPEEDS)
     assert y[known] == pytest.approx(steady.orders["amplitude"].sel(channel="block", order=2.0).values)
     assert not known.all()  # the line breaks where nothing was measured
-    assert [one.get_gid() for one in axes.collections] == ["band 2", "band 1"] or len(axes.collections) == 2
+    assert sorted(one.get_gid() for one in axes.collections) == ["band 1", "band 2"]
+    assert axes.get_title(loc="right") == "with 95 % intervals"
     ends = {text.get_text(): text.get_position() for text in drawn(axes)}
     for text in ("1", "2"):
         x, y = line(axes, f"order {text}").get_data()
@@ -394,16 +401,16 @@ def test_the_envelope_names_the_order_of_strikes() -> None:
 
 @pytest.mark.parametrize("per_rev", [1, 60])
 def test_speed_against_time(per_rev: int) -> None:
-    turns = np.linspace(0.0, np.sqrt(10.0 * 40.0 / 2), 40 * 10 * per_rev) ** 2 / 40.0 * 2  # a run-up
-    turns = np.unique(turns[turns < 9.5])
-    made = co.recording(np.zeros(10_000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=per_rev)
+    turned = np.arange(0.0, 285.0, 1.0 / per_rev)
+    pulses = -5.0 + np.sqrt(25.0 + turned / 1.5)  # the speed grows from 15 to 45 revolutions per second
+    made = co.recording(np.zeros(10_000), rate_hz=1000.0, pulse_times_s=pulses, pulses_per_rev=per_rev)
     shaft = co.crank_angle(made)
     axes = co.plot.speed(shaft, ax=new_axes(9.0, 3.0))
     assert_legible(axes)
     assert axes.get_ylim()[0] == 0.0
     assert len(axes.collections) == (1 if shaft.sizes["knot"] > 1600 else 0)
     y = line(axes, "speed").get_ydata()
-    assert np.nanmax(y) == pytest.approx(float(np.nanmax(shaft["speed"])), rel=0.05)
+    assert np.nanmax(y) == pytest.approx(float(np.nanmax(shaft["speed"])), rel=0.02)
 
 
 WRONG: dict[str, Any] = {
@@ -458,7 +465,7 @@ def test_cells_and_words_are_those_of_the_report() -> None:
     for order, ends in ((1.99973, [1.9995, 2.0003]), (3.58, [3.57, 3.59]), (5.5, None), (1.005, [1.004, 1.006])):
         record = {"order": order, "order_ci95": ends}
         assert nominal_order(record) == pytest.approx(report_notation.nominal_order(record), abs=1e-3)
-    assert order_texts([1.0, 1.00005, 2.5]) == ["1", "1.00005", "2.5"]
+    assert order_texts([1.0, 1.0002, 2.5]) == ["1", "1.0002", "2.5"]
 
 
 def test_colours_are_those_of_the_report() -> None:

@@ -89,19 +89,19 @@ def number_of(value: object, key: str, picture: str, *, above: float) -> float:
 
 
 def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> NDArray[np.float64]:
-    """Values of variable ``name`` of one ``channel``, in the order of ``dims``."""
+    """Values of variable ``name`` of ``dataset`` of one ``channel`` (its number), in the order of ``dims``."""
     picked = dataset[name].isel(channel=channel).transpose(*dims)
     return np.asarray(picked.values, dtype=np.float64)
 
 
 def unit_of(dataset: xr.Dataset, channel: int) -> str:
-    """Typographic unit of a ``channel`` by number: "m/s²" for "m/s2"."""
+    """Typographic unit of a ``channel`` (its number) of ``dataset``: "m/s²" for "m/s2"."""
     unit = str(dataset["unit"].values[channel])
     return _TYPOGRAPHY.get(unit, unit)
 
 
 def quantity_text(dataset: xr.Dataset, channel: int) -> str:
-    """What a ``channel`` (by number) of a map or of tracks shows: "Acceleration (peak)"."""
+    """What a ``channel`` (its number) of ``dataset``, a map or tracks, shows: "Acceleration (peak)"."""
     quantity = str(dataset["quantity"].values[channel]).replace("_", " ").strip()
     scaling = "RMS" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "peak"
     known = quantity and quantity not in ("1", "unknown", "none")

@@ -82,7 +82,7 @@ def order_texts(orders: Sequence[float]) -> list[str]:
     for decimals in range(4, 10):
         times = Counter(texts.values())
         close = [order for order, text in texts.items() if times[text] > 1]
-        texts |= {order: f"{order:.{decimals}f}" for order in close}
+        texts |= {order: f"{order:.{decimals}f}".rstrip("0").rstrip(".") for order in close}
     return [texts[order] for order in orders]
 
 

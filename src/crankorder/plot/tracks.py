@@ -86,7 +86,7 @@ def orders(
     axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
     one_speed = len(shown.speed) <= 1
     label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
-    said = _said(shown, dataset.sizes["order"]) if len(shown.orders) else ""
+    said = _said(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
     x = "Order (cycles per crank revolution)" if one_speed else "Speed, rpm"
     dress(axes, x=x, y=label, title=str(dataset["channel"].values[number]), rows_above=one_speed, said=said)
     _scale(axes, shown)
@@ -138,6 +138,7 @@ def _kept(every: NDArray[np.float64], peak: NDArray[np.float64], asked: Sequence
 
 
 def _said(shown: _Tracks, there: int) -> str:
+    """Speed where it is the only one, and how many of the orders that are ``there`` are drawn; 0 of those asked for."""
     many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
     at = ""
     if len(shown.speed) == 1:
