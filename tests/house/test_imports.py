@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 FORBIDDEN_NAMES = {"utils", "util", "core", "common", "helpers", "helper", "misc"}
+SHOWS_FIGURES = Path("src/crankorder/plot/axes.py")
+"""The one file that may ask pyplot for a figure: a notebook shows no other. It does so where no axes are given."""
 HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h5netcdf", "pyfftw", "finufft", "jinja2"]
 
 # Runs the command in a fresh interpreter and says on the last line of stderr which heavy packages it loaded.
@@ -46,12 +48,12 @@ def test_the_import_contract_holds(project_root: Path) -> None:
     assert "0 broken" in result.stdout
 
 
-def test_matplotlib_is_imported_only_in_report(package_files: list) -> None:
+def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files: list) -> None:
     offenders = [
         f"{source.path}:{line}: {name}"
         for source in package_files
         for line, name in _imported(source.tree)
-        if name.partition(".")[0] == "matplotlib" and "report" not in source.path.parts
+        if name.partition(".")[0] == "matplotlib" and not {"report", "plot"} & set(source.path.parts)
     ]
     assert not offenders, "\n".join(offenders)
 
@@ -61,7 +63,8 @@ def test_no_file_uses_the_global_state_of_pyplot(python_files: list) -> None:
         f"{source.path}:{line}: {name}"
         for source in python_files
         for line, name in _imported(source.tree)
-        if "pyplot" in name.split(".") or name.partition(".")[0] == "pylab" or name == "matplotlib.pylab"
+        if source.path != SHOWS_FIGURES
+        and ("pyplot" in name.split(".") or name.partition(".")[0] == "pylab" or name == "matplotlib.pylab")
     ]
     assert not offenders, "\n".join(offenders)
 

@@ -1,0 +1,43 @@
+"""Pictures for notebooks: each is one function of data and, where given, of the axes to draw on, which it returns.
+
+``co.plot.campbell``, ``order_map``, ``orders``, ``envelope``, ``spectra`` and ``speed`` draw what the functions of the
+front door make. From samples to a picture:
+
+>>> import numpy as np, crankorder as co
+>>> time = np.arange(40_000) / 10_000.0
+>>> made = co.recording({"housing": 2.0 * np.cos(2 * np.pi * 75.0 * time)}, rate_hz=1e4, speed_rpm=1500.0)
+>>> axes = co.plot.order_map(co.order_map(made))
+>>> axes.get_xlabel(), axes.get_title(loc="left")
+('Order (cycles per crank revolution)', 'housing')
+
+Without ``ax`` the figure is pyplot's, so that a notebook shows it; with ``ax`` pyplot is not even loaded. matplotlib is
+loaded when the first picture is drawn, and its settings (``rcParams``) stay as they are. Labels stand beyond the edges
+and are laid out anew with every drawing: a figure of several axes makes room for them by ``layout="constrained"``.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from crankorder.plot.curves import envelope, spectra, speed
+    from crankorder.plot.maps import campbell, order_map
+    from crankorder.plot.tracks import orders
+
+__all__ = ["campbell", "envelope", "order_map", "orders", "spectra", "speed"]
+
+_HOME = {
+    "campbell": "maps", "order_map": "maps", "orders": "tracks",
+    "envelope": "curves", "spectra": "curves", "speed": "curves",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'crankorder.plot' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(f"crankorder.plot.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -1,0 +1,80 @@
+"""From measured speeds to the cells of a map, and from cells to pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
+_REACH_SHARE = 0.03  # … and more than twice this share of it
+
+
+def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
+
+    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. In a wide gap of the tested range a cell
+    reaches as far as on its other side: what lies between was not measured.
+    """
+    speeds = np.asarray(speeds_rpm, dtype=float)
+    steps = np.diff(speeds)
+    if not len(steps) or not steps.any():
+        half = max(0.025 * abs(float(speeds[0])), 1.0)
+        return np.tile([speeds[0] - half, speeds[0] + half], (len(speeds), 1))
+    reach = max(_REACH_STEPS * float(np.median(steps)), _REACH_SHARE * float(speeds[-1] - speeds[0]))
+    usual = float(np.median(steps)) / 2
+    halves = np.where(steps / 2 > reach, np.nan, steps / 2)  # NaN: a gap
+    down, up = np.concatenate([[np.nan], halves]), np.concatenate([halves, [np.nan]])
+    down, up = (
+        np.where(np.isnan(one), np.where(np.isnan(two), usual, two), one) for one, two in ((down, up), (up, down))
+    )
+    return np.stack([np.maximum(speeds - down, min(0.0, float(speeds[0]))), speeds + up], axis=1)
+
+
+def gaps_before(cells: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """True for each of ``cells`` (speed, 2) [rpm] before which a range lies that no cell covers."""
+    apart = cells[1:, 0] - cells[:-1, 1] > 1e-9 * np.maximum(np.abs(cells[1:, 0]), 1.0)
+    return np.concatenate([[False], apart])
+
+
+def with_gaps(
+    values: NDArray[np.float64], cells: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of a map and their edges, with a row of NaN for every gap.
+
+    ``values`` shape (speed, bins); ``cells`` shape (speed, 2) [rpm] from :func:`speed_cells`.
+    """
+    gap = np.flatnonzero(gaps_before(cells))
+    rows = np.insert(values, gap, np.nan, axis=0)
+    edges = np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
+    return rows, edges
+
+
+def bin_edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of bins around ascending ``centres``, one more than these; the first and last bin are symmetric."""
+    if len(centres) < 2:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    middle = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
+
+
+def pooled(
+    values: NDArray[np.float64], edges: NDArray[np.float64], pixels: NDArray[np.float64], *, axis: int
+) -> NDArray[np.float64]:
+    """Largest value under each pixel: thin lines survive, pixels narrower than a cell repeat it, outside is -inf.
+
+    ``values`` (none of them NaN) of cells with ascending ``edges`` along ``axis``; ``pixels`` are the edges of the
+    pixels in the same unit, ascending or descending.
+    """
+    if pixels[0] > pixels[-1]:
+        return np.flip(pooled(values, edges, pixels[::-1], axis=axis), axis)
+    n = values.shape[axis]
+    first = np.searchsorted(edges, pixels[:-1], side="right") - 1
+    stop = np.searchsorted(edges, pixels[1:], side="left")
+    pad = [(0, 1) if number == axis else (0, 0) for number in range(values.ndim)]
+    padded = np.pad(values, pad, constant_values=-np.inf)
+    begin = np.clip(first, 0, n)
+    pairs = np.stack([begin, np.clip(np.maximum(stop, begin + 1), 0, n)], axis=1).ravel()
+    taken = np.take(np.maximum.reduceat(padded, pairs, axis=axis), np.arange(0, len(pairs), 2), axis=axis)
+    outside = (stop <= 0) | (first >= n)
+    shape = [-1 if number == axis else 1 for number in range(values.ndim)]
+    return np.where(outside.reshape(shape), -np.inf, taken)

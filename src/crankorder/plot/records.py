@@ -1,0 +1,130 @@
+"""What pictures show of the findings of a channel: orders, frequencies that stay, crossings."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeGuard
+
+_LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
+_SAME_SHARE = 0.002  # of its frequency: a line this close to a tone or a mode is that one
+_MOST_ORDERS = 12
+_DAMPED = ("mode", "undecided", "natural")
+
+
+@dataclass(frozen=True)
+class FoundOrder:
+    """An order that was found in a channel, and what it is called."""
+
+    order: float
+    text: str
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class FixedLine:
+    """What stays at its frequency: a natural frequency, decided or not, or a tone; ``slope`` [Hz/rpm] of a whirl."""
+
+    frequency_hz: float
+    tone: bool = False
+    undecided: bool = False
+    slope: float = 0.0
+    reference_rpm: float = 0.0
+    here: bool = True
+
+    @property
+    def text(self) -> str:
+        """Frequency with its unit, and a question mark where it is not decided."""
+        value = self.frequency_hz
+        number = f"{value:.0f}" if abs(value) >= 99.95 else f"{value:.3g}"
+        return f"{number}{'?' if self.undecided else ''} Hz"
+
+    def at(self, speed_rpm: Any) -> Any:
+        """Frequency in Hz at a ``speed_rpm``."""
+        return self.frequency_hz + self.slope * (speed_rpm - self.reference_rpm) + 0.0 * speed_rpm
+
+
+@dataclass(frozen=True)
+class Found:
+    """Orders, fixed lines and excited crossings (order, frequency [Hz], speed [rpm]) of one channel."""
+
+    orders: list[FoundOrder] = field(default_factory=list)
+    fixed: list[FixedLine] = field(default_factory=list)
+    crossings: list[tuple[float, float, float]] = field(default_factory=list)
+
+
+def found_in(findings: Mapping[str, Any], channel: str) -> Found:
+    """What the ``findings`` (a document as findings.json) say of a ``channel``; empty where they say nothing."""
+    return Found(_orders(findings, channel), _fixed(findings, channel), _crossings(findings, channel))
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def nominal_order(record: Mapping[str, Any]) -> float:
+    """Order by which the line of a ``record`` is called: the half order that it agrees with, else to two decimals."""
+    order = float(record["order"])
+    half = round(2 * order) / 2
+    ends = record.get("order_ci95")
+    known = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(_is_number, ends))
+    near = ends[0] <= half <= ends[1] if known and ends else abs(order - half) < 0.005
+    if abs(order - half) < _LOCKED_WITHIN and (near or record.get("lock") == "locked"):
+        return half
+    return round(order, 2) if not known or ends is None or ends[1] - ends[0] > 0.02 else round(order, 4)
+
+
+def order_texts(orders: Sequence[float]) -> list[str]:
+    """Texts of ``orders`` that tell different ones apart: as short as can be, up to nine decimals where close."""
+    texts = {order: f"{order:.3f}".rstrip("0").rstrip(".") for order in orders}
+    for decimals in range(4, 10):
+        times = Counter(texts.values())
+        close = [order for order, text in texts.items() if times[text] > 1]
+        texts |= {order: f"{order:.{decimals}f}".rstrip("0").rstrip(".") for order in close}
+    return [texts[order] for order in orders]
+
+
+def _orders(findings: Mapping[str, Any], channel: str) -> list[FoundOrder]:
+    records = [
+        record
+        for record in findings.get("orders") or []
+        if record.get("channel") == channel and _is_number(record.get("order"))
+    ]
+    records.sort(key=lambda record: -float(record.get("amplitude") or 0))
+    shown = sorted(records[:_MOST_ORDERS], key=lambda record: float(record["order"]))
+    texts = order_texts([nominal_order(record) for record in shown])
+    return [
+        FoundOrder(float(record["order"]), text, float(record.get("amplitude") or 0))
+        for record, text in zip(shown, texts, strict=True)
+    ]
+
+
+def _fixed(findings: Mapping[str, Any], channel: str) -> list[FixedLine]:
+    made = []
+    for mode in findings.get("modes") or []:
+        if not _is_number(mode.get("frequency_hz")):
+            continue
+        cause = str(mode.get("explained_by", "mode"))
+        tone = cause not in ("mode", "whirl", "undecided")
+        whirl = cause == "whirl" and _is_number(mode.get("speed_slope")) and _is_number(mode.get("reference_rpm"))
+        undecided = not tone and (cause == "undecided" or bool(mode.get("undecided")))
+        slope, reference = (float(mode["speed_slope"]) / 60.0, float(mode["reference_rpm"])) if whirl else (0.0, 0.0)
+        here = channel in (mode.get("channels") or [channel])
+        made.append(FixedLine(float(mode["frequency_hz"]), tone, undecided, slope, reference, here))
+    for line in findings.get("lines") or []:
+        hz, why = line.get("frequency_hz"), str(line.get("explained_by") or "")
+        if not _is_number(hz) or line.get("channel") != channel or why.startswith(_DAMPED):
+            continue
+        if all(abs(other.frequency_hz - hz) > _SAME_SHARE * hz for other in made):
+            made.append(FixedLine(float(hz), tone=True))
+    return sorted(made, key=lambda one: one.frequency_hz)
+
+
+def _crossings(findings: Mapping[str, Any], channel: str) -> list[tuple[float, float, float]]:
+    return [
+        (float(crossing["order"]), float(crossing["mode_hz"]), float(crossing["rpm"]))
+        for crossing in findings.get("crossings") or []
+        if crossing.get("excited") and crossing.get("in_range") and channel in (crossing.get("channels") or [channel])
+    ]

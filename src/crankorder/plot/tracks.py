@@ -1,0 +1,238 @@
+"""Amplitude of the orders against speed, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.errors import RequestError
+from crankorder.plot.axes import axes_for, dress, log_scale, note, whole_ticks
+from crankorder.plot.cells import gaps_before, speed_cells
+from crankorder.plot.given import channel_number, dataset_of, quantity_text, unit_of, values_of
+from crankorder.plot.palette import FAINT, LIGHT, LINES
+from crankorder.plot.records import order_texts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from crankorder.plot.edge_labels import EdgeLabel
+
+_COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
+_ALL_COLOURED = 8  # … but not for the sake of one or two
+_MOST = 12  # orders drawn where none are asked for
+_LOG_RATIO = 15.0  # orders whose largest amplitudes differ by more than this need a logarithmic axis
+_CLEAR = 3.0  # standard errors above zero from which a line is drawn
+_WITHOUT_MARKERS = 60  # more speeds than this are a curve, not points
+_SAME_ORDER = 0.02  # an order asked for is the track this close to it
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """Values (order, speed), slowest speed first; NaN where a line is not clear of the noise. ``rank`` 0 is strongest.
+
+    ``read`` is False at speeds at which only other orders have a row: those of a sweep stand at speeds of their own.
+    """
+
+    speed: NDArray[np.float64]
+    orders: NDArray[np.float64]
+    rank: NDArray[np.int64]
+    amplitude: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    read: NDArray[np.bool_]
+    texts: list[str]
+
+    def color(self, number: int) -> str:
+        """Colour of an order by ``number``; light where it is only there for comparison."""
+        coloured = self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED)
+        return LINES[int(coloured[:number].sum())] if coloured[number] else LIGHT
+
+
+def orders(
+    order_tracks: xr.Dataset,
+    *,
+    channel: str | None = None,
+    orders: Sequence[float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Peak amplitude of orders against speed [rpm], each with its 95 % interval as a pale band; returns the axes.
+
+    Parameters
+    ----------
+    order_tracks : OrderTracks of :func:`crankorder.order_tracks`
+    channel : name of the channel; the first where not given
+    orders : those to draw, each as a track within 0.02 of it; the twelve strongest of the channel where not given
+    ax : axes to draw on; without them a new figure of pyplot's
+
+    Each line is labelled with its order at its end; the strongest six of many are coloured. Lines are drawn where they
+    stand clear of the noise. The axis is logarithmic where the orders differ much. At one speed alone there are points
+    with error bars against the order. Raises RequestError for another dataset, channel or order.
+
+    >>> import numpy as np, crankorder as co
+    >>> time = np.arange(40_000) / 10_000.0
+    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.orders(co.order_tracks(made, orders=[1.0, 3.0]))
+    >>> axes.get_ylabel()
+    'Acceleration (peak), m/s²'
+    """
+    dataset = dataset_of(order_tracks, "order_tracks", "orders")
+    number = channel_number(dataset, channel, "orders")
+    shown = _tracks(dataset, number, orders)
+    axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
+    one_speed = len(shown.speed) <= 1
+    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
+    said = _said(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
+    x = "Order (cycles per crank revolution)" if one_speed else "Speed, rpm"
+    dress(axes, x=x, y=label, title=str(dataset["channel"].values[number]), rows_above=one_speed, said=said)
+    _scale(axes, shown)
+    if not np.isfinite(shown.amplitude).any():
+        note(axes, "no order stands clear of the noise" if len(shown.orders) else "no order was found")
+    if one_speed:
+        _draw_points(axes, shown)
+    else:
+        _draw_lines(axes, shown)
+    return axes
+
+
+def _tracks(dataset: xr.Dataset, channel: int, asked: Sequence[float] | None) -> _Tracks:
+    speed = np.asarray(dataset["speed"].values, dtype=float)
+    known = np.isfinite(speed)
+    at = np.argsort(speed, kind="stable")[: int(known.sum()) or min(len(speed), 1)]
+    value = {
+        name: values_of(dataset, name, "order", "speed", channel=channel)[:, at]
+        for name in ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
+    }
+    amplitude, low, high = value["amplitude"], np.maximum(value["amplitude_low"], 0.0), value["amplitude_high"]
+    # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
+    clear = (amplitude > 0) & ~(amplitude < _CLEAR * value["standard_error"]) & ~(low <= 0)
+    peak = np.max(np.nan_to_num(np.where(clear, amplitude, 0.0)), axis=1, initial=0.0)
+    every = np.asarray(dataset["order"].values, dtype=float)
+    kept = _kept(every, peak, asked)
+    rank = np.argsort(np.argsort(-peak[kept], kind="stable"), kind="stable")
+    shown, bottom, top = (np.where(clear, one, np.nan)[kept] for one in (amplitude, low, high))
+    texts = order_texts([_called(order) for order in every[kept].tolist()])
+    return _Tracks(speed[at], every[kept], rank, shown, bottom, top, np.isfinite(amplitude)[kept], texts)
+
+
+def _called(order: float) -> float:
+    return round(2 * order) / 2 if abs(2 * order - round(2 * order)) < 0.01 else order
+
+
+def _kept(every: NDArray[np.float64], peak: NDArray[np.float64], asked: Sequence[float] | None) -> NDArray[np.intp]:
+    """Places of the orders to draw, ascending: those ``asked`` for, else the strongest."""
+    if asked is None:
+        return np.sort(np.argsort(-peak, kind="stable")[:_MOST])
+    places = []
+    for order in asked:
+        apart = np.abs(every - float(order))
+        if not len(every) or not apart.min() <= _SAME_ORDER:
+            there = ", ".join(f"{one:.4g}" for one in every) or "none"
+            raise RequestError("no such order", file="crankorder.plot.orders", found=order, allowed=there)
+        places.append(int(apart.argmin()))
+    return np.unique(np.array(places, dtype=np.intp))
+
+
+def _said(shown: _Tracks, there: int) -> str:
+    """Speed where it is the only one, and how many of the orders that are ``there`` are drawn; 0 of those asked for."""
+    many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
+    at = ""
+    if len(shown.speed) == 1:
+        at = f"{shown.speed[0]:.0f} rpm, " if np.isfinite(shown.speed[0]) else "speed not known, "
+    return f"{at}{many}with 95 % intervals"
+
+
+def _scale(axes: Axes, shown: _Tracks) -> None:
+    """Linear from zero; logarithmic where orders differ much."""
+    peaks = np.max(np.nan_to_num(shown.amplitude), axis=1, initial=0.0)
+    if not np.any(peaks > 0):
+        axes.set(ylim=(0.0, 1.0), yticks=[])
+        return
+    if peaks.max() < _LOG_RATIO * peaks[peaks > 0].min():
+        highest = np.nanmax(np.where(np.isfinite(shown.high), shown.high, shown.amplitude))
+        axes.set_ylim(0.0, min(1.08 * float(min(highest, 2.0 * peaks.max())), 1e307))
+        return
+    log_scale(axes, shown.amplitude, decades=6.0)
+
+
+def _draw_lines(axes: Axes, shown: _Tracks) -> None:
+    from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
+
+    for number in np.argsort(-shown.rank):  # the strongest lies on top
+        _draw_line(axes, shown, int(number))
+    low, high = float(shown.speed[0]), float(shown.speed[-1])
+    spare = 0.015 * (high - low) or 1.0
+    axes.set_xlim(low - spare, high + spare)
+
+    def at_the_ends(axes: Axes) -> list[list[EdgeLabel]]:
+        left, right = sorted(axes.get_xlim())
+        labels = []
+        for number, text in enumerate(shown.texts):
+            inside = (shown.speed >= left) & (shown.speed <= right) & np.isfinite(shown.amplitude[number])
+            if inside.any():
+                last = np.flatnonzero(inside)[-1]
+                color = shown.color(number)
+                place = float(shown.speed[last]), float(shown.amplitude[number, last])
+                labels.append(EdgeLabel(place, text, FAINT if color == LIGHT else color, rank=-shown.rank[number]))
+        return [labels]
+
+    EdgeLabels(axes, at_the_ends, side="right", caption="order")
+
+
+def _draw_line(axes: Axes, shown: _Tracks, number: int) -> None:
+    read = shown.read[number]
+    if not read.any():
+        return
+    speed, color = shown.speed[read], shown.color(number)
+    gap = np.flatnonzero(gaps_before(speed_cells(speed)))
+    speed, amplitude, low, high = (
+        np.insert(one, gap, np.nan)
+        for one in (speed, shown.amplitude[number][read], shown.low[number][read], shown.high[number][read])
+    )
+    coloured = color != LIGHT
+    if coloured:
+        axes.fill_between(speed, low, high, color=color, alpha=0.2, linewidth=0, gid=f"band {shown.texts[number]}")
+    marked = len(speed) <= _WITHOUT_MARKERS
+    axes.plot(
+        speed, amplitude, color=color, linewidth=1.4 if coloured else 0.9, gid=f"order {shown.texts[number]}",
+        marker="o" if marked else "none", markersize=3.0 if coloured else 2.0, solid_capstyle="butt",
+    )  # fmt: skip
+
+
+def _draw_points(axes: Axes, shown: _Tracks) -> None:
+    """Points with error bars against the order, each named above."""
+    for number, order in enumerate(shown.orders):
+        amplitude = shown.amplitude[number]
+        if not np.isfinite(amplitude).any():
+            continue
+        axes.axvline(order, color=LINES[0], linewidth=0.7, alpha=0.3, zorder=1)
+        reach = np.nan_to_num([[amplitude[0] - shown.low[number, 0]], [shown.high[number, 0] - amplitude[0]]])
+        axes.errorbar(
+            [order], amplitude, yerr=np.maximum(reach, 0.0), fmt="o", color=LINES[0], markersize=4.0, elinewidth=1.2,
+            capsize=2.5, gid=f"order {shown.texts[number]}",
+        )  # fmt: skip
+    if len(shown.orders):
+        axes.set_xlim(0.0, 1.06 * float(shown.orders[-1]) or 1.0)
+        whole_ticks(axes)
+    _name_points(axes, shown)
+
+
+def _name_points(axes: Axes, shown: _Tracks) -> None:
+    """Orders above the axes, where each cannot meet another."""
+    from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
+
+    def above(axes: Axes) -> list[list[EdgeLabel]]:
+        left, right = sorted(axes.get_xlim())
+        return [
+            [
+                EdgeLabel((float(order), max(axes.get_ylim())), text, LINES[0], rank=-float(rank))
+                for order, text, rank, value in zip(shown.orders, shown.texts, shown.rank, shown.amplitude, strict=True)
+                if left <= order <= right and np.isfinite(value).any()
+            ]
+        ]
+
+    EdgeLabels(axes, above, side="top", caption="order")

@@ -1,0 +1,506 @@
+"""Pictures of the front door: what is drawn is what the data say, every label is legible, and no setting is touched."""
+
+from __future__ import annotations
+
+import doctest
+import subprocess
+import sys
+from collections.abc import Iterator
+from itertools import combinations
+from types import SimpleNamespace
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import crankorder as co
+from crankorder import plot
+from crankorder.errors import RequestError
+from crankorder.plot import palette
+from crankorder.plot.cells import bin_edges, pooled, speed_cells, with_gaps
+from crankorder.plot.edge_labels import EdgeLabels, spread
+from crankorder.plot.records import found_in, nominal_order, order_texts
+from crankorder.report import cells as report_cells
+from crankorder.report import notation as report_notation
+from crankorder.report.drawing import palette as report_palette
+from crankorder.report.drawing.colour_map import level_colours
+
+RATE_HZ = 2048.0
+SPEEDS = (900.0, 1000.0, 1100.0, 1200.0, 1900.0)
+PICTURES = ("campbell", "order_map", "orders", "spectra")
+
+
+@pytest.fixture(autouse=True)
+def no_window(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Figures of pyplot without a screen, and none left."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
+def recorded(speed_rpm: float | np.ndarray, *, seconds: float = 4.0, **options: Any) -> xr.Dataset:
+    """Recording of a block with orders 1, 2 and 4 about a resonance, and of a pressure with order 0.5."""
+    time = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
+    turns = np.cumsum(np.broadcast_to(speed_rpm, time.shape)) / 60.0 / RATE_HZ
+    noise = np.random.default_rng(7).standard_normal((2, len(time)))
+    block = sum(a * np.cos(2 * np.pi * order * turns) for order, a in ((1.0, 0.5), (2.0, 2.0), (4.0, 0.1)))
+    pressure = 0.8 * np.cos(np.pi * turns)
+    signals = {"block": block + 0.02 * noise[0], "cylinder": pressure + 0.002 * noise[1]}
+    unit = {"block": "mm/s", "cylinder": "bar"}
+    return co.recording(signals, rate_hz=RATE_HZ, speed_rpm=speed_rpm, unit=unit, cycle="four-stroke", **options)
+
+
+def made_of(recordings: Any) -> SimpleNamespace:
+    """Maps and tracks of ``recordings``."""
+    return SimpleNamespace(
+        campbell=co.campbell_map(recordings, max_frequency_hz=200.0),
+        order_map=co.order_map(recordings, max_order=8.0),
+        orders=co.order_tracks(recordings, orders=[0.5, 1.0, 2.0, 4.0]),
+    )
+
+
+@pytest.fixture(scope="module")
+def steady() -> SimpleNamespace:
+    return made_of([recorded(rpm, name=f"{rpm:.0f}") for rpm in SPEEDS])
+
+
+@pytest.fixture(scope="module")
+def single() -> SimpleNamespace:
+    return made_of(recorded(1470.0))
+
+
+@pytest.fixture(scope="module")
+def swept() -> SimpleNamespace:
+    return made_of(recorded(np.linspace(600.0, 2400.0, int(8 * RATE_HZ)), seconds=8.0))
+
+
+FINDINGS: dict[str, Any] = {
+    "orders": [
+        {"channel": "block", "order": 1.0001, "order_ci95": [0.9995, 1.0007], "amplitude": 0.5},
+        {"channel": "block", "order": 2.0, "order_ci95": [1.999, 2.001], "amplitude": 2.0},
+        {"channel": "block", "order": 9.0, "order_ci95": [8.99, 9.01], "amplitude": 0.1},
+        {"channel": "cylinder", "order": 0.5, "amplitude": 0.8},
+    ],
+    "modes": [
+        {"frequency_hz": 61.0, "channels": ["block"], "explained_by": "mode"},
+        {"frequency_hz": 62.5, "channels": ["block"], "explained_by": "undecided"},
+        {"frequency_hz": 150.0, "channels": ["block"], "explained_by": "mains"},
+    ],
+    "crossings": [
+        {"order": 2.0, "mode_hz": 61.0, "rpm": 1830.0, "excited": True, "in_range": True, "channels": ["block"]},
+        {"order": 4.0, "mode_hz": 61.0, "rpm": 915.0, "excited": False, "in_range": True, "channels": ["block"]},
+    ],
+}
+
+
+def data_of(made: SimpleNamespace, name: str) -> xr.Dataset:
+    dataset: xr.Dataset = getattr(made, "campbell" if name == "spectra" else name)
+    return dataset
+
+
+def new_axes(width_in: float = 9.0, height_in: float = 5.0) -> Axes:
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Axes = figure.subplots()
+    return axes
+
+
+def drawn(axes: Axes) -> list[Any]:
+    """Texts of the edges of ``axes`` after drawing, captions among them."""
+    axes.figure.canvas.draw()
+    labels = [artist for artist in axes.get_children() if isinstance(artist, EdgeLabels)]
+    return [text for artist in labels for text in artist.texts]
+
+
+def line(axes: Axes, name: str) -> Any:
+    (found,) = [one for one in axes.lines if one.get_gid() == name]
+    return found
+
+
+def assert_legible(axes: Axes) -> None:
+    """No text meets another, and each is inside the figure."""
+    texts = drawn(axes)
+    renderer = axes.figure.canvas.get_renderer()
+    ticks = [
+        text
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim()))
+        for place, text in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=True)
+        if low <= place <= high
+    ]
+    every = [*texts, *ticks, axes.xaxis.label, axes.yaxis.label, axes.title, axes._left_title, axes._right_title]
+    every += axes.get_legend().get_texts() if axes.get_legend() else []
+    every += [
+        text
+        for other in axes.figure.axes
+        if other is not axes
+        for text in (other.yaxis.label, *other.get_yticklabels())
+    ]
+    boxes = {id(text): (text.get_text(), text.get_window_extent(renderer)) for text in every if text.get_text().strip()}
+    for (one, box), (two, other) in combinations(boxes.values(), 2):
+        width = min(box.x1, other.x1) - max(box.x0, other.x0)
+        height = min(box.y1, other.y1) - max(box.y0, other.y0)
+        assert width < 1.0 or height < 2.0, f"{one!r} meets {two!r}"
+    for text in texts:
+        box = text.get_window_extent(renderer)
+        assert box.x0 >= -1 and box.y0 >= -1, text.get_text()
+        assert box.x1 <= axes.figure.bbox.x1 + 1 and box.y1 <= axes.figure.bbox.y1 + 1, text.get_text()
+
+
+@pytest.mark.parametrize("name", plot.__all__)
+def test_every_example_is_executed_and_holds(name: str) -> None:
+    (example,) = [
+        one for one in doctest.DocTestFinder(recurse=False).find(getattr(co.plot, name), name) if one.examples
+    ]
+    outcome = doctest.DocTestRunner().run(example)
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
+
+
+def test_from_samples_to_a_picture_in_four_lines() -> None:
+    (example,) = [one for one in doctest.DocTestFinder(recurse=False).find(plot, "plot") if one.examples]
+    picture = next(n for n, one in enumerate(example.examples, 1) if "co.plot" in one.source)
+    assert picture == 4
+    assert doctest.DocTestRunner().run(example).failed == 0
+
+
+def loaded_by(code: str) -> list[str]:
+    names = ("numpy", "xarray", "matplotlib", "matplotlib.pyplot", "scipy")
+    probe = f"import sys; {code}; print(*(n for n in {names!r} if n in sys.modules))"
+    result = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
+    return result.stdout.split()
+
+
+def test_the_room_is_loaded_when_touched_and_matplotlib_when_drawing() -> None:
+    assert loaded_by("import crankorder as co; co.plot; dir(co.plot)") == []
+    assert "matplotlib" not in loaded_by("import crankorder as co; [getattr(co.plot, n) for n in dir(co.plot)]")
+    assert "plot" in dir(co)
+    assert dir(plot) == sorted(plot.__all__)
+    with pytest.raises(AttributeError, match=r"no attribute 'waterfall'.*campbell"):
+        getattr(plot, "waterfall")  # noqa: B009
+
+
+def test_on_given_axes_pyplot_stays_unloaded() -> None:
+    code = (
+        "import numpy as np, crankorder as co; from matplotlib.figure import Figure; ax = Figure().subplots(); "
+        "made = co.recording(np.cos(np.arange(9000) / 9), rate_hz=1e3, speed_rpm=900.0); "
+        "assert co.plot.order_map(co.order_map(made), ax=ax) is ax; ax.figure.savefig('/dev/null', format='png')"
+    )
+    loaded = loaded_by(code)
+    assert "matplotlib" in loaded
+    assert "matplotlib.pyplot" not in loaded
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_settings_of_matplotlib_stay_as_they_are(name: str, steady: SimpleNamespace) -> None:
+    before = dict(matplotlib.rcParams)
+    drawn(getattr(co.plot, name)(data_of(steady, name), ax=new_axes()))
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_without_axes_there_is_a_figure_that_a_notebook_shows(steady: SimpleNamespace) -> None:
+    axes = co.plot.campbell(steady.campbell)
+    pyplot = sys.modules["matplotlib.pyplot"]
+    assert pyplot.figure(axes.figure.number) is axes.figure
+
+
+def test_campbell_draws_orders_modes_and_crossings_where_they_are(steady: SimpleNamespace) -> None:
+    axes = co.plot.campbell(steady.campbell, FINDINGS, ax=new_axes())
+    low, high = axes.get_ylim()
+    assert (low, high) == pytest.approx((850.0, 1950.0))
+    assert axes.get_xlim() == pytest.approx((0.0, 200.0))
+    for order in (1.0001, 2.0, 9.0):
+        x, y = line(axes, f"order {round(order):d}").get_data()
+        assert x == pytest.approx(order * y / 60.0)
+        assert y == pytest.approx([low, high])
+    assert line(axes, "61 Hz").get_xdata() == pytest.approx([61.0, 61.0])
+    assert line(axes, "62.5? Hz").get_linestyle() != "-"
+    rings = [one for one in axes.lines if one.get_gid() == "crossings"]
+    assert [ring.get_xydata().tolist() for ring in rings] == [[[61.0, 1830.0]]] * 2
+    assert len(axes.images) == 1
+    assert len(axes.lines) == 3 + 3 + 2
+    texts = {text.get_text(): text for text in drawn(axes)}
+    assert set(texts) == {"order", "1", "2", "9", "61 Hz", "62.5? Hz", "150 Hz"}
+    assert texts["2"].get_weight() == "bold"
+    assert texts["1"].get_weight() == "normal"
+    assert texts["9"].get_position()[0] > axes.bbox.x1  # it leaves at the right
+    assert texts["1"].get_position()[1] > axes.bbox.y1
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        "order found (bold: strongest)", "natural frequency", "not decided (?)", "mains or fixed tone",
+        "excited crossing",
+    ]  # fmt: skip
+
+
+def test_labels_follow_when_one_zooms(steady: SimpleNamespace) -> None:
+    axes = co.plot.campbell(steady.campbell, FINDINGS, ax=new_axes())
+    axes.set_xlim(0.0, 50.0)
+    texts = {text.get_text(): text for text in drawn(axes)}
+    assert set(texts) == {"order", "1", "2"}
+    assert texts["2"].get_position()[0] > axes.bbox.x1
+    assert_legible(axes)
+
+
+def test_order_map_draws_orders_upright_and_modes_as_curves(steady: SimpleNamespace) -> None:
+    axes = co.plot.order_map(steady.order_map, FINDINGS, ax=new_axes())
+    assert line(axes, "order 2").get_xdata() == pytest.approx([2.0, 2.0])
+    x, y = line(axes, "61 Hz").get_data()
+    assert x * y == pytest.approx(60.0 * 61.0)
+    (ring, _) = [one for one in axes.lines if one.get_gid() == "crossings"]
+    assert ring.get_xydata().tolist() == [[2.0, 1830.0]]
+    assert {"1", "2", "61 Hz"} <= {text.get_text() for text in drawn(axes)}
+    assert "9" not in {text.get_text() for text in drawn(axes)}
+
+
+@pytest.mark.parametrize(
+    "channel, label", [("block", "Velocity (peak), dB re 1 mm/s"), ("cylinder", "Pressure (peak), dB re 1 bar")]
+)
+def test_every_channel_has_its_unit(channel: str, label: str, steady: SimpleNamespace) -> None:
+    for name in ("campbell", "order_map"):
+        axes = getattr(co.plot, name)(data_of(steady, name), ax=new_axes(), channel=channel)
+        (bar,) = [one for one in axes.figure.axes if one is not axes]
+        assert bar.get_ylabel() == label
+        assert axes.get_title(loc="left") == channel
+    for name in ("orders", "spectra"):
+        axes = getattr(co.plot, name)(data_of(steady, name), ax=new_axes(), channel=channel)
+        assert axes.get_ylabel() == label.replace("dB re 1 ", "")
+
+
+def test_the_strongest_line_has_the_brightest_colour_and_gaps_are_blank(steady: SimpleNamespace) -> None:
+    axes = co.plot.campbell(steady.campbell, ax=new_axes())
+    (image,) = axes.images
+    assert image.get_clim()[1] == pytest.approx(
+        5 * np.ceil(20 * np.log10(float(steady.campbell["amplitude"][0].max())) / 5)
+    )
+    axes.figure.canvas.draw()
+    pixels = np.asarray(axes.figure.canvas.buffer_rgba())
+    x, y = axes.transData.transform((120.0, 1300.0))
+    assert to_hex(pixels[pixels.shape[0] - int(y), int(x)] / 255) == palette.NOT_MEASURED
+    shown = SimpleNamespace(xdata=2 * 1200 / 60, ydata=1200.0)
+    assert image.get_cursor_data(shown) == pytest.approx(20 * np.log10(2.0), abs=0.5)
+
+
+@pytest.mark.parametrize("depth", [10.0, 30.0, 60.0])
+def test_colours_reach_no_deeper_than_asked_for(depth: float, steady: SimpleNamespace) -> None:
+    low, high = co.plot.campbell(steady.campbell, ax=new_axes(), dynamic_range_db=depth).images[0].get_clim()
+    assert high - low <= depth
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_labels_never_overlap(seed: int, steady: SimpleNamespace) -> None:
+    rng = np.random.default_rng(seed)
+    orders = np.sort(rng.uniform(0.5, 12.0, rng.integers(1, 20)))
+    modes = np.sort(rng.uniform(5.0, 195.0, rng.integers(1, 14)))
+    findings = {
+        "orders": [{"channel": "block", "order": float(one), "amplitude": float(rng.random())} for one in orders],
+        "modes": [{"frequency_hz": float(one), "explained_by": rng.choice(["mode", "undecided"])} for one in modes],
+    }
+    size = rng.uniform(6.0, 11.0), rng.uniform(3.5, 6.0)
+    for name in ("campbell", "order_map"):
+        assert_legible(getattr(co.plot, name)(data_of(steady, name), findings, ax=new_axes(*size)))
+    for name in ("orders", "spectra"):
+        assert_legible(getattr(co.plot, name)(data_of(steady, name), ax=new_axes(*size)))
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_one_speed_and_a_sweep_are_legible(name: str, single: SimpleNamespace, swept: SimpleNamespace) -> None:
+    findings = [FINDINGS] if name in ("campbell", "order_map") else []
+    for made in (single, swept):
+        assert_legible(getattr(co.plot, name)(data_of(made, name), *findings, ax=new_axes(9.0, 4.0)))
+
+
+def test_one_speed_is_a_strip_with_its_speed(single: SimpleNamespace) -> None:
+    axes = co.plot.campbell(single.campbell, FINDINGS, ax=new_axes())
+    drawn(axes)
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["1470"]
+    assert line(axes, "order 2").get_xdata() == pytest.approx([49.0, 49.0])
+    axes = co.plot.orders(single.orders, ax=new_axes())
+    assert axes.get_xlabel().startswith("Order")
+    assert len(axes.containers) == 3
+    assert {text.get_text() for text in drawn(axes)} == {"order", "1", "2", "4"}
+
+
+def test_unknown_speeds_have_no_place(steady: SimpleNamespace, single: SimpleNamespace) -> None:
+    for name in PICTURES:
+        data = data_of(steady, name)
+        some = data.assign_coords(speed=np.where(data["speed"] == 1100.0, np.nan, data["speed"]))
+        axes = getattr(co.plot, name)(
+            some.assign_coords(speed=some["speed"].assign_attrs(units="min-1")), ax=new_axes()
+        )
+        assert_legible(axes)
+        if name in ("campbell", "order_map"):
+            assert axes.get_title(loc="right") == "1 of unknown speed not shown"
+        none = data_of(single, name)
+        none = none.assign_coords(speed=("speed", [np.nan], {"units": "min-1"}))
+        axes = getattr(co.plot, name)(none, *([FINDINGS] if name in ("campbell", "order_map") else []), ax=new_axes())
+        assert_legible(axes)
+        if name in ("campbell", "order_map"):
+            assert axes.get_ylabel() == "Speed not known"
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_nothing_measured_and_silence_are_said(name: str, steady: SimpleNamespace) -> None:
+    data = data_of(steady, name)
+    empty, silent = data.isel(speed=slice(0, 0)), data.copy()
+    for variable in ("amplitude", "amplitude_low", "amplitude_high"):
+        if variable in silent:
+            silent[variable] = data[variable].copy(data=np.zeros(data[variable].shape))
+    for given in (empty, silent):
+        axes = getattr(co.plot, name)(given, ax=new_axes())
+        axes.figure.canvas.draw()
+        assert axes.texts
+
+
+def test_orders_are_drawn_with_their_intervals_to_their_ends(steady: SimpleNamespace) -> None:
+    axes = co.plot.orders(steady.orders, orders=[1.0, 2.0], ax=new_axes())
+    x, y = line(axes, "order 2").get_data()
+    known = np.isfinite(y)
+    assert x[known] == pytest.approx(SPEEDS)
+    assert y[known] == pytest.approx(steady.orders["amplitude"].sel(channel="block", order=2.0).values)
+    assert not known.all()  # the line breaks where nothing was measured
+    assert sorted(one.get_gid() for one in axes.collections) == ["band 1", "band 2"]
+    assert axes.get_title(loc="right") == "with 95 % intervals"
+    ends = {text.get_text(): text.get_position() for text in drawn(axes)}
+    for text in ("1", "2"):
+        x, y = line(axes, f"order {text}").get_data()
+        height = axes.transData.transform((x[-1], y[-1]))[1]
+        assert ends[text][1] == pytest.approx(height, abs=2.0)
+        assert ends[text][0] > axes.bbox.x1
+
+
+def test_spectra_are_told_apart_by_speed_up_to_six(steady: SimpleNamespace, swept: SimpleNamespace) -> None:
+    axes = co.plot.spectra(steady.campbell, ax=new_axes())
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [f"{speed:.0f} rpm" for speed in SPEEDS]
+    axes = co.plot.spectra(swept.campbell, ax=new_axes())
+    assert {text.get_text() for text in drawn(axes)} == {"largest", "median"}
+    assert line(axes, "largest").get_ydata() == pytest.approx(swept.campbell["amplitude"][0].max("speed").values)
+
+
+def test_the_envelope_names_the_order_of_strikes() -> None:
+    rng, ring = np.random.default_rng(1), np.exp(-np.arange(60) / 15) * np.cos(1.9 * np.arange(60))
+    bearings = [{"name": "drive end", "bpfo": 3.58, "bpfi": 5.42}]
+    noise = rng.standard_normal(80_000)
+    named = []
+    for strikes in (1.0, 0.0):
+        signal = strikes * np.convolve(np.arange(80_000) % 112 == 0, ring, "same") + 0.1 * noise
+        made = co.envelope(co.recording(signal, rate_hz=10_000, speed_rpm=1500.0), bearings=bearings)
+        axes = co.plot.envelope(made, ax=new_axes(), speed_rpm=1480.0)
+        assert_legible(axes)
+        named.append([float(text.get_text()) for text in drawn(axes) if text.get_text() != "order"])
+    assert named[0][0] == pytest.approx(3.571, abs=0.02)
+    assert len(named[0]) > 2
+    assert named[1] == []
+    none = made.isel(speed=slice(0, 0))
+    assert co.plot.envelope(none, ax=new_axes()).texts
+
+
+@pytest.mark.parametrize("per_rev", [1, 60])
+def test_speed_against_time(per_rev: int) -> None:
+    turned = np.arange(0.0, 285.0, 1.0 / per_rev)
+    pulses = -5.0 + np.sqrt(25.0 + turned / 1.5)  # the speed grows from 15 to 45 revolutions per second
+    made = co.recording(np.zeros(10_000), rate_hz=1000.0, pulse_times_s=pulses, pulses_per_rev=per_rev)
+    shaft = co.crank_angle(made)
+    axes = co.plot.speed(shaft, ax=new_axes(9.0, 3.0))
+    assert_legible(axes)
+    assert axes.get_ylim()[0] == 0.0
+    assert len(axes.collections) == (1 if shaft.sizes["knot"] > 1600 else 0)
+    y = line(axes, "speed").get_ydata()
+    assert np.nanmax(y) == pytest.approx(float(np.nanmax(shaft["speed"])), rel=0.02)
+
+
+WRONG: dict[str, Any] = {
+    "another dataset": (lambda made: co.plot.campbell(made.orders), "found OrderTracks; allowed: a CampbellMap"),
+    "a table": (lambda made: co.plot.orders([1.0, 2.0]), "found list; allowed: OrderTracks"),
+    "one value picked": (lambda made: co.plot.campbell(made.campbell.isel(speed=0)), "wrong dims"),
+    "no channel": (lambda made: co.plot.spectra(made.campbell, channel="Z"), "found Z; allowed: block, cylinder"),
+    "no order": (lambda made: co.plot.orders(made.orders, orders=[7.0]), r"found 7.0; allowed: 0.5, 1, 2, 4"),
+    "findings": (lambda made: co.plot.campbell(made.campbell, made.orders), "as crankorder.diagnose returns it"),
+    "axes": (lambda made: co.plot.campbell(made.campbell, ax=Figure()), "not axes; found Figure"),
+    "depth": (lambda made: co.plot.campbell(made.campbell, dynamic_range_db=-3.0), "a number > 0"),
+    "speed": (lambda made: co.plot.speed(made.order_map), "found an OrderMap; allowed: a ShaftAngle"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_request_is_told_with_what_is_there_and_allowed(case: str, steady: SimpleNamespace) -> None:
+    call, said = WRONG[case]
+    with pytest.raises(RequestError, match=said):
+        call(steady)
+
+
+def test_a_branch_of_the_results_is_drawn_as_it_is() -> None:
+    tree = co.run(recorded(1200.0), recipe="maps")
+    assert len(co.plot.order_map(tree["order_map"], ax=new_axes()).images) == 1
+
+
+def test_no_thin_line_is_lost_however_few_the_pixels() -> None:
+    rng = np.random.default_rng(3)
+    for n, width in ((5000, 300), (7, 300), (300, 300)):
+        values, edges = np.zeros((1, n)), np.linspace(0.0, 10.0, n + 1)
+        place = int(rng.integers(n))
+        values[0, place] = 1.0
+        pixels = np.linspace(-1.0, 12.0, width + 1)
+        shown = pooled(values, edges, pixels, axis=1)[0]
+        hit = (pixels[:-1] < edges[place + 1] - 1e-12) & (pixels[1:] > edges[place] + 1e-12)
+        assert np.array_equal(shown == 1.0, hit)
+        assert np.all(np.isneginf(shown[(pixels[1:] <= 0.0) | (pixels[:-1] >= 10.0)]))
+        np.testing.assert_array_equal(pooled(values, edges, pixels[::-1], axis=1)[0], shown[::-1])
+
+
+def test_cells_and_words_are_those_of_the_report() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        speeds = np.unique(rng.uniform(300.0, 3000.0, rng.integers(1, 30)))
+        np.testing.assert_allclose(speed_cells(speeds), report_cells.speed_cells(speeds))
+        rows, edges = with_gaps(np.ones((len(speeds), 2)), speed_cells(speeds))
+        wanted, at = report_cells.cells_with_gaps(np.ones((len(speeds), 2)), speed_cells(speeds))
+        np.testing.assert_allclose(edges, at)
+        np.testing.assert_array_equal(np.isnan(rows), wanted < 0)
+    assert bin_edges(np.array([0.0, 1.0, 3.0])).tolist() == [-0.5, 0.5, 2.0, 4.0]
+    for order, ends in ((1.99973, [1.9995, 2.0003]), (3.58, [3.57, 3.59]), (5.5, None), (1.005, [1.004, 1.006])):
+        record = {"order": order, "order_ci95": ends}
+        assert nominal_order(record) == pytest.approx(report_notation.nominal_order(record), abs=1e-3)
+    assert order_texts([1.0, 1.0002, 2.5]) == ["1", "1.0002", "2.5"]
+
+
+def test_colours_are_those_of_the_report() -> None:
+    for name in (
+        "INK",
+        "FAINT",
+        "GRID",
+        "LIGHT",
+        "NOT_MEASURED",
+        "MODE",
+        "MODE_ON_MAP",
+        "MAINS",
+        "MAINS_ON_MAP",
+        "LINES",
+    ):
+        assert getattr(palette, name) == getattr(report_palette, name)
+    shown = matplotlib.colormaps[palette.LEVELS](np.arange(256), bytes=True)[:, :3]
+    assert np.abs(shown.astype(int) - level_colours()).max() <= 1
+
+
+def test_labels_are_spread_by_as_little_as_can_be() -> None:
+    assert spread([1.0, 5.0], [1.0, 1.0], low=0.0, high=10.0).tolist() == [1.0, 5.0]
+    assert spread([5.0, 5.0], [1.0, 1.0], low=0.0, high=10.0).tolist() == [4.5, 5.5]
+    assert spread([0.0, 9.9], [1.0, 1.0], low=0.0, high=10.0).tolist() == [0.5, 9.5]
+
+
+def test_a_whirl_moves_with_the_speed_and_a_tone_of_the_lines_is_shown() -> None:
+    findings = {
+        "modes": [{"frequency_hz": 50.0, "explained_by": "whirl", "speed_slope": 0.5, "reference_rpm": 600.0}],
+        "lines": [
+            {"channel": "a", "frequency_hz": 120.0, "explained_by": "60 Hz mains"},
+            {"channel": "a", "frequency_hz": 50.02, "explained_by": "unexplained"},
+            {"channel": "b", "frequency_hz": 70.0, "explained_by": "unexplained"},
+        ],
+    }
+    whirl, tone = found_in(findings, "a").fixed
+    assert whirl.at(1200.0) == pytest.approx(55.0)
+    assert (tone.frequency_hz, tone.tone) == (120.0, True)
