@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.lines.line_evidence import is_steady, log_chance_of_kurtosis
-from crankorder.identify.lines.order_lines import _has_fixed_frequency, order_lines
+from crankorder.identify.lines.order_lines import ANYWHERE_BINS, _has_fixed_frequency, _refined, order_lines
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -227,3 +227,10 @@ def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(s
         return np.fft.irfft(path * np.fft.rfft(rng.standard_normal(len(angle))), len(angle))
 
     assert lines_of(ringing, speeds=np.arange(300.0, 2001.0, 50.0), revs=300) == []
+
+
+def test_a_line_that_no_energy_shows_lies_anywhere_in_its_bin() -> None:
+    """Where its phase alone shows it nothing is left over the noise, at some speeds or at all of them."""
+    hidden, clear = np.zeros((1, 3)), np.array([[0.4, 1.0, 0.6]])
+    assert _refined(hidden, np.ones(1)) == (0.0, ANYWHERE_BINS)
+    assert _refined(np.concatenate([hidden, clear]), np.ones(2)) == _refined(clear, np.ones(1))

@@ -32,6 +32,9 @@ SWEPT_BINS = 0.15
 LEAST_BINS = 0.01
 """Standard error, in bins, that other lines' skirts and the slope of the noise leave in the place of any line."""
 
+ANYWHERE_BINS = float(np.sqrt(1.0 / 12.0))
+"""Standard deviation, in bins, of the place of a line that may lie anywhere within one."""
+
 SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
@@ -387,8 +390,11 @@ def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:
     window's main lobe tell the distance, (2 r - 1) / (1 + r) on the right and (1 - 2 l) / (1 + l) on the left (Rife
     and Vincent 1970); their mean has no bias from noise and errs by 0.61 / sqrt(signal-to-noise ratio). Speeds count
     by that ratio. Where both sides disagree by more than noise makes them the shape is not that of one steady line:
-    half of what they differ by is in the error too.
+    half of what they differ by is in the error too. A line that its phase alone shows lies somewhere within its bin.
     """
+    lobe, noise = lobe[lobe[:, 1] > 0.0], noise[lobe[:, 1] > 0.0]
+    if not len(lobe):
+        return 0.0, ANYWHERE_BINS
     left, right = lobe[:, 0] / lobe[:, 1], lobe[:, 2] / lobe[:, 1]
     by_right, by_left = (2.0 * right - 1.0) / (1.0 + right), (1.0 - 2.0 * left) / (1.0 + left)
     offset = 0.5 * (by_right + by_left)
