@@ -22,36 +22,37 @@ from crankorder.batch.ahead import Helper
 from crankorder.batch.balance import balance_of, publish_balance
 from crankorder.batch.balance import document_text as balance_text
 from crankorder.batch.campaign import run_plans
-from crankorder.batch.changed_gains import without_changed_gains
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
-from crankorder.batch.execute import Outcome, Progress, left_out_of, results_of_test, sources_of
-from crankorder.batch.plan import plan_tests, up_to_stated
+from crankorder.batch.execute import Outcome, Progress
+from crankorder.batch.in_memory import Recordings, analysed, engine_of, manifest_head
+from crankorder.batch.plan import TestPlan, plan_tests
 from crankorder.batch.store import DONE, json_bytes
-from crankorder.engine.definition import Engine, load_engine
-from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
+from crankorder.errors import InputError, RequestError
+from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, units_of
 from crankorder.ingest.folder import recordings_of
-from crankorder.ingest.manifest import Manifest, load_manifest, manifest_of
-from crankorder.ingest.rawfile import RawFile, Source
+from crankorder.ingest.manifest import load_manifest, manifest_of
+from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
-from crankorder.report.netcdf import findings_datasets
+from crankorder.report.netcdf import findings_datasets, plain_attrs
 from crankorder.settings import Settings, load_settings
 from crankorder.shaft.knowledge import ShaftKnowledge
-from crankorder.stages import RecordingResult, analyse_recording, analyse_shaft
+from crankorder.stages import analyse_shaft
 from crankorder.synth.write import write_scene
 
-Recordings = xr.Dataset | Sequence[xr.Dataset]
-"""One Recording, or several of one test."""
+MOST_FALSE = 0.5
+"""Share of claims that may be false, at most: more is no claim."""
+
+NO_MARK = "no_index"
+"""Flag of recordings without a mark, of which nobody is warned: who gives none knows."""
 
 Tables = Sequence[Mapping[str, Any]]
 """Tables of a manifest, such as its ``[[bearings]]``, with the manifest's keys."""
 
-CALL = "crankorder.recording"
-
 
 def recording(
-    signals: ArrayLike | Mapping[str, ArrayLike],
+    signals: Signals,
     *,
     rate_hz: float | None = None,
     samples_per_rev: int | None = None,
@@ -73,15 +74,16 @@ def recording(
 
     Parameters
     ----------
-    signals : channels by name, each (samples,); or an array (samples,) or (channels, samples)
+    signals : channels by name (a dict, a DataFrame), each (samples,); an array (samples,) or (channels, samples); or a
+        DataArray, of several channels with a dimension ``channel``
     rate_hz : samples per second of signals, encoder and index; > 0
     samples_per_rev : samples per crank revolution instead, where they were taken by crank angle
     unit : of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
-    pulse_times_s : times of the encoder's pulses, s, ascending
+    pulse_times_s : times of the encoder's pulses, s, ascending, on the clock of the samples (``start_s``)
     encoder : the encoder's voltage, (samples,), instead
     speed_rpm : speed of the crank instead, a number or (samples,)
-    pulses_per_rev : pulses per revolution of the whole wheel, missing teeth included
-    missing_teeth : teeth that the wheel lacks in one gap
+    pulses_per_rev : pulses per revolution of the whole wheel, missing teeth included: 60 of a 60-2 wheel
+    missing_teeth : teeth that the wheel lacks in one gap: 2 of a 60-2 wheel
     index : the once-per-revolution mark: its times in s beside ``pulse_times_s``, its voltage beside ``encoder``
     index_to_tdc_deg : angle from the mark to top dead centre; without it phases refer to the mark
     ratio : encoder revolutions per crank revolution
@@ -89,7 +91,7 @@ def recording(
     start_s, start_deg : time or crank angle of the first sample
     name : what flags and errors call the recording
 
-    Without pulses, encoder and speed the crank angle is not known: frequencies can be told, orders not.
+    What was doubted or mended stands in ``attrs["quality"]`` (JSON); what is suspect in a test is warned of.
     Raises RequestError or ManyErrors where the arguments contradict each other, InputError where the data are damaged.
 
     >>> import numpy as np, crankorder as co
@@ -98,40 +100,56 @@ def recording(
     >>> made["signal"].sizes["time"], made.attrs["rate_hz"]
     (40000, 10000.0)
     """
-    columns, names = _columns(signals)
+    channels = columns_of(signals)
     told = {"pulse_times_s": pulse_times_s, "encoder": encoder, "speed_rpm": speed_rpm}
+    table, shaft = _shaft(told, by_angle=rate_hz is None, without=cycle == "none")
+    if "source" in shaft:
+        wheel = {"pulses_per_rev": pulses_per_rev, "missing_teeth": missing_teeth or None}
+        table |= {key: count(value, key) for key, value in wheel.items() if value is not None}
+        table |= {} if index_to_tdc_deg is None else {"index_to_tdc_deg": number(index_to_tdc_deg, "index_to_tdc_deg")}
+        shaft |= {} if index is None else {"index": column(index, "index")}
+    elif not (pulses_per_rev is None and index is None and index_to_tdc_deg is None and not missing_teeth):
+        place = "pulses_per_rev, missing_teeth, index, index_to_tdc_deg"
+        raise RequestError("goes with pulse_times_s or encoder", file=CALL, place=place)
+    if (rate_hz is None) == (samples_per_rev is None):
+        raise RequestError("state rate_hz, or samples_per_rev of samples by crank angle", file=CALL)
+    by_angle = {"domain": "crank_angle", "start_deg": number(start_deg, "start_deg")}
+    by_time = {"rate_hz": number(rate_hz, "rate_hz")} if samples_per_rev is None else {}
+    sampling = by_time or by_angle | {"samples_per_rev": count(samples_per_rev, "samples_per_rev")}
+    table |= {role: len(channels) + place for place, role in enumerate(shaft)}
+    table["ratio"] = number(ratio, "ratio")
+    units = units_of(unit, list(channels))
+    named = [{"name": key, "source": place, "unit": units[key]} for place, key in enumerate(channels)]
+    manifest = manifest_of(
+        {**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}, Path(CALL), {}
+    )
+    start = number(start_s, "start_s")
+    if pulse_times_s is not None:
+        check_times(shaft["source"], start, len(next(iter(channels.values()))) / by_time["rate_hz"])
+    raw = RawFile(
+        dict(enumerate([*channels.values(), *shaft.values()])),
+        units=dict(enumerate(units.values())),
+        attrs={"start_s": start},
+    )
+    settings = load_settings()
+    return recording_of(raw, Path(name), manifest, settings=settings.ingest, shaft=settings.shaft)
+
+
+def _shaft(told: Mapping[str, Any], *, by_angle: bool, without: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The manifest's ``[encoder]`` and its columns by role, of the one of pulses, encoder, speed that was ``told``."""
     given = [key for key, value in told.items() if value is not None]
     if len(given) > 1:
         problem = "the shaft is told in more than one way"
         raise RequestError(problem, file=CALL, found=", ".join(given), allowed=f"one of {', '.join(told)}")
-    if (rate_hz is None) == (samples_per_rev is None):
-        raise RequestError("state rate_hz, or samples_per_rev of samples by crank angle", file=CALL)
-    table: dict[str, Any] = {"ratio": float(ratio)}
-    places: dict[str, ArrayLike] = {}
-    if pulse_times_s is not None or encoder is not None:
-        places["source"] = pulse_times_s if pulse_times_s is not None else encoder  # type: ignore[assignment]
-        table |= {"kind": "square" if pulse_times_s is None else "pulse_times", "missing_teeth": missing_teeth}
-        table |= {} if pulses_per_rev is None else {"pulses_per_rev": pulses_per_rev}
-        table |= {} if index_to_tdc_deg is None else {"index_to_tdc_deg": float(index_to_tdc_deg)}
-        if index is not None:
-            places["index"] = index
-    elif speed_rpm is not None and np.ndim(speed_rpm) == 0:
-        table |= {"kind": "constant", "speed_rpm": float(np.asarray(speed_rpm))}
-    elif speed_rpm is not None:
-        table["kind"] = "speed"
-        places["source"] = speed_rpm
-    for role, values in places.items():
-        table[role] = len(columns)
-        columns[len(columns)] = _column(values, role if role == "index" else given[0])
-    units = {key: unit if isinstance(unit, str) else unit.get(key, "") for key in names}
-    channels = [{"name": key, "source": place, "unit": units[key]} for place, key in enumerate(names)]
-    by_angle = {"domain": "crank_angle", "samples_per_rev": samples_per_rev, "start_deg": float(start_deg)}
-    sampling = by_angle if rate_hz is None else {"rate_hz": float(rate_hz)}
-    stated = {**_head(name, cycle, channels), "sampling": sampling, "encoder": table}
-    manifest = manifest_of(stated, Path(CALL), {})
-    raw = RawFile(columns, units=dict(enumerate(units.values())), attrs={"start_s": float(start_s)})
-    settings = load_settings()
-    return recording_of(raw, Path(name), manifest, settings=settings.ingest, shaft=settings.shaft)
+    if not given:
+        if not by_angle and not without:
+            remedy = 'State cycle="none" where nothing turns, or where frequencies are enough'
+            raise RequestError(f"state one of {', '.join(told)}", file=CALL, remedy=remedy)
+        return {"kind": "none"}, {}
+    if given[0] == "speed_rpm" and np.ndim(told["speed_rpm"]) == 0:
+        return {"kind": "constant", "speed_rpm": number(told["speed_rpm"], "speed_rpm")}, {}
+    kind = {"pulse_times_s": "pulse_times", "encoder": "square", "speed_rpm": "speed"}[given[0]]
+    return {"kind": kind}, {"source": column(told[given[0]], given[0])}
 
 
 def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | None = None) -> Any:
@@ -176,8 +194,10 @@ def crank_angle(recording: xr.Dataset, *, engine: str | None = None) -> xr.Datas
     >>> round(float(co.crank_angle(made)["speed"].mean()), 3)
     1500.0
     """
+    if not isinstance(recording, xr.Dataset):
+        raise RequestError("not a Recording", file="crankorder.crank_angle", found=type(recording).__name__)
     check_dataset(recording, "recording")
-    return analyse_shaft(recording, load_settings(), ShaftKnowledge(_engine(engine)))
+    return analyse_shaft(recording, load_settings(), ShaftKnowledge(engine_of(engine)))
 
 
 def order_map(
@@ -191,6 +211,9 @@ def order_map(
 ) -> xr.Dataset:
     """Order spectra of ``recordings`` against speed (OrderMap): peak amplitude and phase, (channel, speed, order).
 
+    A line is ``amplitude * cos(2 pi order crank_angle + phase)``, the crank angle in revolutions from top dead centre
+    or, where that is not stated, from the mark; ``phase`` is in degrees, NaN where recordings have no mark in common.
+
     ``max_order``: highest order. ``revs_per_frame``: orders are 1 / this apart. ``speed_bin_rpm``: frames whose speeds
     differ by less are averaged. ``tol``: relative amplitude error that the numerics may add, 1e-12 to 0.1. ``recipe``:
     a shipped recipe or the path of one, for all that is not given. Raises InputError where no recording can be used.
@@ -203,7 +226,7 @@ def order_map(
     """
     orders = {"max_order": max_order, "revs_per_frame": revs_per_frame, "speed_bin_rpm": speed_bin_rpm}
     settings = _settings("order_map", recipe=recipe, orders={**orders, "tolerance": tol})
-    return _made(recordings, settings)[0]["order_map"]
+    return _analysed(recordings, settings)[0]["order_map"]
 
 
 def campbell_map(
@@ -228,13 +251,13 @@ def campbell_map(
     """
     campbell = {"max_frequency_hz": max_frequency_hz, "resolution_hz": resolution_hz}
     settings = _settings("campbell_map", recipe=recipe, campbell=campbell, orders={"speed_bin_rpm": speed_bin_rpm})
-    return _made(recordings, settings)[0]["campbell_map"]
+    return _analysed(recordings, settings)[0]["campbell_map"]
 
 
 def order_tracks(
     recordings: Recordings,
     *,
-    orders: Sequence[float] | None = None,
+    orders: float | Sequence[float] | None = None,
     method: str | None = None,
     recipe: str | None = None,
 ) -> xr.Dataset:
@@ -250,9 +273,10 @@ def order_tracks(
     >>> round(float(co.order_tracks(made, orders=[3.0])["amplitude"].item()), 3)
     2.0
     """
-    results = ("order_map", "order_tracks", *(() if orders else ("campbell_map", "findings")))
-    asked = {"track_orders": tuple(float(order) for order in orders or ()) or None, "track_method": method}
-    return _made(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"]
+    named = None if orders is None else tuple(np.atleast_1d(np.asarray(orders, dtype=np.float64)).tolist())
+    results = ("order_map", "order_tracks", *(() if named else ("campbell_map", "findings")))
+    asked = {"track_orders": named, "track_method": method}
+    return _analysed(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"]
 
 
 def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | None = None) -> xr.Dataset:
@@ -272,7 +296,7 @@ def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | Non
     if not bearings:
         raise RequestError("no bearing is named", file="crankorder.envelope", allowed="bearings=[{...}], one or more")
     settings = _settings("envelope_map", recipe=recipe)
-    return _made(recordings, settings, tables={"bearings": bearings})[0]["envelope_map"]
+    return _analysed(recordings, settings, tables={"bearings": bearings})[0]["envelope_map"]
 
 
 def diagnose(
@@ -300,7 +324,7 @@ def diagnose(
     """
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
     settings = _settings("order_map", "campbell_map", "findings", recipe=recipe)
-    return _made(recordings, settings, tables=tables, engine=engine, test=test)[1]
+    return _analysed(recordings, settings, tables=tables, engine=engine, test=test)[1]
 
 
 def run(
@@ -339,6 +363,9 @@ def run(
     if paths and all(isinstance(path, str | os.PathLike) for path in paths):
         if out is None:
             raise RequestError("folders are analysed into a folder", file="crankorder.run", place="out")
+        if engine or bearings or gears or motor:
+            problem = "what a machine of folders is made of stands in their manifests"
+            raise RequestError(problem, file="crankorder.run", place="engine, bearings, gears, motor")
         folders = [Path(os.fspath(path)) for path in paths if isinstance(path, str | os.PathLike)]
         elsewhere = None if manifest is None else Path(manifest)
         plans = plan_tests(folders, Path(out), manifest=elsewhere, recipe=recipe, tolerance=tol)
@@ -347,10 +374,14 @@ def run(
     if out is not None or manifest is not None:
         problem = "recordings in memory have no manifest and write no file"
         raise RequestError(problem, file="crankorder.run", found="out" if out is not None else "manifest")
-    settings = load_settings(recipe, asked={"orders": {} if tol is None else {"tolerance": tol}})
+    settings = load_settings(_name(recipe), asked={"orders": {} if tol is None else {"tolerance": tol}})
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
-    groups, findings = _made(tests, settings, tables=tables, engine=engine, test=test, strict=strict)  # type: ignore[arg-type]
-    return xr.DataTree.from_dict({**groups, **findings_datasets(findings)}, name=test)
+    options = {"tables": tables, "engine": engine, "test": test, "strict": strict}
+    groups, findings = _analysed(tests, settings, **options)  # type: ignore[arg-type]
+    tables_of = {name: plain_attrs(table) for name, table in findings_datasets(findings).items()}
+    return xr.DataTree.from_dict(
+        {**{name: plain_attrs(group) for name, group in groups.items()}, **tables_of}, name=test
+    )
 
 
 def open(path: str | os.PathLike[str]) -> xr.DataTree:
@@ -372,11 +403,8 @@ def open(path: str | os.PathLike[str]) -> xr.DataTree:
         allowed = "a results.nc, the folder of a test, or the --out of a run"
         raise RequestError("no finished results here", file=given, allowed=allowed)
     if len(files) == 1:
-        return xr.open_datatree(files[0], engine="h5netcdf")
-    tree = xr.DataTree(name=given.name)
-    for file in files:
-        tree[file.parent.name] = xr.open_datatree(file, engine="h5netcdf")
-    return tree
+        return _tree(files[0])
+    return xr.DataTree(name=given.name, children={file.parent.name: _tree(file) for file in files})
 
 
 def compare(
@@ -400,6 +428,12 @@ def compare(
     ...     co.compare(work + "/first", work + "/again")["headline"]
     ['No difference: nothing changed by more than chance alone would change it.']
     """
+    if not new:
+        raise RequestError("name the results that are compared with base", file="crankorder.compare", place="new")
+    if not 0.0 < fdr <= MOST_FALSE:
+        raise RequestError(
+            "out of range", file="crankorder.compare", place="fdr", found=fdr, allowed=f"above 0, to {MOST_FALSE}"
+        )
     made = compare_results(Path(base), [Path(one) for one in new], q=fdr, correlated=any_dependence)
     if out is not None:
         publish_comparison(made, Path(out))
@@ -443,82 +477,48 @@ def synthesise(scene: str, out: str | os.PathLike[str], *, quick: bool = False) 
     return write_scene(scene, Path(out), quick=quick)
 
 
-def _columns(signals: ArrayLike | Mapping[str, ArrayLike]) -> tuple[dict[Source, NDArray[Any]], list[str]]:
-    """Copies of the signals by position, and their names."""
-    if isinstance(signals, Mapping):
-        return {place: _column(row, str(key)) for place, (key, row) in enumerate(signals.items())}, [*map(str, signals)]
-    allowed = "(samples,) or (channels, samples)"
-    try:
-        rows = np.atleast_2d(np.asarray(signals))
-    except ValueError as error:
-        raise RequestError("the channels differ in length", file=CALL, found=error, allowed=allowed) from None
-    if rows.ndim != 2:
-        raise RequestError("the signals have the wrong shape", file=CALL, found=rows.shape, allowed=allowed)
-    names = ["signal"] if len(rows) == 1 else [f"signal {place + 1}" for place in range(len(rows))]
-    return {place: _column(row, name) for (place, row), name in zip(enumerate(rows), names, strict=True)}, names
-
-
-def _column(values: ArrayLike, name: str) -> NDArray[Any]:
-    """A copy of ``values`` as real numbers of one axis: what is mended later is not the caller's."""
-    column = np.asarray(values)
-    if column.ndim != 1 or column.dtype.kind not in "fiub":
-        found = f"{column.dtype} of shape {column.shape}"
-        raise RequestError("must be real numbers, one for each sample", file=CALL, place=name, found=found)
-    return np.array(column, dtype=np.float32 if column.dtype == np.float32 else np.float64)
-
-
-def _head(name: str, cycle: str, channels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What every manifest states."""
-    return {
-        "schema_version": 1,
-        "test": {"name": name, "cycle": cycle},
-        "recordings": {"files": [name]},
-        "channels": list(channels),
-    }
-
-
-def _engine(name: str | None) -> Engine | None:
-    return None if name is None else load_engine(name)
-
-
 def _settings(*results: str, recipe: str | None, **stages: Mapping[str, Any]) -> Settings:
     """Settings of ``recipe`` that ask for ``results``, with what was given (not None) of each of ``stages``."""
     asked = {
-        stage: {key: value for key, value in table.items() if value is not None} for stage, table in stages.items()
+        stage: {key: _plain(value) for key, value in table.items() if value is not None}
+        for stage, table in stages.items()
     }
-    return load_settings(recipe, asked={**asked, "report": {"results": results}})
+    return load_settings(_name(recipe), asked={**asked, "report": {"results": results}})
 
 
-def _made(
-    recordings: Recordings,
-    settings: Settings,
-    *,
-    tables: Mapping[str, Any] | None = None,
-    engine: str | None = None,
-    test: str = "test",
-    strict: bool = False,
+def _name(recipe: str | None) -> str | None:
+    if recipe is not None and not isinstance(recipe, str):
+        raise RequestError("a recipe is a shipped name or a path", file="recipe", found=repr(recipe))
+    return recipe
+
+
+def _plain(value: Any) -> Any:
+    """``value`` of a setting as Python has it: a NumPy number is none to a file of settings."""
+    made = value.item() if isinstance(value, np.generic) else value
+    return round(made) if isinstance(made, float) and made.is_integer() else made
+
+
+def _analysed(
+    recordings: Recordings, settings: Settings, *, tables: Mapping[str, Any] | None = None, **options: Any
 ) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
-    """Groups and findings of ``recordings``, as a run makes them of files."""
-    given = _each(recordings)
-    manifest = _machine(given, tables or {}, test)
-    settings, known = up_to_stated(settings, manifest), _engine(engine)
-    faults: list[CrankorderError] = []
-    results: dict[Path, RecordingResult] = {}
-    for name, one in given.items():
-        try:
-            results[Path(name)] = analyse_recording(one, manifest, settings, ShaftKnowledge(known))
-        except InputError as error:
-            faults.append(error)
-    results = without_changed_gains(results, settings=settings.ingest)
-    faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
-    if not results:
-        raise faults[0] if len(faults) == 1 else NoUsableRecordingError("no recording could be used", found=faults[0])
-    sources = sources_of(manifest, known, settings)
-    groups, findings, left_out = results_of_test(
-        results, test=test, sources=sources, settings=settings, flags=[], faults=faults
-    )
-    _warn([*faults, *left_out])
+    """Groups and findings of ``recordings``; what was left out and what is suspect is warned of."""
+    groups, findings, faults = analysed(recordings, settings, tables=tables or {}, **options)
+    _warn(faults)
+    suspect = [flag for flag in findings["quality"] if flag["severity"] == "suspect" and flag["flag"] != NO_MARK]
+    _warn([f"{flag['recording']}: {flag['flag']}: {flag['detail']}" for flag in suspect])
     return groups, _document(json_bytes(findings))
+
+
+def _tree(file: Path) -> xr.DataTree:
+    """The groups of the results ``file``, read as they are touched."""
+    remedy = "Give a results.nc that crankorder wrote; a recording is read by crankorder.read"
+    try:
+        tree = xr.open_datatree(file, engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError("cannot be read as results", file=file, found=error, remedy=remedy) from None
+    if not tree.children:
+        raise InputError("holds no results", file=file, remedy=remedy)
+    return tree
 
 
 def _document(text: str | bytes) -> dict[str, Any]:
@@ -527,36 +527,7 @@ def _document(text: str | bytes) -> dict[str, Any]:
     return document
 
 
-def _each(recordings: Recordings) -> dict[str, xr.Dataset]:
-    """Recordings by names of their own: a name that comes again gets a number."""
-    given = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
-    if not given:
-        raise RequestError("no recording is given", file="recordings", allowed="a Recording, or several of one test")
-    named: dict[str, xr.Dataset] = {}
-    for one in given:
-        if not isinstance(one, xr.Dataset):
-            raise RequestError("not a Recording", file="recordings", found=type(one).__name__)
-        check_dataset(one, "recording")
-        stem = name = str(one.attrs["recording"])
-        number = 2
-        while name in named:
-            name, number = f"{stem} ({number})", number + 1
-        named[name] = one.assign_attrs(recording=name)
-    return named
-
-
-def _machine(given: Mapping[str, xr.Dataset], tables: Mapping[str, Any], test: str) -> Manifest:
-    """Manifest of the recordings ``given`` with the ``tables`` that say what the machine is made of."""
-    first = next(iter(given.values()))
-    with_shaft = "four-stroke" if int(first.attrs["revs_per_cycle"]) == 2 else "rotor"
-    cycle = with_shaft if first.attrs.get("has_shaft", 1) else "none"
-    columns = (first[key].values.tolist() for key in ("channel", "unit"))
-    channels = [dict(zip(("name", "unit"), row, strict=True)) for row in zip(*columns, strict=True)]
-    stated = {key: dict(table) if isinstance(table, Mapping) else list(table) for key, table in tables.items() if table}
-    return manifest_of({**_head(test, cycle, channels), **stated}, Path("machine"), {})
-
-
-def _run_folders(plans: list[Any], out: Path, jobs: int, *, fresh: bool, strict: bool) -> None:
+def _run_folders(plans: list[TestPlan], out: Path, jobs: int, *, fresh: bool, strict: bool) -> None:
     """Run ``plans``; what was left out is warned of, and what nobody foresaw is raised."""
 
     @contextmanager
@@ -580,6 +551,6 @@ def _warn_of(outcome: Outcome) -> None:
     _warn([*outcome.faults, *outcome.internal])
 
 
-def _warn(faults: Sequence[BaseException]) -> None:
+def _warn(faults: Sequence[BaseException | str]) -> None:
     for fault in faults:
         warnings.warn(str(fault), UserWarning, stacklevel=3)

@@ -15,7 +15,7 @@ import xarray as xr
 
 import crankorder as co
 from crankorder import front_door
-from crankorder.errors import InputError, ManyErrors, RequestError
+from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
 
 RATE_HZ, SPEED_RPM = 8192.0, 1470.0
 TIME = np.arange(int(6.0 * RATE_HZ)) / RATE_HZ
@@ -101,7 +101,7 @@ def test_samples_by_crank_angle_need_no_speed() -> None:
 
 
 def test_units_are_those_stated() -> None:
-    made = co.recording({"a": line(1.0, 1.0), "p": line(1.0, 1.0)}, rate_hz=RATE_HZ, unit={"a": "g", "p": "bar"})
+    made = made_of({"a": line(1.0, 1.0), "p": line(1.0, 1.0)}, unit={"a": "g", "p": "bar"})
     assert made["unit"].values.tolist() == ["g", "bar"]
     assert made["quantity"].values.tolist() == ["acceleration", "pressure"]
 
@@ -182,7 +182,81 @@ def test_what_a_bearing_is_made_of_is_said_as_in_a_manifest() -> None:
         co.envelope(made)
 
 
+def made_of(signals: object, **options: object) -> xr.Dataset:
+    """A Recording at the speed and rate of this file."""
+    return co.recording(signals, **{"rate_hz": RATE_HZ, "speed_rpm": SPEED_RPM, **options})
+
+
+def test_channels_are_joined_by_their_names_and_those_of_others_are_refused() -> None:
+    x, z = line(1.0, 1.0), line(1.0, 2.0)
+    first = made_of({"X": x, "Z": z})
+    shown = co.order_map([first, made_of({"Z": z, "X": x}, speed_rpm=1800.0)])["amplitude"].sel(
+        order=1.0, method="nearest"
+    )
+    np.testing.assert_allclose(shown.sel(channel="X") / shown.sel(channel="Z"), 0.5, rtol=1e-6)
+    for other in ({"X": x, "Y": z}, {"X": x}):
+        with pytest.raises(RequestError, match="same channels"):
+            co.order_map([first, made_of(other)])
+    with pytest.raises(RequestError, match="same channels, units"):
+        co.order_map([first, made_of({"X": x, "Z": z}, unit={"X": "g", "Z": "m/s2"})])
+    with pytest.raises(RequestError, match="same channels, units and cycle"):
+        co.order_map([first, made_of({"X": x, "Z": z}, cycle="four-stroke")])
+
+
+@pytest.mark.parametrize("recipe", ["maps", None])
+def test_results_in_memory_are_saved_and_opened_as_any_tree(recipe: str | None, tmp_path: Path) -> None:
+    tree = co.run(made_of(line(1.0, 1.0) + 0.01 * np.random.default_rng(1).standard_normal(len(TIME))), recipe=recipe)
+    tree.to_netcdf(tmp_path / "saved.nc", engine="h5netcdf")
+    again = co.open(tmp_path / "saved.nc")
+    assert set(again.children) == set(tree.children)
+    np.testing.assert_array_equal(again["order_map/amplitude"].values, tree["order_map/amplitude"].values)
+
+
+def test_numbers_of_any_type_are_numbers() -> None:
+    pulses = np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60).astype(np.float32)
+    made = co.recording(
+        line(3.0, 1.0).astype(np.float32), rate_hz=np.array(RATE_HZ), pulse_times_s=pulses, pulses_per_rev=np.int64(60)
+    )
+    for options in ({"max_order": np.int64(8)}, {"max_order": 8, "revs_per_frame": 8.0}):
+        assert float(co.order_map(made, **options)["amplitude"].sel(order=3.0).item()) == pytest.approx(1.0, rel=2e-3)
+    for orders in (3.0, np.array([1.0, 3.0]), (3,)):
+        tracks = co.order_tracks(made, orders=orders)["amplitude"]
+        assert float(tracks.sel(order=3.0).item()) == pytest.approx(1.0, rel=2e-3)
+            1.0, rel=2e-3
+        )
+
+
+def test_tables_and_named_arrays_keep_their_names_and_masks_are_gaps() -> None:
+    array = xr.DataArray(np.stack([line(1.0, 1.0), line(1.0, 2.0)], axis=1), dims=("time", "channel"))
+    assert made_of(array.assign_coords(channel=["a", "b"]))["channel"].values.tolist() == ["a", "b"]
+    assert made_of(xr.DataArray(line(1.0, 1.0), dims="time", name="housing"))["channel"].values.tolist() == ["housing"]
+    masked = np.ma.masked_where((TIME > 2.0) & (TIME < 2.2), line(1.0, 1.0))
+    assert "gap" in made_of(masked).attrs["quality"] or "missing" in made_of(masked).attrs["quality"]
+
+
+def test_what_is_suspect_is_warned_of() -> None:
+    pulses = np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60)
+    gapped = pulses[(np.arange(len(pulses)) % 60) < 58]
+    made = co.recording(line(3.0, 1.0), rate_hz=RATE_HZ, pulse_times_s=gapped, pulses_per_rev=58)
+    with pytest.warns(UserWarning, match="encoder_missing_pulse"):
+        co.order_map(made)
+
+
+def test_what_is_no_results_file_is_told(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "results.nc").write_bytes(b"no netcdf")
+    for path in (tmp_path, folder / "run.toml"):
+        with pytest.raises(InputError, match="results"):
+            co.open(path)
+
+
 REFUSED = {
+    "sample numbers": ({"pulse_times_s": np.arange(100, 40_000, 5), "pulses_per_rev": 60}, "outside the recording"),
+    "nothing told": ({"speed_rpm": None}, 'cycle="none"'),
+    "a mark of a speed": ({"speed_rpm": 1500.0, "index": [0.1, 0.2]}, "goes with pulse_times_s or encoder"),
+    "units in a list": ({"unit": ["g"]}, "must be a unit"),
+    "a unit of another": ({"unit": {"x": "g"}}, "each channel has a unit"),
+    "a rate in words": ({"rate_hz": "10 kHz"}, "must be a finite number"),
+    "half a pulse": ({"encoder": square(60), "pulses_per_rev": 60.5}, "must be a whole number"),
     "two ways": ({"speed_rpm": 1500.0, "encoder": square(60)}, "more than one way"),
     "no rate": ({"rate_hz": None}, "state rate_hz"),
     "no shaft by crank angle": ({"cycle": "none", "speed_rpm": 1500.0}, "structure without a shaft"),
@@ -194,23 +268,41 @@ REFUSED = {
 }
 
 
+TELLS = {"speed_rpm", "encoder", "pulse_times_s"}
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_arguments_that_cannot_be_are_refused_with_what_they_are(case: str) -> None:
     options, said = REFUSED[case]
     with pytest.raises((RequestError, ManyErrors, InputError), match=said):
-        co.recording(line(1.0, 1.0), **{"rate_hz": RATE_HZ, **options})
+        co.recording(
+            line(1.0, 1.0),
+            **{"rate_hz": RATE_HZ, **({"speed_rpm": 1500.0} if not TELLS & set(options) else {}), **options},
+        )
 
 
-@pytest.mark.parametrize("signals", [[[1.0j] * 9], np.zeros((2, 3, 4)), ["a", "b"], [], [[1.0, 2.0], [3.0]]])
+@pytest.mark.parametrize(
+    "signals", [[[1.0j] * 9], np.zeros((2, 3, 4)), ["a", "b"], [], {}, np.zeros((40, 3)), [[1.0, 2.0], [3.0]]]
+)
 def test_signals_that_are_none_are_refused(signals: object) -> None:
     with pytest.raises((RequestError, InputError)):
         co.recording(signals, rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
 
 
 def test_only_recordings_have_maps() -> None:
-    for given, said in (("a folder", "not a Recording"), ([], "no recording"), (xr.Dataset(), "missing")):
-        with pytest.raises(Exception, match=said):
+    for given, said in (
+        ("a folder", "not a Recording"),
+        (None, "not a Recording"),
+        ([], "no recording"),
+        (xr.Dataset(), "missing"),
+    ):
+        with pytest.raises(CrankorderError, match=said):
             co.order_map(given)
+    with pytest.raises(RequestError, match="not a Recording"):
+        co.crank_angle([made_of(line(1.0, 1.0))])
+    for options in ({"recipe": 5}, {"recipe": "nope"}, {"max_order": "20"}, {"tol": 5.0}):
+        with pytest.raises((RequestError, ManyErrors)):
+            co.order_map(made_of(line(1.0, 1.0)), **options)
 
 
 def test_recordings_of_one_name_stay_apart() -> None:
@@ -223,5 +315,11 @@ def test_folders_need_a_place_for_results_and_recordings_none(folder: Path, tmp_
         co.run(folder)
     with pytest.raises(RequestError, match="write no file"):
         co.run(co.read(folder), out=tmp_path)
+    with pytest.raises(RequestError, match="stands in their manifests"):
+        co.run(folder, out=tmp_path / "out", bearings=[{"name": "front"}])
     with pytest.raises(RequestError, match="no finished results"):
         co.open(tmp_path)
+    with pytest.raises(RequestError, match="name the results"):
+        co.compare(tmp_path)
+    with pytest.raises(RequestError, match="out of range"):
+        co.compare(tmp_path, tmp_path, fdr=2.0)

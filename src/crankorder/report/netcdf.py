@@ -77,6 +77,13 @@ def _as_stored(values: xr.DataArray) -> xr.DataArray:
     return values.copy(data=_narrow(str(values.name), values.values))
 
 
+def plain_attrs(dataset: xr.Dataset) -> xr.Dataset:
+    """``dataset`` with attributes that any NetCDF writer takes: numbers, arrays of numbers and text."""
+    made = dataset.copy(deep=False)
+    made.attrs = _plain(dataset.attrs)
+    return made
+
+
 def _write_group(group: h5py.Group, dataset: xr.Dataset, number: Iterator[int]) -> None:
     """Write ``dataset`` into ``group``; ``number`` counts the dimensions of the file."""
     write_attrs(group.id, _plain(dataset.attrs))

@@ -1,0 +1,133 @@
+"""Recordings in memory, analysed together as a run analyses those of a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from crankorder.batch.changed_gains import without_changed_gains
+from crankorder.batch.execute import left_out_of, results_of_test, sources_of
+from crankorder.batch.plan import up_to_stated
+from crankorder.engine.definition import Engine, load_engine
+from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
+from crankorder.ingest.manifest import Manifest, manifest_of
+from crankorder.quantities import check_dataset
+from crankorder.settings import Settings
+from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.stages import RecordingResult, analyse_recording
+
+Recordings = xr.Dataset | Sequence[xr.Dataset]
+"""One Recording, or several of one test."""
+
+
+def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What every manifest states: the ``name`` of the test, its ``cycle`` and its ``channels``."""
+    return {
+        "schema_version": 1,
+        "test": {"name": name, "cycle": cycle},
+        "recordings": {"files": [name]},
+        "channels": list(channels),
+    }
+
+
+def engine_of(name: str | None) -> Engine | None:
+    """The shipped engine ``name``, or that of a TOML file of this path; None without a name."""
+    if name is not None and not isinstance(name, str):
+        raise RequestError("an engine is a shipped name or a path", file="engine", found=repr(name))
+    return None if name is None else load_engine(name)
+
+
+def analysed(
+    recordings: Recordings,
+    settings: Settings,
+    *,
+    tables: Mapping[str, Any],
+    engine: str | None = None,
+    test: str = "test",
+    strict: bool = False,
+) -> tuple[dict[str, xr.Dataset], dict[str, Any], list[CrankorderError]]:
+    """Groups and findings of ``recordings``, as a run makes them of files, and the faults of what it left out.
+
+    ``settings`` of all stages; ``tables`` of the manifest that say what the machine is made of; ``engine``: its name or
+    path; ``test``: the name of the test; ``strict`` leaves out what is "suspect" too.
+    Raises RequestError or ManyErrors where the request is wrong, InputError where no recording can be used.
+    """
+    given = _each(recordings)
+    manifest = _machine(given, tables, test)
+    settings, known = up_to_stated(settings, manifest), engine_of(engine)
+    faults: list[CrankorderError] = []
+    results: dict[Path, RecordingResult] = {}
+    for name, one in given.items():
+        try:
+            results[Path(name)] = analyse_recording(one, manifest, settings, ShaftKnowledge(known))
+        except InputError as error:
+            faults.append(error)
+    results = without_changed_gains(results, settings=settings.ingest)
+    faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
+    if not results:
+        raise faults[0] if len(faults) == 1 else NoUsableRecordingError("no recording could be used", found=faults[0])
+    sources = sources_of(manifest, known, settings)
+    groups, findings, left_out = results_of_test(
+        results, test=test, sources=sources, settings=settings, flags=[], faults=faults
+    )
+    return groups, findings, [*faults, *left_out]
+
+
+def _each(recordings: Recordings) -> dict[str, xr.Dataset]:
+    """Recordings by names of their own: a name that comes again gets a number."""
+    given = list(recordings) if isinstance(recordings, list | tuple) else [recordings]
+    if not given:
+        raise RequestError("no recording is given", file="recordings", allowed="a Recording, or several of one test")
+    named: dict[str, xr.Dataset] = {}
+    for one in given:
+        if not isinstance(one, xr.Dataset):
+            raise RequestError("not a Recording", file="recordings", found=type(one).__name__)
+        check_dataset(one, "recording")
+        stem = name = str(one.attrs["recording"])
+        number = 2
+        while name in named:
+            name, number = f"{stem} ({number})", number + 1
+        named[name] = one.assign_attrs(recording=name)
+    return _alike(named)
+
+
+def _alike(named: dict[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """Recordings ``named`` with their channels in one order; those that have not the same ones are refused."""
+    first_name, first = next(iter(named.items()))
+    wanted = _channels(first)
+    for name, one in named.items():
+        found = _channels(one)
+        if found != wanted or one.attrs["revs_per_cycle"] != first.attrs["revs_per_cycle"]:
+            cycles = f"{one.attrs['revs_per_cycle']} revolutions per cycle"
+            raise RequestError(
+                "the recordings of one test have the same channels, units and cycle",
+                file=name,
+                found=f"{', '.join(f'{key} [{unit}]' for key, unit in found.items())}; {cycles}",
+                allowed=f"as {first_name}: {', '.join(f'{key} [{unit}]' for key, unit in wanted.items())}",
+            )
+    order = [str(key) for key in first["channel"].values]
+    made = {}
+    for name, one in named.items():
+        found_at = {str(key): place for place, key in enumerate(one["channel"].values)}
+        same = list(found_at) == order
+        made[name] = one if same else one.isel(channel=[found_at[key] for key in order])
+    return made
+
+
+def _channels(one: xr.Dataset) -> dict[str, str]:
+    """Unit of each channel, by name."""
+    return dict(sorted(zip(map(str, one["channel"].values), map(str, one["unit"].values), strict=True)))
+
+
+def _machine(given: Mapping[str, xr.Dataset], tables: Mapping[str, Any], test: str) -> Manifest:
+    """Manifest of the recordings ``given`` with the ``tables`` that say what the machine is made of."""
+    first = next(iter(given.values()))
+    with_shaft = "four-stroke" if int(first.attrs["revs_per_cycle"]) == 2 else "rotor"
+    cycle = with_shaft if first.attrs.get("has_shaft", 1) else "none"
+    columns = (first[key].values.tolist() for key in ("channel", "unit"))
+    channels = [dict(zip(("name", "unit"), row, strict=True)) for row in zip(*columns, strict=True)]
+    stated = {key: dict(table) if isinstance(table, Mapping) else list(table) for key, table in tables.items() if table}
+    return manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"), {})

@@ -1,0 +1,126 @@
+"""Arrays of a notebook as the columns of a file, and what their caller says of them as the tables of a manifest."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from crankorder.errors import RequestError
+
+CALL = "crankorder.recording"
+"""What errors call the arguments of a recording."""
+
+INSIDE = 0.5
+"""Share of the pulses, at least, that lies within the recording: others are counted in another unit."""
+
+Signals = ArrayLike | Mapping[str, ArrayLike]
+
+
+def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
+    """Copies of the channels of ``signals`` by name: what is mended later is not the caller's.
+
+    ``signals``: a mapping or table (DataFrame) of channels by name; an xarray DataArray with a dimension ``channel``,
+    or one without; or an array (samples,) or (channels, samples). Raises RequestError where they are none of these.
+    """
+    if isinstance(signals, xr.DataArray):
+        return _of_data_array(signals)
+    if hasattr(signals, "items") and hasattr(signals, "keys") and not hasattr(signals, "to_frame"):
+        made = {str(key): column(row, str(key)) for key, row in signals.items()}
+        if not made:
+            raise RequestError("no channel is given", file=CALL, place="signals")
+        return made
+    allowed = "(samples,) or (channels, samples)"
+    try:
+        rows = np.atleast_2d(signals if isinstance(signals, np.ma.MaskedArray) else np.asarray(signals))
+    except ValueError as error:
+        raise RequestError("the channels differ in length", file=CALL, found=error, allowed=allowed) from None
+    if rows.ndim != 2:
+        raise RequestError("the signals have the wrong shape", file=CALL, found=rows.shape, allowed=allowed)
+    if len(rows) > rows.shape[1]:
+        remedy = "Give signals.T where each column is a channel"
+        raise RequestError("more channels than samples", file=CALL, found=rows.shape, allowed=allowed, remedy=remedy)
+    names = ["signal"] if len(rows) == 1 else [f"signal {place + 1}" for place in range(len(rows))]
+    return {name: column(row, name) for name, row in zip(names, rows, strict=True)}
+
+
+def _of_data_array(signals: xr.DataArray) -> dict[str, NDArray[Any]]:
+    """Channels of a DataArray by the names of its coordinate ``channel``, else by its own name."""
+    if signals.ndim == 1:
+        name = str(signals.name or "signal")
+        return {name: column(signals.values, name)}
+    if "channel" not in signals.dims or signals.ndim != 2:
+        allowed = "one dimension, or two with one that is called channel"
+        raise RequestError("the signals have the wrong dimensions", file=CALL, found=signals.dims, allowed=allowed)
+    rows = signals.transpose("channel", ...)
+    names = [str(name) for name in rows["channel"].values]
+    return {name: column(row, name) for name, row in zip(names, rows.values, strict=True)}
+
+
+def column(values: ArrayLike, name: str) -> NDArray[Any]:
+    """A copy of ``values``, called ``name``, as real numbers of one axis; what is masked is missing."""
+    given: Any = values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+    if given.ndim != 1 or given.dtype.kind not in "fiub":
+        found = f"{given.dtype} of shape {given.shape}"
+        raise RequestError("must be real numbers, one for each sample", file=CALL, place=name, found=found)
+    dtype = np.float32 if given.dtype in (np.float32, np.float16) else np.float64
+    if isinstance(values, np.ma.MaskedArray):
+        return np.asarray(np.ma.filled(values.astype(dtype), np.nan))
+    return np.array(given, dtype=dtype)
+
+
+def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
+    """Unit of each of the channels ``names``: ``unit`` of all, or of each by name."""
+    if isinstance(unit, str):
+        return dict.fromkeys(names, unit)
+    if not isinstance(unit, Mapping):
+        raise RequestError("must be a unit, or units by channel", file=CALL, place="unit", found=repr(unit))
+    if set(unit) != set(names):
+        found, allowed = ", ".join(map(str, unit)), ", ".join(names)
+        raise RequestError(
+            "each channel has a unit, and nothing else", file=CALL, place="unit", found=found, allowed=allowed
+        )
+    return {name: str(unit[name]) for name in names}
+
+
+def number(value: Any, name: str) -> float:
+    """``value`` of the argument ``name`` as a finite number."""
+    try:
+        made = float(value) if not isinstance(value, str) else np.nan
+    except (TypeError, ValueError):
+        made = np.nan
+    if not np.isfinite(made):
+        raise RequestError("must be a finite number", file=CALL, place=name, found=repr(value))
+    return made
+
+
+def count(value: Any, name: str) -> int:
+    """``value`` of the argument ``name`` as a whole number, whatever type holds it."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        made = number(value, name)
+    if made != round(made):
+        raise RequestError("must be a whole number", file=CALL, place=name, found=repr(value))
+    return round(made)
+
+
+def check_times(times_s: NDArray[Any], start_s: float, seconds: float) -> None:
+    """Refuse pulse times in another unit than seconds: most of them lie outside the recording of so many ``seconds``.
+
+    ``times_s`` count as the samples do, the first of which is at ``start_s``.
+    """
+    inside = (times_s >= start_s) & (times_s <= start_s + seconds)
+    if times_s.size and np.isfinite(times_s).all() and float(inside.mean()) < INSIDE:
+        raise RequestError(
+            "most pulses lie outside the recording",
+            file=CALL,
+            place="pulse_times_s",
+            found=f"{times_s.min():.6g} to {times_s.max():.6g} s",
+            allowed=f"{start_s:.6g} to {start_s + seconds:.6g} s",
+            remedy="Give their times in seconds, on the clock of the samples (start_s)",
+        )
