@@ -222,8 +222,6 @@ def test_numbers_of_any_type_are_numbers() -> None:
     for orders in (3.0, np.array([1.0, 3.0]), (3,)):
         tracks = co.order_tracks(made, orders=orders)["amplitude"]
         assert float(tracks.sel(order=3.0).item()) == pytest.approx(1.0, rel=2e-3)
-            1.0, rel=2e-3
-        )
 
 
 def test_tables_and_named_arrays_keep_their_names_and_masks_are_gaps() -> None:
