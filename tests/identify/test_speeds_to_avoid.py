@@ -70,6 +70,20 @@ def test_the_flank_of_a_crossing_outside_the_tested_range_is_not_free():
     assert band[0] == RANGE[0] and band[1] == pytest.approx(2070.0 * np.sqrt(3.0 / 4.0), rel=0.01)
 
 
+@pytest.mark.parametrize("share", [0.3, 1.0, 4.0, 20.0])
+def test_the_flanks_of_a_mode_that_adds_much_to_little_are_not_free(share: float):
+    """What remains without the mode is as small as the structure makes it: no resonance of its own limits flanks."""
+    modal = fit(mode(100.0, 0.02), unseen=seen_everything(4.0))
+    modal = replace(modal, responses=(made_response(4.0, modal, smooth=1.0, residue=[-share]),))
+    orders = [agreed(4.0, line(4.0, np.ones(len(SPEEDS_RPM))))]
+    rpm = np.linspace(*RANGE, 4001)
+    x = 4.0 * rpm / 60.0 / 100.0
+    dangerous = rpm[np.abs(1.0 + share * x**2 / (1.0 - x**2 + 0.04j * x)) > 3.0]
+    free = ends(judge(orders, modal).free)
+    assert not any(((dangerous > low * 1.005) & (dangerous < high * 0.995)).any() for low, high in free)
+    assert free or share > 10.0
+
+
 def test_the_highest_peak_in_any_channel_ranks_first():
     modes = [mode(60.0), mode(100.0)]
     shape = {k: resonant(k, SPEEDS_RPM, modes) for k in (3.0, 4.0)}

@@ -14,6 +14,13 @@ from crankorder.identify.modal.order_force import force, resonance_slopes, smoot
 from crankorder.identify.modal.order_modes import KNOWN
 from crankorder.identify.resonance import resonance
 
+SHAPE_ERROR = 0.1
+"""Standard error, as a share, of what is left without a mode, for each degree of a smooth part with a shape of its own.
+
+Such a part passes for the flanks of the mode, and the law of the force for both: in run-ups with constant forces the
+amplification came out 4 to 9 % off with one degree and 20 to 28 % with three, within 1 % with none.
+"""
+
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -84,7 +91,8 @@ def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: M
         _error(response, whole, columns, _by_poles(response, rpm, modal, columns), modal),
         _error(response, without, fewer, _by_poles(response, rpm, modal, fewer, but=number), modal),
     )
-    rows = (np.abs(whole)[None], np.abs(without)[None], errors[0][None], errors[1][None])
+    ambiguous = SHAPE_ERROR * np.sqrt(len(response.smooth) - 1) * np.abs(without)
+    rows = (np.abs(whole)[None], np.abs(without)[None], errors[0][None], np.hypot(errors[1], ambiguous)[None])
     return WithAndWithout(*rows, np.array([NOISE_SHARE * response.error]))
 
 

@@ -40,6 +40,9 @@ VAGUE = 0.1
 SAME_SPEED = 0.01
 """Share of a speed within which two maps hold the same one."""
 
+FLANKS = 120
+"""Speeds over the whole span, in equal ratios, at which the flanks of a mode are looked at."""
+
 NEAR_DAMPINGS = 8.0
 """Damping ratios on both sides of a crossing within which its amplification is looked at most closely."""
 
@@ -369,12 +372,9 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     rpm = 60.0 * mode.frequency_hz / group[0].order
     beside = BESIDE + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
     near = max(NEAR_DAMPINGS * mode.damping_ratio, beside)
-    below, above = _amplifying((rpm * (1.0 - beside + BESIDE), rpm * (1.0 + beside - BESIDE)), limits.factor)
-    low, high = max(group[0].span_rpm[0], below), min(group[0].span_rpm[1], above)
-    if low >= high:
-        return []
+    low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
-    grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, 60)), low, high))
+    grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
     both = together([with_and_without(one, number, grid, modal) for one in group])
     least, most = both.ends(limits.sigmas, matters=limits.matters)
     over = (most > limits.factor) | (least > limits.factor)
