@@ -487,3 +487,22 @@ def test_the_share_of_energy_above_the_band_is_always_stated(full: Any) -> None:
     assert "Less than 0.5 % of the energy of any channel lies above the band looked at (to 500 Hz)." in said
     said = story_of(with_levels(full, share_above=0.83, band_hz=None))["how_sure"]
     assert "Energy above the band looked at: 83 % of that of Z." in said
+
+
+def test_a_peak_near_a_natural_frequency_that_was_not_judged_excites_nothing(full) -> None:
+    """The verdict of the crossing and the sentence on the speed are one."""
+    said = avoid_sentences(full)
+    assert any("excites" in one for one in said)
+    crossings = [{**one, "excited": False, "verdict": "not decided"} for one in full["crossings"]]
+    said = avoid_sentences({**full, "crossings": crossings})
+    assert said and not any("excites" in one for one in said)
+
+
+def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:
+    first, second = ({**full["orders"][0], "order": order, "amplitude": 5.0} for order in (1.0, 4.0))
+    of = {"speed_doubt": None, "levels": [], "channels": full["channels"]}
+    one, other = "Z", "X"
+    led = {**full, **of, "orders": [{**first, "channel": one, "explained_by": "unbalance"}]}
+    assert "Balance it: the strongest order is that of an unbalanced mass." in story_of(led)["what_to_do"]
+    led["orders"].append({**second, "channel": other, "explained_by": "gear mesh"})
+    assert "Balance it: the strongest order in Z is that of an unbalanced mass." in story_of(led)["what_to_do"]

@@ -34,3 +34,6 @@ SPEAK_FOR = "the lines speak for"
 
 CLEARLY_EXCITED = 2.0
 """An order that cannot be so many times what it would be without the mode is not excited."""
+
+AMPLIFIED = "is amplified more than"
+"""Words of an open band in which a mode is seen to amplify an order."""

@@ -27,7 +27,7 @@ from crankorder.identify.lone_peaks import lone_peaks
 from crankorder.identify.modal.exclusion import MATTERS
 from crankorder.identify.modal.order_modes import KNOWN
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
-from crankorder.identify.said import CLEARLY_EXCITED
+from crankorder.identify.said import AMPLIFIED, CLEARLY_EXCITED
 from crankorder.identify.whirl_crossings import met_mode
 from crankorder.settings import IdentifySettings
 
@@ -380,13 +380,13 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     over = (most > limits.factor) | (least > limits.factor)
     if not over.any():
         return []
-    said = "is amplified" if (least > limits.factor).any() else "may be amplified"
+    said = AMPLIFIED if (least > limits.factor).any() else "may be amplified more than"
     made = []
     for first, last in _runs(over):
         begin, end = float(grid[max(first - 1, 0)]), float(grid[min(last + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-        made.append(_Open(begin, end, f"{what}: {said} more than {limits.factor:g} times"))
+        made.append(_Open(begin, end, f"{what}: {said} {limits.factor:g} times"))
     return made
 
 

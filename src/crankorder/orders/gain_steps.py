@@ -79,7 +79,8 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
 def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tuple[dict[int, float], bool]:
     """Of ``n_recordings`` those in which the gain of ``channel`` is not that of most by these ``steps``, with its log.
 
-    And whether it is open which are right: then all are named.
+    And whether it is open which are right: then all are named. A gain that was switched for good tells nobody which of
+    its two was meant, unless one recording alone has the other.
     """
     level = np.zeros(n_recordings)
     own = sorted((one for one in steps if one.channel == channel), key=lambda one: one.after)
@@ -91,7 +92,8 @@ def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tupl
     alike = np.abs(level[:, None] - level) < 0.5 * least
     count = alike.sum(axis=1)
     most = int(np.argmax(count))
-    if 2 * count[most] <= n_recordings:
+    switched = len(own) == 1 and min(own[0].after, n_recordings - own[0].after) > 1
+    if switched or 2 * count[most] <= n_recordings:
         return {row: float(level[row] - np.median(level)) for row in range(n_recordings)}, True
     middle = float(np.median(level[alike[most]]))
     return {row: float(level[row] - middle) for row in np.flatnonzero(~alike[most]).tolist()}, False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.identify.said import AMPLIFIED
 from crankorder.report.energy_shares import energy_table
 from crankorder.report.notation import (
     estimate_text,
@@ -29,6 +30,11 @@ __all__ = ["Table", "table_of", "tables_of"]
 
 NOTHING_RISES = "No order was seen to rise at a natural frequency inside the tested speeds."
 NOTHING_TOLD = "None is known. That is no proof that there is none: the bands below are not free, or nobody knows."
+
+FLANK_ALONE = (
+    "No order meets a natural frequency inside the tested speeds; the flank of one beyond them reaches in, as the "
+    "bands below say."
+)
 
 
 def tables_of(findings: dict[str, Any], *, limit: int) -> list[tuple[str, Table]]:
@@ -85,7 +91,8 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     known = findings.get("speeds_to_avoid") is not None
-    empty = (NOTHING_RISES if all_judged(findings) else NOTHING_TOLD) if known else ""
+    told = FLANK_ALONE if any(AMPLIFIED in str(band.get("remark")) for band, _ in bands) else NOTHING_TOLD
+    empty = (NOTHING_RISES if all_judged(findings) else told) if known else ""
     note = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
     note = note if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)

@@ -24,6 +24,7 @@ _TOGETHER_RPM = 30.0  # crossings closer than this share one sentence
 _JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
 _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
+SAME_MODE = 1e-3  # share within which two numbers are those of one natural frequency
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
@@ -52,7 +53,16 @@ def _excites(order: float, mode_hz: float, findings: dict[str, Any]) -> str:
     name, hertz = order_name({"order": order}, findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
-    return f"order {name} excites the {hertz} Hz natural frequency"
+    met = [one for one in findings.get("crossings", []) if _is_pair(one, order, mode_hz)]
+    verb = "peaks near" if met and not any(one.get("excited") for one in met) else "excites"
+    return f"order {name} {verb} the {hertz} Hz natural frequency"
+
+
+def _is_pair(crossing: dict[str, Any], order: float, mode_hz: float) -> bool:
+    """Whether a record of the crossings is that of ``order`` with the natural frequency ``mode_hz``."""
+    if not is_number(crossing.get("order")) or not is_number(crossing.get("mode_hz")):
+        return False
+    return nominal_order(crossing) == order and abs(float(crossing["mode_hz"]) - mode_hz) < SAME_MODE * mode_hz
 
 
 def meetings(record: dict[str, Any]) -> list[tuple[float, float]]:

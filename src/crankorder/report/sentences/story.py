@@ -7,7 +7,7 @@ from typing import Any, TypedDict
 
 from crankorder.identify.said import LIKE_UNBALANCE, ONE_SPEED
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, named, percent_text
+from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, listed, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
 from crankorder.report.sentences.of_levels import share_sentences
@@ -49,6 +49,7 @@ ALL_CLEAR_WITH_ENVELOPE = (
 STILL_CLEAR = "Nothing asks for action: natural frequencies are no fault by themselves."
 INTERVALS = "Numbers in brackets are 95 % intervals."
 BALANCE = "Balance it: the strongest order is that of an unbalanced mass."
+BALANCE_IN = "Balance it: the strongest order in {channels} is that of an unbalanced mass."
 MORE_SPEEDS = (
     "Record four speeds or more, the fastest twice the slowest: what does not grow with the square of the speed is no "
     "unbalance."
@@ -221,8 +222,7 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     if any(RE_RUN_RULE in one for one in bearing_sentences(findings)):
         asks.append(RE_RUN_RULE)
     asks += above_asks(findings)
-    if _leads(findings, "unbalance"):
-        asks.append(BALANCE)
+    asks += _balance_asks(findings)
     if _leads(findings, LIKE_UNBALANCE):
         asks.append(MORE_SPEEDS)
     fraction = findings.get("unexplained_energy_fraction")
@@ -242,15 +242,33 @@ def _has_unexplained(findings: dict[str, Any]) -> bool:
     return any(record.get("explained_by") == "unexplained" for record in findings.get("lines", []))
 
 
+def _balance_asks(findings: dict[str, Any]) -> list[str]:
+    """That an unbalanced mass asks for balancing: in the channels in which its order is the strongest."""
+    leads = {name: record for name, record in _strongest(findings).items() if record.get("explained_by") == "unbalance"}
+    if not leads or not _leads(findings, "unbalance"):
+        return []
+    if len(leads) == len(_strongest(findings)):
+        return [BALANCE]
+    return [BALANCE_IN.format(channels=listed([named(name, limit=NAME_CHARACTERS) for name in sorted(leads)]))]
+
+
+def _strongest(findings: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The strongest order of each channel that has one."""
+    strongest: dict[str, dict[str, Any]] = {}
+    for record in findings.get("orders", []):
+        name = str(record.get("channel"))
+        if is_number(record.get("amplitude")) and float(record["amplitude"]) > float(
+            strongest.get(name, {}).get("amplitude", -1.0)
+        ):
+            strongest[name] = record
+    return strongest
+
+
 def _leads(findings: dict[str, Any], cause: str) -> bool:
     """Whether the strongest order of any channel of ``findings`` has that ``cause``, or may for want of speeds."""
-    records = [record for record in findings.get("orders", []) if is_number(record.get("amplitude"))]
-    names = {str(record.get("channel")) for record in records}
-    of = {name: [one for one in records if str(one.get("channel")) == name] for name in names}
-    strongest = [max(group, key=lambda one: float(one["amplitude"])) for group in of.values()]
     if findings.get("speed_doubt") or lies_above(findings):
         return False
-    told = [record for record in strongest if record.get("explained_by") == cause]
+    told = [record for record in _strongest(findings).values() if record.get("explained_by") == cause]
     return any(cause != LIKE_UNBALANCE or ONE_SPEED in str(record.get("evidence")) for record in told)
 
 
