@@ -9,15 +9,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox, IdentityTransform
-from numpy.typing import NDArray
 
 from crankorder.plot.palette import FAINT, SMALL
+from crankorder.plot.spreading import spread
 
 TIER_PT = 20.0
 """Height of one row of labels above the axes with its leaders, in points."""
@@ -39,29 +38,6 @@ class EdgeLabel:
 
 Find = Callable[[Axes], Sequence[Sequence[EdgeLabel]]]
 """Rows of labels, the nearest to the axes first, for the limits that the axes have when they are drawn."""
-
-
-def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
-    """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
-
-    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all
-    in one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression
-    by pooling adjacent violators (Ayer et al. 1955).
-    """
-    width = np.asarray(widths, dtype=float)
-    if width.sum() >= high - low:
-        shares = np.cumsum(width) - width / 2
-        return np.asarray(low + shares * (high - low) / max(float(width.sum()), 1e-12))
-    offset = np.cumsum(width) - width / 2
-    blocks: list[tuple[float, int]] = []
-    for value in np.asarray(targets, dtype=float) - offset:
-        mean, count = float(value), 1
-        while blocks and blocks[-1][0] > mean:
-            before, n = blocks.pop()
-            mean, count = (before * n + mean * count) / (n + count), n + count
-        blocks.append((mean, count))
-    starts = np.repeat([mean for mean, _ in blocks], [count for _, count in blocks]) if blocks else np.empty(0)
-    return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
 
 
 class EdgeLabels(Artist):

@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.plot.cells import speed_cells
 from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
-from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
+from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
 from crankorder.report.drawing.colour_map import level_colours
 from crankorder.report.drawing.drawn import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
 from crankorder.report.drawing.keys import Key, draw_keys

@@ -7,30 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
-_REACH_SHARE = 0.03  # … and more than twice this share of it
-
-
-def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
-
-    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. In a wide gap of the tested range a cell
-    reaches as far as on its other side: what lies between was not measured.
-    """
-    speeds = np.asarray(speeds_rpm, dtype=float)
-    steps = np.diff(speeds)
-    if not len(steps):
-        half = max(0.025 * abs(float(speeds[0])), 1.0)
-        return np.array([[speeds[0] - half, speeds[0] + half]])
-    reach = max(_REACH_STEPS * float(np.median(steps)), _REACH_SHARE * float(speeds[-1] - speeds[0]))
-    usual = float(np.median(steps)) / 2
-    halves = np.where(steps / 2 > reach, np.nan, steps / 2)  # NaN: a gap
-    down, up = np.concatenate([[np.nan], halves]), np.concatenate([halves, [np.nan]])
-    down, up = (
-        np.where(np.isnan(one), np.where(np.isnan(two), usual, two), one) for one, two in ((down, up), (up, down))
-    )
-    return np.stack([np.maximum(speeds - down, min(0.0, float(speeds[0]))), speeds + up], axis=1)
-
 
 def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:
     """Ranges [rpm] between neighbouring ``cells`` (shape (speed, 2)) that no cell covers."""
@@ -44,7 +20,7 @@ def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:
 def cells_with_gaps(values: NDArray[Any], cells: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
     """Rows of a map and their edges, with a row of -1 (no amplitude is negative) for every gap.
 
-    ``values`` shape (speed, frequency), ≥ 0; ``cells`` shape (speed, 2) from :func:`speed_cells`.
+    ``values`` shape (speed, frequency), ≥ 0; ``cells`` shape (speed, 2) from :func:`crankorder.plot.cells.speed_cells`.
     """
     starts = {high for _, high in gaps_between(cells)}
     rows, edges = [values[:1]], [cells[0, 0], cells[0, 1]]

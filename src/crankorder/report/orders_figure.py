@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.report.cells import gaps_between, speed_cells
+from crankorder.plot.cells import speed_cells
+from crankorder.report.cells import gaps_between
 from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
 from crankorder.report.drawing.labels import EdgeLabel, label_right
 from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL

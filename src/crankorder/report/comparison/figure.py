@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum, speed_cells
+from crankorder.plot.cells import speed_cells
+from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
 from crankorder.report.drawing.drawn import Box, Drawing, Field, Words, pixels_of, title_lines
 from crankorder.report.drawing.keys import Key, draw_keys
 from crankorder.report.drawing.labels import EdgeLabel, fitted, label_right, label_top

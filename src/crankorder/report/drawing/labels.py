@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crankorder.plot.spreading import spread
 from crankorder.report.drawing.drawn import Drawing, Words
 from crankorder.report.drawing.palette import SMALL
 from crankorder.report.drawing.typeface import text_width_in
@@ -25,31 +25,6 @@ class EdgeLabel:
     color: str
     key: int = 0
     bold: bool = False
-
-
-def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
-    """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
-
-    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all
-    in one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression
-    by pooling adjacent violators (Ayer et al. 1955).
-    """
-    width = np.asarray(widths, dtype=float)
-    if width.sum() >= high - low:
-        shares = np.cumsum(width) - width / 2
-        return np.asarray(low + shares * (high - low) / max(float(width.sum()), 1e-12))
-    offset = np.cumsum(width) - width / 2
-    blocks: list[list[float]] = []
-    for value in np.asarray(targets, dtype=float) - offset:
-        blocks.append([float(value), 1.0])
-        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
-            mean, count = blocks.pop()
-            blocks[-1] = [
-                (blocks[-1][0] * blocks[-1][1] + mean * count) / (blocks[-1][1] + count),
-                blocks[-1][1] + count,
-            ]
-    starts = np.concatenate([np.full(int(count), mean) for mean, count in blocks]) if blocks else np.empty(0)
-    return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
 
 
 def label_width_in(label: EdgeLabel, size: float) -> float:
