@@ -27,6 +27,7 @@ from crankorder.report.notation import (
 )
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_orders import law_sentences
+from crankorder.report.sentences.of_speeds import swing_sentences
 from crankorder.report.sentences.story import (
     ALL_CLEAR,
     ALL_CLEAR_WITH_ENVELOPE,
@@ -506,3 +507,18 @@ def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -
     assert "Balance it: the strongest order is that of an unbalanced mass." in story_of(led)["what_to_do"]
     led["orders"].append({**second, "channel": other, "explained_by": "gear mesh"})
     assert "Balance it: the strongest order in Z is that of an unbalanced mass." in story_of(led)["what_to_do"]
+
+
+def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
+    def said(*swings: tuple[float, float, float]) -> str:
+        keys = ("speed_rpm", "order", "amplitude_rpm")
+        records = [{"recording": f"{row[0]:.0f}", **dict(zip(keys, row, strict=True))} for row in swings]
+        return " ".join(swing_sentences({"speed_swing": records}))
+
+    one_share = "Order 1 swings by one share of the speed at all speeds: an eccentric encoder would show the same."
+    assert said((1100.0, 1.0, 5.76), (1900.0, 1.0, 9.95)).endswith(one_share)
+    assert "eccentric" not in said((1100.0, 1.0, 22.0), (1900.0, 1.0, 9.0))
+    assert said((1500.0, 2.0, 15.0)).endswith(
+        "at the one speed at which it is told: an oval encoder would show the same."
+    )
+    assert "encoder would" not in said((1500.0, 0.5, 15.0), (1900.0, 0.5, 19.0))

@@ -25,6 +25,8 @@ _JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
 _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 SAME_MODE = 1e-3  # share within which two numbers are those of one natural frequency
+_OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
+_ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
@@ -174,7 +176,27 @@ def swing_sentences(findings: dict[str, Any]) -> list[str]:
         for one in own
     ]
     where = f"{rpm:.0f} rpm ({named(worst['recording'], limit=NAME_CHARACTERS)})"
-    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}."]
+    doubt = _of_an_encoder(records, [float(one["order"]) for one in own])
+    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}"]
+
+
+def _of_an_encoder(records: list[dict[str, Any]], orders: list[float]) -> str:
+    """That an encoder off its centre would show the same of the first of ``orders`` that it can make.
+
+    Its error is one angle at all speeds, and so is the share of the speed that it shows; a shaft's changes with load
+    and speed.
+    """
+    for order, name in _OF_ENCODER.items():
+        shares = {
+            round(float(one["speed_rpm"])): float(one["amplitude_rpm"]) / float(one["speed_rpm"])
+            for one in records
+            if float(one["order"]) == order
+        }
+        if order not in orders or min(shares.values()) < _ONE_SHARE * max(shares.values()):
+            continue
+        alike = "by one share of the speed at all speeds" if len(shares) > 1 else "at the one speed at which it is told"
+        return f" Order {order:g} swings {alike}: {name} encoder would show the same."
+    return ""
 
 
 def not_judged_rpm(findings: dict[str, Any]) -> list[float]:
