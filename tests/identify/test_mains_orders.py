@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from crankorder.identify.explain import explained
 from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
+from crankorder.identify.motors import _goes_with
 from crankorder.identify.said import LIKE_UNBALANCE
 from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
@@ -125,3 +127,20 @@ def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency()
     lines = tuple(dataclasses.replace(one, evidence=UNPROVEN) for one in made.lines)
     assert said(dataclasses.replace(made, lines=lines)) == ["mains or a natural frequency"]
     assert said(made) == ["mains"]
+
+
+@pytest.mark.parametrize(
+    ("turns", "speeds", "goes"),
+    [(0.0, [1374.0], True), (0.0, [1374.0, 2400.0, 3050.0], False), (2.0, [1374.0, 2400.0, 3050.0], True)],
+)
+def test_a_fixed_line_names_no_order_that_it_leaves_at_most_speeds(
+    turns: float, speeds: list[float], goes: bool
+) -> None:
+    """Mains cross an order at one speed; what stands at the order at the others is not theirs."""
+    order = turns or 60.0 * 50.0 / speeds[0]
+    item = SimpleNamespace(
+        hertz=order * speeds[0] / 60.0, line=SimpleNamespace(turns=turns), held=SimpleNamespace(rpm=speeds[0])
+    )
+    made = at_speed(order, speeds[0])
+    lines = tuple(dataclasses.replace(made.lines[0], speed_rpm=np.array([rpm])) for rpm in speeds)
+    assert _goes_with(item, dataclasses.replace(made, lines=lines)) is goes

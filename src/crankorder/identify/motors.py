@@ -43,6 +43,13 @@ SAME_SPEED = 0.003
 """Share of a speed within which a recording runs at a speed at which an order was seen."""
 
 
+SAME_PLACE = 0.125
+"""Orders within which a line stands at one: two bins."""
+
+MOST = 0.5
+"""Share of the speeds of an order at which a known line must stand there to name it."""
+
+
 @dataclass(frozen=True)
 class MotorSpeed:
     """What the motor does in one recording: crank and synchronous speed (of the motor's shaft) in rpm, its slip.
@@ -296,7 +303,7 @@ def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
     unlike: dict[tuple[str, int, float], list[tuple[float, LineSeen]]] = {}
     for item in seen:
         size = _size_at(agreed, item.held.rpm)
-        if size is None or not _is_at(item, agreed):
+        if size is None or not _is_at(item, agreed) or not _goes_with(item, agreed):
             continue
         away = abs(float(np.log(max(float(item.sighting.amplitude.max()), 1e-300) / max(size, 1e-300))))
         unlike.setdefault((item.line.name, item.line.mains, item.line.turns), []).append((away, item))
@@ -322,6 +329,14 @@ def _is_at(item: LineSeen, agreed: AgreedOrder) -> bool:
         return _stands_on(item, agreed.order)
     reach = half_width(agreed.degrees_of_freedom) * agreed.order_error
     return abs(item.sighting.order - agreed.order) <= max(reach, APART_CYCLES / item.held.span_rev)
+
+
+def _goes_with(item: LineSeen, agreed: AgreedOrder) -> bool:
+    """Whether ``item`` stands at the order at most of the speeds at which that was seen: what is fixed leaves it."""
+    fixed_hz = item.hertz - item.line.turns * item.held.rpm / 60.0
+    speeds = np.unique(np.concatenate([line.speed_rpm for line in agreed.lines]))
+    at = item.line.turns + 60.0 * fixed_hz / speeds
+    return bool(np.mean(np.abs(at - agreed.order) < SAME_PLACE) >= MOST)
 
 
 def _stands_on(item: LineSeen, order: float) -> bool:
