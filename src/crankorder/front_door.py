@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -274,7 +275,7 @@ def order_tracks(
     2.0
     """
     named = None if orders is None else tuple(np.atleast_1d(np.asarray(orders, dtype=np.float64)).tolist())
-    results = ("order_map", "order_tracks", *(() if named else ("campbell_map", "findings")))
+    results = ("order_tracks",) if named else ("order_tracks", "findings")
     asked = {"track_orders": named, "track_method": method}
     return _analysed(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"]
 
@@ -323,7 +324,7 @@ def diagnose(
     [3.0]
     """
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
-    settings = _settings("order_map", "campbell_map", "findings", recipe=recipe)
+    settings = _settings("findings", recipe=recipe)
     return _analysed(recordings, settings, tables=tables, engine=engine, test=test)[1]
 
 
@@ -552,5 +553,9 @@ def _warn_of(outcome: Outcome) -> None:
 
 
 def _warn(faults: Sequence[BaseException | str]) -> None:
+    """Warn of ``faults`` at the line that called the front door: Python shows a warning of a line once."""
+    depth, frame = 1, sys._getframe()
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).startswith("crankorder."):
+        depth, frame = depth + 1, frame.f_back
     for fault in faults:
-        warnings.warn(str(fault), UserWarning, stacklevel=3)
+        warnings.warn(str(fault), UserWarning, stacklevel=depth)

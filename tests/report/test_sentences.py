@@ -40,7 +40,7 @@ from crankorder.report.sentences.story import (
     story_of,
     strongest_sentence,
 )
-from crankorder.report.tables import tables_of
+from crankorder.report.tables import FLANK_ALONE, NOTHING_TOLD, tables_of
 
 EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"
 UNTESTED = {
@@ -512,7 +512,8 @@ def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -
 def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
     def said(*swings: tuple[float, float, float]) -> str:
         keys = ("speed_rpm", "order", "amplitude_rpm")
-        records = [{"recording": f"{row[0]:.0f}", **dict(zip(keys, row, strict=True))} for row in swings]
+        also = {"may_be_encoder": all(row[2] < 0.03 * row[0] for row in swings)}
+        records = [{"recording": f"{row[0]:.0f}", **dict(zip(keys, row, strict=True)), **also} for row in swings]
         return " ".join(swing_sentences({"speed_swing": records}))
 
     one_share = "Order 1 swings by one share of the speed at all speeds: an eccentric encoder would show the same."
@@ -522,3 +523,20 @@ def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
         "at the one speed at which it is told: an oval encoder would show the same."
     )
     assert "encoder would" not in said((1500.0, 0.5, 15.0), (1900.0, 0.5, 19.0))
+    assert "encoder would" not in said((1500.0, 2.0, 150.0))  # ten percent: no encoder is so far off
+
+
+def test_a_flank_is_blamed_only_where_nothing_is_met_within_the_tested_speeds(full) -> None:
+    """What is free says "amplified more than" too: only an open band tells that a flank reaches in."""
+    flank = {"low_rpm": 2500.0, "high_rpm": 2700.0, "remark": "order 4 with 188 Hz: is amplified more than 3 times"}
+    made = {**full, "speeds_to_avoid": [], "open_bands": [flank]}
+    beyond = [{**one, "in_range": False, "excited": False} for one in full["crossings"]]
+    met = [*beyond, {**beyond[0], "in_range": True}]
+
+    def told(**changed: object) -> str:
+        return next(table["empty"] for anchor, table in tables_of({**made, **changed}, limit=40) if "avoid" in anchor)
+
+    assert told(crossings=beyond) == FLANK_ALONE
+    assert told(crossings=met) == NOTHING_TOLD
+    unknown = {**flank, "remark": "order 4 was not measured there"}
+    assert told(crossings=beyond, open_bands=[unknown]) == NOTHING_TOLD

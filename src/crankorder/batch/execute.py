@@ -163,7 +163,8 @@ def results_of_test(
     ]
     told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
     findings["quality"] = [*findings["quality"], *told, *flags, *_fault_flags([*faults, *left_out])]
-    findings["speed_swing"] = _swing_records(results, findings["quality"])
+    most_deg = settings.orders.largest_eccentricity_deg
+    findings["speed_swing"] = _swing_records(results, findings["quality"], most_deg=most_deg)
     findings["quality"] += contradiction_flags(findings)
     return {**made.datasets, "shaft": _shaft_summary(results)}, findings, left_out
 
@@ -375,10 +376,13 @@ def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
     return summary.assign(trace_variables(shafts))
 
 
-def _swing_records(results: dict[Path, RecordingResult], flags: list[QualityFlag]) -> list[dict[str, Any]]:
+def _swing_records(
+    results: dict[Path, RecordingResult], flags: list[QualityFlag], *, most_deg: float
+) -> list[dict[str, Any]]:
     """Swing of the speed of every recording within its cycle, by order, the largest first; only what is certain.
 
-    What ``flags`` say that the encoder itself makes is no motion of the shaft.
+    What ``flags`` say that the encoder itself makes is no motion of the shaft. An encoder that is off by ``most_deg``
+    once per turn, by 1/k² of it at harmonic k, could show those that are no larger.
     """
     of_encoder = {order for order, name in NAMES.items() if any(flag["flag"] == f"encoder_{name}" for flag in flags)}
     records = []
@@ -388,12 +392,15 @@ def _swing_records(results: dict[Path, RecordingResult], flags: list[QualityFlag
             continue
         sure = swing.told & ~np.isin(swing.orders, list(of_encoder))
         for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
+            order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
+            off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
             records.append(
                 {
                     "recording": printable(path.name),
                     "speed_rpm": swing.speed_rpm,
-                    "order": float(swing.orders[place]),
-                    "amplitude_rpm": float(swing.amplitude_rpm[place]),
+                    "order": order,
+                    "amplitude_rpm": amplitude_rpm,
+                    "may_be_encoder": order in NAMES and bool(off_deg <= most_deg / order**2),
                     "steady_rpm": float(swing.steady_rpm[place]),
                 }
             )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, TypedDict
 
 from crankorder.identify import mains
-from crankorder.identify.said import ALIKE_SPEEDS, SPEAK_FOR
-from crankorder.report.notation import interval_of, is_number, is_tone
+from crankorder.identify.said import SPEAK_FOR
+from crankorder.report.notation import at_one_speed, interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
 _SAME_SHARE = 0.002  # … or this share of its frequency
@@ -30,12 +30,6 @@ def is_fixed_tone(line: dict[str, Any]) -> bool:
 def is_electric(record: dict[str, Any]) -> bool:
     """True for a ``record`` of the findings whose cause is the mains or the field of a motor, and nothing else."""
     return mains.is_electric(str(record.get("explained_by") or ""))
-
-
-def at_one_speed(findings: dict[str, Any]) -> bool:
-    """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
-    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    return is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
 
 
 def hertz_of_order(record: dict[str, Any], findings: dict[str, Any]) -> float | None:

@@ -182,10 +182,10 @@ def least_of(record: dict[str, Any], key: str) -> float | None:
     return float(ends[0])
 
 
-def several_speeds(findings: dict[str, Any]) -> bool:
-    """True unless the tested range of ``findings`` says that there was one speed."""
+def at_one_speed(findings: dict[str, Any]) -> bool:
+    """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
     low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    return not (is_number(low) and is_number(high) and high <= ALIKE_SPEEDS * low)
+    return is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -91,11 +91,17 @@ def _avoid(findings: dict[str, Any], limit: int) -> Table:
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     known = findings.get("speeds_to_avoid") is not None
-    told = FLANK_ALONE if any(AMPLIFIED in str(band.get("remark")) for band, _ in bands) else NOTHING_TOLD
+    told = FLANK_ALONE if _by_a_flank(findings) else NOTHING_TOLD
     empty = (NOTHING_RISES if all_judged(findings) else told) if known else ""
     note = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
     note = note if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
+
+
+def _by_a_flank(findings: dict[str, Any]) -> bool:
+    """Whether a natural frequency that is met beyond the tested speeds alone is seen to amplify an order within."""
+    met = any(record.get("in_range") for record in findings.get("crossings", []))
+    return not met and any(AMPLIFIED in str(band.get("remark")) for band in findings.get("open_bands") or [])
 
 
 def _peak_text(record: dict[str, Any], findings: dict[str, Any]) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, ONE_SPEED, UNRESOLVED
-from crankorder.report.fixed_lines import at_one_speed, fixed_tones, hertz_of_order, is_electric, strongest_tone
+from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
+    at_one_speed,
     estimate_text,
     frequency_text,
     is_in_doubt,
@@ -19,7 +20,6 @@ from crankorder.report.notation import (
     order_name,
     order_texts,
     percent_text,
-    several_speeds,
     unit_of,
 )
 from crankorder.report.sentences.of_levels import above_sentence, look_above, stronger_above
@@ -236,7 +236,7 @@ def _untold(record: dict[str, Any], findings: dict[str, Any]) -> str:
         return ""
     if ONE_SPEED not in str(record.get("evidence")):
         return "; how it grows does not tell which"
-    return "; so few speeds cannot tell which" if several_speeds(findings) else "; one speed cannot tell which"
+    return "; one speed cannot tell which" if at_one_speed(findings) else "; so few speeds cannot tell which"
 
 
 def tone_sentences(findings: dict[str, Any]) -> list[str]:

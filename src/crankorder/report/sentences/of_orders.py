@@ -7,6 +7,7 @@ from typing import Any
 from crankorder.identify.said import NOT_AS_UNBALANCE
 from crankorder.report.fixed_lines import hertz_of_order, is_electric
 from crankorder.report.notation import (
+    at_one_speed,
     estimate_text,
     frequency_text,
     interval_of,
@@ -15,7 +16,6 @@ from crankorder.report.notation import (
     listed,
     nominal_order,
     order_name,
-    several_speeds,
 )
 
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
@@ -45,7 +45,7 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
         )
     if steady:
         verb = "keep their" if len(steady) > 1 else "keeps its"
-        where = "at all tested speeds" if several_speeds(findings) else "where seen"
+        where = "where seen" if at_one_speed(findings) else "at all tested speeds"
         sentences.append(f"{_orders(steady)} {verb} size {where}: not an unbalance, rather a bearing or a gear.")
     sentences += _unlike_unbalance(strongest)
     if met:

@@ -190,9 +190,9 @@ def _of_an_encoder(records: list[dict[str, Any]], orders: list[float]) -> str:
         shares = {
             round(float(one["speed_rpm"])): float(one["amplitude_rpm"]) / float(one["speed_rpm"])
             for one in records
-            if float(one["order"]) == order
+            if float(one["order"]) == order and one.get("may_be_encoder")
         }
-        if order not in orders or min(shares.values()) < _ONE_SHARE * max(shares.values()):
+        if order not in orders or not shares or min(shares.values()) < _ONE_SHARE * max(shares.values()):
             continue
         alike = "by one share of the speed at all speeds" if len(shares) > 1 else "at the one speed at which it is told"
         return f" Order {order:g} swings {alike}: {name} encoder would show the same."
