@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crankorder.batch.ahead import Helper
 from crankorder.batch.balance import balance_of, publish_balance
@@ -26,13 +26,13 @@ from crankorder.batch.campaign import run_plans
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Outcome, Progress
-from crankorder.batch.in_memory import Recordings, analysed, engine_of, manifest_head
+from crankorder.batch.in_memory import Recordings, analysed, engine_of
 from crankorder.batch.plan import TestPlan, plan_tests
 from crankorder.batch.store import DONE, json_bytes
 from crankorder.errors import InputError, RequestError
-from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, units_of
+from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, shaft_of, units_of
 from crankorder.ingest.folder import recordings_of
-from crankorder.ingest.manifest import load_manifest, manifest_of
+from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
@@ -103,7 +103,7 @@ def recording(
     """
     channels = columns_of(signals)
     told = {"pulse_times_s": pulse_times_s, "encoder": encoder, "speed_rpm": speed_rpm}
-    table, shaft = _shaft(told, by_angle=rate_hz is None, without=cycle == "none")
+    table, shaft = shaft_of(told, by_angle=rate_hz is None, without=cycle == "none")
     if "source" in shaft:
         wheel = {"pulses_per_rev": pulses_per_rev, "missing_teeth": missing_teeth or None}
         table |= {key: count(value, key) for key, value in wheel.items() if value is not None}
@@ -134,23 +134,6 @@ def recording(
     )
     settings = load_settings()
     return recording_of(raw, Path(name), manifest, settings=settings.ingest, shaft=settings.shaft)
-
-
-def _shaft(told: Mapping[str, Any], *, by_angle: bool, without: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The manifest's ``[encoder]`` and its columns by role, of the one of pulses, encoder, speed that was ``told``."""
-    given = [key for key, value in told.items() if value is not None]
-    if len(given) > 1:
-        problem = "the shaft is told in more than one way"
-        raise RequestError(problem, file=CALL, found=", ".join(given), allowed=f"one of {', '.join(told)}")
-    if not given:
-        if not by_angle and not without:
-            remedy = 'State cycle="none" where nothing turns, or where frequencies are enough'
-            raise RequestError(f"state one of {', '.join(told)}", file=CALL, remedy=remedy)
-        return {"kind": "none"}, {}
-    if given[0] == "speed_rpm" and np.ndim(told["speed_rpm"]) == 0:
-        return {"kind": "constant", "speed_rpm": number(told["speed_rpm"], "speed_rpm")}, {}
-    kind = {"pulse_times_s": "pulse_times", "encoder": "square", "speed_rpm": "speed"}[given[0]]
-    return {"kind": kind}, {"source": column(told[given[0]], given[0])}
 
 
 def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | None = None) -> Any:

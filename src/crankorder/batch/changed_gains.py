@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.orders.gain_steps import line_sizes
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps
 from crankorder.quantities import OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
 from crankorder.settings import IngestSettings
@@ -18,12 +19,6 @@ from crankorder.stages import RecordingResult
 
 _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
 """Variables in which a channel without data has 0; in all others NaN."""
-
-HALF = 16
-"""Bins on each side of an order whose median is its floor."""
-
-STANDS = 20.0
-"""Power of an order over its floor from which it is one whose size can be compared."""
 
 
 def without_changed_gains(
@@ -87,25 +82,6 @@ def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
             # the floors of recordings at another rate are those of other frequencies
             alike = np.array_equal(here, places)
             blocks = dict(zip(names, levels["block_floor"].values, strict=True)) if alike else {}
-            lines = _lines(result.frames.get(OrderFrames), names)
+            lines = line_sizes(result.frames.get(OrderFrames), names)
             made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor, blocks, lines))
     return made
-
-
-def _lines(frames: xr.Dataset | None, names: list[str]) -> dict[str, NDArray[np.float64]]:
-    """Amplitude of the orders of the cycle in the channels ``names``, by name; NaN where none stands out."""
-    if frames is None or "spectrum" not in frames or frames.sizes["order"] <= 2 * HALF:
-        return {}
-    order = frames["order"].values
-    per_order = 1.0 / float(order[1] - order[0])
-    step = 1.0 / int(frames.attrs["revs_per_cycle"])
-    at = np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64)
-    made = {}
-    for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
-        power = np.abs(spectrum) ** 2
-        known = np.isfinite(power)
-        mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
-        beside = np.lib.stride_tricks.sliding_window_view(np.pad(mean, HALF, mode="reflect"), 2 * HALF + 1)
-        stands = mean[at] > STANDS * np.median(beside, axis=-1)[at]
-        made[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
-    return {name: made[name] for name in names if name in made}

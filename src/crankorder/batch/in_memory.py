@@ -13,7 +13,7 @@ from crankorder.batch.execute import left_out_of, results_of_test, sources_of
 from crankorder.batch.plan import up_to_stated
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
-from crankorder.ingest.manifest import Manifest, manifest_of
+from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
 from crankorder.shaft.knowledge import ShaftKnowledge
@@ -21,16 +21,6 @@ from crankorder.stages import RecordingResult, analyse_recording
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]
 """One Recording, or several of one test."""
-
-
-def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What every manifest states: the ``name`` of the test, its ``cycle`` and its ``channels``."""
-    return {
-        "schema_version": 1,
-        "test": {"name": name, "cycle": cycle},
-        "recordings": {"files": [name]},
-        "channels": list(channels),
-    }
 
 
 def engine_of(name: str | None) -> Engine | None:

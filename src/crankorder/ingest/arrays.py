@@ -109,6 +109,28 @@ def count(value: Any, name: str) -> int:
     return round(made)
 
 
+def shaft_of(
+    told: Mapping[str, Any], *, by_angle: bool, without: bool
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The manifest's ``[encoder]`` and its columns by role, of the one of pulses, encoder, speed that was ``told``.
+
+    None of them is needed of samples ``by_angle``, nor ``without`` a shaft.
+    """
+    given = [key for key, value in told.items() if value is not None]
+    if len(given) > 1:
+        problem = "the shaft is told in more than one way"
+        raise RequestError(problem, file=CALL, found=", ".join(given), allowed=f"one of {', '.join(told)}")
+    if not given:
+        if not by_angle and not without:
+            remedy = 'State cycle="none" where nothing turns, or where frequencies are enough'
+            raise RequestError(f"state one of {', '.join(told)}", file=CALL, remedy=remedy)
+        return {"kind": "none"}, {}
+    if given[0] == "speed_rpm" and np.ndim(told["speed_rpm"]) == 0:
+        return {"kind": "constant", "speed_rpm": number(told["speed_rpm"], "speed_rpm")}, {}
+    kind = {"pulse_times_s": "pulse_times", "encoder": "square", "speed_rpm": "speed"}[given[0]]
+    return {"kind": kind}, {"source": column(told[given[0]], given[0])}
+
+
 def check_times(times_s: NDArray[Any], start_s: float, seconds: float) -> None:
     """Refuse pulse times in another unit than seconds: most of them lie outside the recording of so many ``seconds``.
 

@@ -9,6 +9,7 @@ import difflib
 import re
 import stat
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -193,6 +194,16 @@ def manifest_of(table: dict[str, Any], path: Path, lines: dict[str, int]) -> Man
     if faults:
         raise ManyErrors(faults)
     return found
+
+
+def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What every manifest states: the ``name`` of the test, its ``cycle`` and its ``channels``."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "test": {"name": name, "cycle": cycle},
+        "recordings": {"files": [name]},
+        "channels": list(channels),
+    }
 
 
 def _text_of(path: Path, folder: Path) -> str:

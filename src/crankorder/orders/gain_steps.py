@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 _STAYS = 0.25
@@ -32,6 +33,12 @@ _MAD_TO_SIGMA = 1.4826
 
 _OWN_SLOPE = 4
 """Steps between recordings from which a channel's own growth with the speed is told; of fewer, that of all channels."""
+
+_HALF = 16
+"""Bins on each side of an order whose median is its floor."""
+
+_STANDS = 20.0
+"""Power of an order over its floor from which it is one whose size can be compared."""
 
 Floats = NDArray[np.float64]
 
@@ -74,6 +81,25 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
         and sum(told.get(at, 0.0) for at in _there_and_back(whole, step, channel)) > math.log(_ODDS)
     ]
     return [one for one in proven if _stays_elsewhere(whole, one, proven)]
+
+
+def line_sizes(frames: xr.Dataset | None, names: list[str]) -> dict[str, NDArray[np.float64]]:
+    """Amplitudes in ``frames`` of the cycle's orders in the channels ``names``, by name; NaN where none stands out."""
+    if frames is None or "spectrum" not in frames or frames.sizes["order"] <= 2 * _HALF:
+        return {}
+    order = frames["order"].values
+    per_order = 1.0 / float(order[1] - order[0])
+    step = 1.0 / int(frames.attrs["revs_per_cycle"])
+    at = np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64)
+    made = {}
+    for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
+        power = np.abs(spectrum) ** 2
+        known = np.isfinite(power)
+        mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(mean, _HALF, mode="reflect"), 2 * _HALF + 1)
+        stands = mean[at] > _STANDS * np.median(beside, axis=-1)[at]
+        made[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
+    return {name: made[name] for name in names if name in made}
 
 
 def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tuple[dict[int, float], bool]:
