@@ -10,8 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.fft.scaling import power_of_two
-from crankorder.fft.windows import hann
+from crankorder.fft.windows import hann, power_of_two
 from crankorder.orders.common_frames import common_frames
 from crankorder.quantities import QualityFlag, channel_coords
 from crankorder.shaft.speed_groups import speed_groups

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
-from crankorder.fft.scaling import power_of_two
+from crankorder.fft.windows import power_of_two
 from crankorder.orders.by_angle import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
 from crankorder.orders.phase_marks import mark_of, one_mark
 from crankorder.orders.synchronous import cycles_of
