@@ -35,7 +35,6 @@ from crankorder.ingest.manifest import Manifest
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
-from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import Settings, toml_table
 from crankorder.shaft.swing import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
@@ -166,7 +165,7 @@ def results_of_test(
     most_deg = settings.orders.largest_eccentricity_deg
     findings["speed_swing"] = _swing_records(results, findings["quality"], most_deg=most_deg)
     findings["quality"] += contradiction_flags(findings)
-    return {**made.datasets, "shaft": _shaft_summary(results)}, findings, left_out
+    return made.datasets, findings, left_out
 
 
 class _Clock:
@@ -347,35 +346,6 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
     )
 
 
-def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
-    """Speed, pulses used and angle error of every recording: one row each."""
-    shafts = [result.shaft for result in results.values()]
-
-    def each(of: Callable[[xr.Dataset], float]) -> tuple[str, np.ndarray[Any, np.dtype[np.float64]]]:
-        return "recording", np.array([of(shaft) for shaft in shafts], dtype=np.float64)
-
-    summary = xr.Dataset(
-        {
-            "speed_mean": each(lambda s: _known(np.mean, s["speed"].values)),
-            "speed_min": each(lambda s: _known(np.min, s["speed"].values)),
-            "speed_max": each(lambda s: _known(np.max, s["speed"].values)),
-            "standard_error": each(lambda s: _known(np.mean, s["standard_error"].values)),
-            "n_pulses": each(lambda s: float(s.attrs["n_pulses"])),
-        },
-        coords={"recording": ("recording", [printable(path.name) for path in results])},
-    )
-    for name, units, text in (
-        ("speed_mean", "min-1", "mean speed"),
-        ("speed_min", "min-1", "lowest speed"),
-        ("speed_max", "min-1", "highest speed"),
-        ("standard_error", "rev", "mean standard error of the crank angle"),
-        ("n_pulses", "1", "encoder pulses used"),
-        ("recording", "1", "file name"),
-    ):
-        summary[name].attrs = {"units": units, "long_name": text}
-    return summary.assign(trace_variables(shafts))
-
-
 def _swing_records(
     results: dict[Path, RecordingResult], flags: list[QualityFlag], *, most_deg: float
 ) -> list[dict[str, Any]]:
@@ -405,12 +375,6 @@ def _swing_records(
                 }
             )
     return records
-
-
-def _known(of: Callable[[Any], Any], values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """What ``of`` makes of those ``values`` that are numbers; NaN of none."""
-    known = values[~np.isnan(values)]
-    return float(of(known)) if known.size else np.nan
 
 
 def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:
