@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import gc
-import json
 import os
 import signal
 import sys
@@ -19,8 +18,8 @@ import click
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
-    from crankorder.batch.ahead import Helper
-    from crankorder.batch.execute import Outcome
+    from crankorder.batch.outcome import Outcome
+    from crankorder.batch.reporting import ReportingProcess
 
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
@@ -97,6 +96,7 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
 @click.option("--out", required=True, type=FOLDER, help="Folder for the results; made if missing.")
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
+@click.option("--name", help="Name of the test and of its folder in OUT; goes before that of the manifest.")
 @click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
 @click.option(
     "--tol",
@@ -118,6 +118,7 @@ def run(
     folders: tuple[Path, ...],
     out: Path,
     manifest: Path | None,
+    name: str | None,
     recipe: str | None,
     tol: float | None,
     max_memory_mb: int | None,
@@ -132,11 +133,13 @@ def run(
     """Analyse test-run folders."""
     from crankorder.batch.plan import plan_tests
 
-    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol, max_memory_mb=max_memory_mb)
+    asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name}
+    plans = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
-            click.echo(f"{plan.name}: {len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {plan.out}")
+            shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
+            click.echo(f"{printable(plan.name)}: {shown}")
             for fault in plan.faults:
                 click.echo(f"  {fault}", err=True)
         return
@@ -147,10 +150,11 @@ def _run_plans(
     plans: list[Any], out: Path, jobs: int, as_json: bool, quiet: bool, verbose: bool, *, fresh: bool, strict: bool
 ) -> int:
     """Run all plans, publish the index, say what was found; returns the exit status."""
-    helper = _started(plans, jobs)
+    reporting = _started(plans, jobs)
     try:
         from crankorder.batch.campaign import run_plans
         from crankorder.batch.index import summary
+        from crankorder.batch.store import json_bytes
 
         if any("findings" in plan.settings.report.results for plan in plans):
             import crankorder.identify.findings  # noqa: F401  # while no garbage is looked for
@@ -158,35 +162,36 @@ def _run_plans(
         outcomes = run_plans(
             plans,
             out,
-            helper=helper,
+            reporting=reporting,
             jobs=jobs,
             fresh=fresh,
             strict=strict,
             watched=lambda name: _Progress(quiet, name),
             tell=lambda outcome: _say(outcome, quiet, verbose),
+            wait=lambda text: click.echo(f"crankorder: {text}", err=True),
         )
     finally:
         gc.enable()
-        helper.close()
+        reporting.close()
     if as_json:
-        click.echo(json.dumps(summary(outcomes, out=out), ensure_ascii=False, indent=2))
+        click.echo(json_bytes(summary(outcomes)).decode(), nl=False)
     return _exit_status(outcomes)
 
 
-def _started(plans: list[Any], jobs: int) -> Helper:
-    """A helper that hashes inputs and loads what draws and writes, while this process loads what analyses."""
+def _started(plans: list[Any], jobs: int) -> ReportingProcess:
+    """A process that hashes inputs and loads what draws and writes, while this process loads what analyses."""
     gc.disable()  # modules that load make no garbage, and looking for it costs a fifth of the time
     atexit.register(gc.freeze)  # nor is it worth 0.4 s to take everything apart before the process ends
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # recordings run side by side; small products run in one thread
     from crankorder.batch.lean import leave_out_unused
 
     leave_out_unused()
-    import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before the helper is split off
+    import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before it is split off
     import xarray  # noqa: F401
 
-    from crankorder.batch.ahead import Helper
+    from crankorder.batch.reporting import ReportingProcess
 
-    return Helper(plans, jobs=jobs)
+    return ReportingProcess(plans, jobs=jobs)
 
 
 def _exit_status(outcomes: list[Outcome]) -> int:
@@ -202,15 +207,15 @@ def _exit_status(outcomes: list[Outcome]) -> int:
 def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     from crankorder.report.sentences.story import headline
 
-    plan = outcome.plan
+    name = printable(outcome.plan.name)
     for fault in outcome.faults:
-        click.echo(f"crankorder: {plan.name}: {fault}", err=True)
+        click.echo(f"crankorder: {name}: {fault}", err=True)
     alike: dict[str, list[BaseException]] = {}
     for error in outcome.internal:
         alike.setdefault(f"{type(error).__name__}: {error}", []).append(error)
     for said, errors in alike.items():
         count = f" ({len(errors)} recordings)" if len(errors) > 1 else ""
-        click.echo(f"crankorder: {plan.name}: internal fault{count}: {printable(said, 1000)}", err=True)
+        click.echo(f"crankorder: {name}: internal fault{count}: {printable(said, 1000)}", err=True)
         if verbose:
             click.echo("".join(traceback.format_exception(errors[0])), err=True)
     if quiet:
@@ -219,8 +224,8 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
         for sentence in headline(outcome.findings):
             click.echo(sentence, err=True)
     if outcome.status != "failed":
-        note = "unchanged, kept" if outcome.status == "unchanged" else "done"
-        click.echo(f"{plan.name}: {note}: {plan.out / 'report.html'}", err=True)
+        note = "unchanged, kept" if outcome.kept else "done"
+        click.echo(f"{name}: {note}: {printable(outcome.plan.out / 'report.html', 1000)}", err=True)
     if verbose:
         if outcome.accuracy:
             click.echo(f"  {outcome.accuracy}", err=True)

@@ -8,7 +8,8 @@ import os
 
 import pytest
 
-from crankorder.batch.store import DONE, finished_with, json_bytes, publish, text_sha256
+from crankorder.batch.result_folder import DONE, finished_with, publish
+from crankorder.batch.store import json_bytes, text_sha256
 from crankorder.errors import EnvironmentFailure
 
 CONTENTS = {"a.json": b"{}\n", "b.png": b"\x89PNG" * 50}
