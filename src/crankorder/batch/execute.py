@@ -50,7 +50,8 @@ def run_test(
     """Analyse the test of ``plan`` and publish its results; nothing is raised for a fault of the input.
 
     ``reporting`` has the hashes of its recordings and writes its files; ``jobs`` recordings are analysed at a time,
-    each in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into faults;
+    each in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into
+    faults;
     ``progress`` is told of every recording that is done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
