@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import os
+import shutil
 import signal
+import stat
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -29,18 +32,41 @@ MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
 class Guarded(click.Group):
     """A group whose commands end with the documented exit status and one clear line for every known fault."""
 
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run a command line: ``args`` and ``kwargs`` are click's. A stream that was closed leads to nowhere."""
+        _open_streams()
+        with _guarded():
+            return super().main(*args, **kwargs)
+
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command of ``ctx``; known faults become one line on stderr and an exit status."""
-        try:
+        """Run the command of ``ctx``."""
+        with _guarded():
             return super().invoke(ctx)
-        except CrankorderError as error:
-            _fail(str(error), error.exit_status)
-        except KeyboardInterrupt:
-            _fail("interrupted; run the same command again: an analysis keeps its finished tests", 130)
-        except PermissionError as error:
-            _fail(f"{error.filename}: no permission. Choose another folder or change its rights.", 5)
-        except MemoryError:
-            _fail("not enough memory; analyse fewer recordings at a time (--jobs 1)", 5)
+
+
+@contextlib.contextmanager
+def _guarded() -> Iterator[None]:
+    """Known faults become one line on stderr and an exit status."""
+    try:
+        yield
+    except CrankorderError as error:
+        _fail(str(error), error.exit_status)
+    except KeyboardInterrupt:
+        _fail("interrupted; run the same command again: an analysis keeps its finished tests", 130)
+    except PermissionError as error:
+        _fail(f"{printable(error.filename)}: no permission. Choose another folder or change its rights.", 5)
+    except MemoryError:
+        _fail("not enough memory; analyse fewer recordings at a time (--jobs 1)", 5)
+    except BrokenPipeError:
+        raise  # click ends quietly where nobody reads on
+    except OSError as error:
+        _no_more_output()
+        where = "standard output" if error.filename is None else printable(error.filename)
+        _fail(f"{where}: {error.strerror or printable(error)}. Free space, or choose another place.", 5)
+    except RuntimeError as error:
+        if "ymlink loop" not in str(error):  # pathlib's words, up to Python 3.12
+            raise
+        _fail(f"{printable(error)}: a link that leads to itself. Give the folder that it should lead to.", 2)
 
 
 def _fail(message: str, status: int) -> NoReturn:
@@ -48,17 +74,55 @@ def _fail(message: str, status: int) -> NoReturn:
     sys.exit(status)
 
 
+def _open_streams() -> None:
+    """Open the null device for each standard stream that was closed: else the next file opened would pass for it."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            if os.open(os.devnull, os.O_RDWR) == number:
+                setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+
+
+def _no_more_output() -> None:
+    """Have what still waits to be written to stdout go nowhere: it could not be written."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
 
 
 def _keep_compiled_kernels() -> None:
-    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written."""
+    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written.
+
+    Kernels are pickles, which run what they hold: only a folder that is ours alone will do. Where there is none they
+    are compiled again in each run.
+    """
     package = Path(__file__).parent
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
-    existing = next(folder for folder in (home, *home.parents) if folder.exists())
-    if not os.access(package, os.W_OK) and not os.access(existing, os.W_OK):
-        os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"))
+    if "NUMBA_CACHE_DIR" in os.environ or os.access(package, os.W_OK) or _user_cache_can_be_written():
+        return
+    chosen = Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"
+    try:
+        chosen.mkdir(mode=0o700, exist_ok=True)
+        found = chosen.lstat()
+        private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    except OSError:
+        private = False
+    if not private:
+        chosen = Path(tempfile.mkdtemp(prefix="crankorder-kernels-"))
+        atexit.register(shutil.rmtree, chosen, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
+
+
+def _user_cache_can_be_written() -> bool:
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+        existing = next(folder for folder in (home, *home.parents) if folder.exists())
+    except (RuntimeError, OSError, StopIteration):  # a user without a home
+        return False
+    return os.access(existing, os.W_OK)
 
 
 @click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
@@ -263,9 +327,6 @@ class _Progress:
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
 def check(folder: Path, manifest: Path | None) -> None:
     """Validate manifest and files; list every fault at once, change nothing."""
-    from crankorder.ingest.manifest import load_manifest
-
-    load_manifest(folder, manifest)
     from crankorder.ingest.check import check_folder
     from crankorder.settings import load_settings
 

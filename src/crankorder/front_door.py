@@ -123,9 +123,7 @@ def recording(
     table["ratio"] = number(ratio, "ratio")
     units = units_of(unit, list(channels))
     named = [{"name": key, "source": place, "unit": units[key]} for place, key in enumerate(channels)]
-    manifest = manifest_of(
-        {**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}, Path(CALL), {}
-    )
+    manifest = manifest_of({**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}, Path(CALL))
     start = number(start_s, "start_s")
     if pulse_times_s is not None:
         check_times(shaft["source"], start, len(next(iter(channels.values()))) / by_time["rate_hz"])
