@@ -19,9 +19,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import get_window
 
 from crankorder.batch.execute import _sources
-from crankorder.batch.plan import TestPlan, plan_tests
+from crankorder.batch.plan import CampaignPlan, plan_tests
 from crankorder.settings import load_settings
-from crankorder.stages import TestResult, analyse_recording, analyse_test
+from crankorder.stages import CampaignResult, analyse_recording, analyse_test
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -169,7 +169,7 @@ def _profiles(cell: Cell, hz: float, numbers: np.ndarray, rng: np.random.Generat
     return tuple(made)
 
 
-def _run(test: SweepTest, name: str, asked: dict[str, dict]) -> tuple[TestPlan, TestResult]:
+def _run(test: SweepTest, name: str, asked: dict[str, dict]) -> tuple[CampaignPlan, CampaignResult]:
     (plan,) = plan_tests([test.folder], test.folder.parent / name)
     settings = load_settings(asked=asked) if asked else plan.settings
     results = [analyse_recording(path, plan.manifest, settings) for path in plan.recordings]
@@ -212,7 +212,7 @@ def _order_at(test: SweepTest, found: float) -> int:
     return int(np.argmin(off)) if min(off) <= NEAR_ORDER else -1
 
 
-def _of_tracks(test: SweepTest, result: TestResult) -> dict[tuple[int, int], Value]:
+def _of_tracks(test: SweepTest, result: CampaignResult) -> dict[tuple[int, int], Value]:
     """Largest value of each order track, with its interval."""
     made: dict[tuple[int, int], Value] = {}
     tracks = result.datasets["order_tracks"].transpose("order", "channel", "speed", ...)

@@ -216,7 +216,7 @@ def _run_plans(
     """Run all plans, publish the index, say what was found; returns the exit status."""
     reporting = _started(plans, jobs)
     try:
-        from crankorder.batch.campaign import run_plans
+        from crankorder.batch.execute import run_plans
         from crankorder.batch.index import summary
         from crankorder.batch.store import json_bytes
 

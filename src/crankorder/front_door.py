@@ -21,13 +21,12 @@ from numpy.typing import ArrayLike
 
 from crankorder.batch.balance import balance_of, publish_balance
 from crankorder.batch.balance import document_text as balance_text
-from crankorder.batch.campaign import run_plans
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
-from crankorder.batch.execute import Progress
+from crankorder.batch.execute import Progress, run_plans
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
 from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import TestPlan, plan_tests
+from crankorder.batch.plan import CampaignPlan, plan_tests
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import DONE
 from crankorder.batch.store import json_bytes
@@ -511,7 +510,7 @@ def _document(text: str | bytes) -> dict[str, Any]:
     return document
 
 
-def _run_folders(plans: list[TestPlan], out: Path, jobs: int, *, fresh: bool, strict: bool) -> None:
+def _run_folders(plans: list[CampaignPlan], out: Path, jobs: int, *, fresh: bool, strict: bool) -> None:
     """Run ``plans``; what was left out is warned of, and what nobody foresaw is raised."""
 
     @contextmanager

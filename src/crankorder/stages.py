@@ -412,10 +412,8 @@ class RecordingResult:
 
 
 @dataclass(frozen=True)
-class TestResult:
+class CampaignResult:
     """What a test gives to its report: datasets by result name and the ``shaft``; findings, None where nobody asked."""
-
-    __test__ = False
 
     datasets: dict[str, xr.Dataset]
     findings: Findings | None
@@ -486,7 +484,9 @@ def analyse_recording(
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 
-def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings) -> TestResult:
+def analyse_test(
+    recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings
+) -> CampaignResult:
     """The results of the test named ``test`` that its ``settings`` ask for, from those of its ``recordings``.
 
     ``sources`` says what the machine is made of; ``settings`` are those of all stages.
@@ -501,4 +501,4 @@ def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sourc
     datasets = {
         str(name): made[RESULTS[name]].drop_dims("look", errors="ignore") for name in results if name != "findings"
     }
-    return TestResult({**datasets, "shaft": made[ShaftSummary]}, made.get(Findings))
+    return CampaignResult({**datasets, "shaft": made[ShaftSummary]}, made.get(Findings))

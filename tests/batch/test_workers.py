@@ -9,8 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from crankorder.batch.shared_pages import LEAST_BYTES
-from crankorder.batch.workers import FORKS, Worker, WorkerDiedError, each
+from crankorder.batch.workers import FORKS, LEAST_BYTES, Worker, WorkerDiedError, each
 from crankorder.errors import InputError
 
 needs_fork = pytest.mark.skipif(not FORKS, reason="workers are threads here")
@@ -126,7 +125,7 @@ def test_strided_arrays_come_back_too():
 
 @needs_fork
 def test_without_room_for_shared_pages_all_goes_through_the_pipe(monkeypatch):
-    monkeypatch.setattr("crankorder.batch.shared_pages.MOST_BYTES", 1 << 16)
+    monkeypatch.setattr("crankorder.batch.workers.MOST_BYTES", 1 << 16)
     made = answers(lambda number: np.full(20_000, float(number)), 3, jobs=1)
     for number, answer in made.items():
         np.testing.assert_array_equal(answer(), np.full(20_000, float(number)))

@@ -22,7 +22,7 @@ from crankorder.fft.band import band_limited
 from crankorder.identify.explain import Sources
 from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk
-from crankorder.stages import TestResult, analyse_recording, analyse_test
+from crankorder.stages import CampaignResult, analyse_recording, analyse_test
 from made.long_recordings import AMPLITUDES, write_long
 
 RECORDS = {"contiguous": {}, "in chunks": {"chunks": (30_011,)}, "a wheel of 360": {"pulses_per_rev": 360}}
@@ -33,7 +33,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return write_long(tmp_path_factory.mktemp("long") / "data", 24.0, **RECORDS[request.param])
 
 
-def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> TestResult:
+def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignResult:
     plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb)[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
     return analyse_test([made], test="long", sources=Sources(revs_per_cycle=2), settings=plan.settings)

@@ -16,7 +16,7 @@ import pytest
 
 from crankorder.batch.plan import plan_tests
 from crankorder.identify.sources import Sources
-from crankorder.stages import TestResult, analyse_recording, analyse_test
+from crankorder.stages import CampaignResult, analyse_recording, analyse_test
 from machines.encoder_rig import Encoder, EncoderRig, draw_rig, quiet, write_rig
 
 RIGS = int(os.environ.get("ENCODERS_RIGS", "120"))
@@ -28,7 +28,7 @@ PARTS = ("gear mesh", "bearing", "second shaft")
 ECCENTRICITIES = (0.02, 0.05, 0.1, 0.2, 0.5)
 
 
-def said(rig: EncoderRig, place: Path) -> TestResult:
+def said(rig: EncoderRig, place: Path) -> CampaignResult:
     """Results of the test of ``rig``, written to the new folder ``place``."""
     write_rig(rig, place)
     plan = plan_tests([place], place.with_suffix(".out"))[0]
@@ -89,7 +89,7 @@ def _over_noise(rig: EncoderRig, order: float) -> np.ndarray:
     return np.array(best) / (rig.noise * np.sqrt(2.0 / samples))
 
 
-def _coverage(rig: EncoderRig, result: TestResult) -> tuple[int, int, float]:
+def _coverage(rig: EncoderRig, result: CampaignResult) -> tuple[int, int, float]:
     """Intervals of tracks that hold the true amplitude, their number, and the median of half width over amplitude."""
     tracks = result.datasets["order_tracks"]
     true = np.array(sorted(rig.lines()))

@@ -6,17 +6,19 @@ import contextlib
 import json
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from crankorder.batch.calibrate import knowledge_of
 from crankorder.batch.changed_gains import without_changed_gains
+from crankorder.batch.index import publish_index
 from crankorder.batch.lean import load_kernels
+from crankorder.batch.locks import locked
 from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import TestPlan
+from crankorder.batch.plan import CampaignPlan
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import TIMINGS, finished_with, publish, refuse_foreign, refuse_others, settle
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
@@ -24,6 +26,7 @@ from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
+from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
@@ -31,15 +34,47 @@ from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.settings import Settings, toml_table
+from crankorder.shaft.calibration import calibrate, mass_lag
+from crankorder.shaft.decode import PULSE_KINDS, flags_named
+from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.line_pattern import LinePattern
 from crankorder.shaft.swing import speed_swing
-from crankorder.stages import RecordingResult, analyse_recording, analyse_test
+from crankorder.stages import RecordingResult, analyse_encoder, analyse_recording, analyse_test
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
 
 
+def run_plans(
+    plans: list[CampaignPlan],
+    out: Path,
+    *,
+    reporting: ReportingProcess,
+    jobs: int,
+    fresh: bool = False,
+    strict: bool = False,
+    watched: Callable[[str], AbstractContextManager[Progress]],
+    tell: Callable[[Outcome], None],
+    wait: Callable[[str], object] = lambda text: None,
+) -> list[Outcome]:
+    """What became of each of ``plans``, whose results and index are published in ``out``.
+
+    ``reporting``, ``jobs``, ``fresh`` and ``strict`` are those of :func:`run_test`;
+    ``watched`` gives, for the name of a test, what is told of its progress while it runs; ``tell`` is called with each
+    outcome, ``wait`` with a sentence where another process that writes the same results is waited for.
+    """
+    outcomes = []
+    for plan in plans:
+        with watched(plan.name) as progress, locked(plan.out, tell=wait):
+            outcome = run_test(plan, reporting=reporting, jobs=jobs, fresh=fresh, strict=strict, progress=progress)
+        tell(outcome)
+        outcomes.append(outcome)
+    publish_index(out, outcomes, page_of=reporting.index_page, tell=wait)
+    return outcomes
+
+
 def run_test(
-    plan: TestPlan,
+    plan: CampaignPlan,
     *,
     reporting: ReportingProcess,
     jobs: int,
@@ -88,7 +123,7 @@ def run_test(
 
 
 def _finish(
-    plan: TestPlan,
+    plan: CampaignPlan,
     results: dict[Path, RecordingResult],
     provenance: dict[str, Any],
     key: str,
@@ -166,7 +201,7 @@ class _Clock:
 
 
 def _analyse(
-    plan: TestPlan,
+    plan: CampaignPlan,
     hashes: dict[Path, HashedFile],
     jobs: int,
     outcome: Outcome,
@@ -235,6 +270,43 @@ def _collect(
         outcome.internal.append(error)
 
 
+def knowledge_of(
+    plan: CampaignPlan, engine: Engine | None, recordings: list[Path], jobs: int
+) -> tuple[ShaftKnowledge, list[QualityFlag]]:
+    """What is known of the shaft of a test, and flags for the whole test.
+
+    Where the settings of ``plan`` ask for it the encoder is calibrated first: ``recordings`` are read ``jobs`` at a
+    time for their pulses alone. ``engine``: of the test, or None. A recording that cannot be read is left out here and
+    told later, when it is analysed.
+    """
+    if not plan.settings.shaft.calibrate_encoder or plan.manifest.encoder.kind not in PULSE_KINDS:
+        return ShaftKnowledge(engine), []
+
+    def pattern(number: int) -> LinePattern:
+        return analyse_encoder(recordings[number], plan.manifest, plan.settings)
+
+    found: dict[int, LinePattern] = {}
+    for number, made in each(pattern, len(recordings), jobs=jobs):
+        with contextlib.suppress(CrankorderError, WorkerDiedError):
+            found[number] = made()
+    patterns = [found[number] for number in sorted(found)]
+    encoder = plan.manifest.encoder
+    calibration = calibrate(
+        patterns,
+        ratio=encoder.ratio,
+        engine_lag=_mass_lag(engine),
+        index_to_tdc_deg=encoder.index_to_tdc_deg if "index_to_tdc_deg" in encoder.model_fields_set else None,
+        least_speed_ratio=plan.settings.shaft.calibration_speed_ratio,
+    )
+    return ShaftKnowledge(engine, calibration if calibration.separated else None), flags_named(
+        "all", calibration.remarks
+    )
+
+
+def _mass_lag(engine: Engine | None) -> Lag | None:
+    return None if engine is None else mass_lag(engine)
+
+
 def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity, ...]) -> list[CrankorderError]:
     """Faults of the recordings that leave ``results`` (changed in place): bad data take no part in averages.
 
@@ -275,7 +347,7 @@ KINEMATIC_SHARE = 1e-3
 """An order with less than this share of the largest inertia force is not called engine kinematics."""
 
 
-def _engine(plan: TestPlan) -> Engine | None:
+def _engine(plan: CampaignPlan) -> Engine | None:
     """The engine that the manifest names, if any."""
     name = plan.manifest.test.engine
     return None if name is None else load_engine(name, beside=plan.folder)
@@ -302,7 +374,9 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
     )
 
 
-def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]) -> dict[str, Any]:
+def _provenance(
+    plan: CampaignPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]
+) -> dict[str, Any]:
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:

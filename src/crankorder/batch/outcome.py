@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from crankorder.batch.plan import TestPlan
+from crankorder.batch.plan import CampaignPlan
 from crankorder.errors import CrankorderError, printable
 from crankorder.quantities import QualityFlag
 from crankorder.report.sentences.story import headline
@@ -16,7 +16,7 @@ from crankorder.report.sentences.story import headline
 class Outcome:
     """What became of one test."""
 
-    plan: TestPlan
+    plan: CampaignPlan
     status: str = "failed"
     faults: list[CrankorderError] = field(default_factory=list)
     internal: list[BaseException] = field(default_factory=list)

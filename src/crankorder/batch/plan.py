@@ -28,10 +28,8 @@ HIGHEST_STATED = 200.0
 
 
 @dataclass(frozen=True)
-class TestPlan:
+class CampaignPlan:
     """One test: its folder, manifest, settings, recordings and where its results go."""
-
-    __test__ = False
 
     name: str
     folder: Path
@@ -52,7 +50,7 @@ def plan_tests(
     tolerance: float | None = None,
     max_memory_mb: int | None = None,
     name: str | None = None,
-) -> list[TestPlan]:
+) -> list[CampaignPlan]:
     """Plans of the tests in ``folders``, whose results go below ``out``.
 
     ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
@@ -67,7 +65,7 @@ def plan_tests(
     folders = list({folder.resolve(): folder for folder in folders}.values())
     if name is not None and len(folders) > 1:
         raise RequestError("one name for several tests", file="--name", found=name, remedy="Run each test by itself")
-    plans: list[TestPlan] = []
+    plans: list[CampaignPlan] = []
     faults: list[CrankorderError] = []
     try:
         refuse_foreign_index(out)
@@ -142,7 +140,7 @@ def _plan(
     asked: dict[str, dict[str, Any]],
     name: str | None,
     places: _Places,
-) -> TestPlan:
+) -> CampaignPlan:
     if not folder.is_dir():
         raise RequestError(
             "no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings"
@@ -155,7 +153,7 @@ def _plan(
     name = name or stated.test.name or folder.resolve().name
     content = text_sha256(json.dumps(stated.model_dump(mode="json"), sort_keys=True))
     owner = Owner(_relative(folder, out), content)
-    return TestPlan(
+    return CampaignPlan(
         name=name,
         folder=folder,
         manifest=stated,

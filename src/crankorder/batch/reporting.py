@@ -16,7 +16,7 @@ from crankorder.errors import EnvironmentFailure
 if TYPE_CHECKING:
     import xarray as xr
 
-    from crankorder.batch.plan import TestPlan
+    from crankorder.batch.plan import CampaignPlan
     from crankorder.settings import ReportSettings
 
 
@@ -26,7 +26,7 @@ class ReportingProcess:
     Where it is killed another takes its place and does what was asked once more.
     """
 
-    def __init__(self, plans: list[TestPlan], *, jobs: int) -> None:
+    def __init__(self, plans: list[CampaignPlan], *, jobs: int) -> None:
         """Start hashing the recordings of ``plans``, ``jobs`` at a time, and loading what draws and writes."""
         self._plans, self._jobs = plans, jobs
         self._hashes: dict[Path, HashedFile] = {}
@@ -93,7 +93,7 @@ class ReportingProcess:
             self._program, self._hashes = self._answer_to("hash")
         return self._program
 
-    def hashes(self, plan: TestPlan) -> dict[Path, HashedFile]:
+    def hashes(self, plan: CampaignPlan) -> dict[Path, HashedFile]:
         """Every recording of ``plan`` as it was hashed, or why it could not be."""
         self.program()
         return {path: self._hashes[path] for path in plan.recordings}
