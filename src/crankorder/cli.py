@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
-import json
 import os
+import shutil
 import signal
+import stat
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -19,8 +21,8 @@ import click
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
-    from crankorder.batch.ahead import Helper
-    from crankorder.batch.execute import Outcome
+    from crankorder.batch.outcome import Outcome
+    from crankorder.batch.reporting import ReportingProcess
 
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
@@ -30,18 +32,41 @@ MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
 class Guarded(click.Group):
     """A group whose commands end with the documented exit status and one clear line for every known fault."""
 
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run a command line: ``args`` and ``kwargs`` are click's. A stream that was closed leads to nowhere."""
+        _open_streams()
+        with _guarded():
+            return super().main(*args, **kwargs)
+
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command of ``ctx``; known faults become one line on stderr and an exit status."""
-        try:
+        """Run the command of ``ctx``."""
+        with _guarded():
             return super().invoke(ctx)
-        except CrankorderError as error:
-            _fail(str(error), error.exit_status)
-        except KeyboardInterrupt:
-            _fail("interrupted; run the same command again: an analysis keeps its finished tests", 130)
-        except PermissionError as error:
-            _fail(f"{error.filename}: no permission. Choose another folder or change its rights.", 5)
-        except MemoryError:
-            _fail("not enough memory; analyse fewer recordings at a time (--jobs 1)", 5)
+
+
+@contextlib.contextmanager
+def _guarded() -> Iterator[None]:
+    """Known faults become one line on stderr and an exit status."""
+    try:
+        yield
+    except CrankorderError as error:
+        _fail(str(error), error.exit_status)
+    except KeyboardInterrupt:
+        _fail("interrupted; run the same command again: an analysis keeps its finished tests", 130)
+    except PermissionError as error:
+        _fail(f"{printable(error.filename)}: no permission. Choose another folder or change its rights.", 5)
+    except MemoryError:
+        _fail("not enough memory; analyse fewer recordings at a time (--jobs 1)", 5)
+    except BrokenPipeError:
+        raise  # click ends quietly where nobody reads on
+    except OSError as error:
+        _no_more_output()
+        where = "standard output" if error.filename is None else printable(error.filename)
+        _fail(f"{where}: {error.strerror or printable(error)}. Free space, or choose another place.", 5)
+    except RuntimeError as error:
+        if "ymlink loop" not in str(error):  # pathlib's words, up to Python 3.12
+            raise
+        _fail(f"{printable(error)}: a link that leads to itself. Give the folder that it should lead to.", 2)
 
 
 def _fail(message: str, status: int) -> NoReturn:
@@ -49,17 +74,55 @@ def _fail(message: str, status: int) -> NoReturn:
     sys.exit(status)
 
 
+def _open_streams() -> None:
+    """Open the null device for each standard stream that was closed: else the next file opened would pass for it."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            if os.open(os.devnull, os.O_RDWR) == number:
+                setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+
+
+def _no_more_output() -> None:
+    """Have what still waits to be written to stdout go nowhere: it could not be written."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
 
 
 def _keep_compiled_kernels() -> None:
-    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written."""
+    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written.
+
+    Kernels are pickles, which run what they hold: only a folder that is ours alone will do. Where there is none they
+    are compiled again in each run.
+    """
     package = Path(__file__).parent
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
-    existing = next(folder for folder in (home, *home.parents) if folder.exists())
-    if not os.access(package, os.W_OK) and not os.access(existing, os.W_OK):
-        os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"))
+    if "NUMBA_CACHE_DIR" in os.environ or os.access(package, os.W_OK) or _user_cache_can_be_written():
+        return
+    chosen = Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"
+    try:
+        chosen.mkdir(mode=0o700, exist_ok=True)
+        found = chosen.lstat()
+        private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    except OSError:
+        private = False
+    if not private:
+        chosen = Path(tempfile.mkdtemp(prefix="crankorder-kernels-"))
+        atexit.register(shutil.rmtree, chosen, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
+
+
+def _user_cache_can_be_written() -> bool:
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+        existing = next(folder for folder in (home, *home.parents) if folder.exists())
+    except (RuntimeError, OSError, StopIteration):  # a user without a home
+        return False
+    return os.access(existing, os.W_OK)
 
 
 @click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
@@ -97,6 +160,7 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
 @click.option("--out", required=True, type=FOLDER, help="Folder for the results; made if missing.")
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
+@click.option("--name", help="Name of the test and of its folder in OUT; goes before that of the manifest.")
 @click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
 @click.option(
     "--tol",
@@ -118,6 +182,7 @@ def run(
     folders: tuple[Path, ...],
     out: Path,
     manifest: Path | None,
+    name: str | None,
     recipe: str | None,
     tol: float | None,
     max_memory_mb: int | None,
@@ -132,11 +197,13 @@ def run(
     """Analyse test-run folders."""
     from crankorder.batch.plan import plan_tests
 
-    plans = plan_tests(list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol, max_memory_mb=max_memory_mb)
+    asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name}
+    plans = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
-            click.echo(f"{plan.name}: {len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {plan.out}")
+            shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
+            click.echo(f"{printable(plan.name)}: {shown}")
             for fault in plan.faults:
                 click.echo(f"  {fault}", err=True)
         return
@@ -147,10 +214,11 @@ def _run_plans(
     plans: list[Any], out: Path, jobs: int, as_json: bool, quiet: bool, verbose: bool, *, fresh: bool, strict: bool
 ) -> int:
     """Run all plans, publish the index, say what was found; returns the exit status."""
-    helper = _started(plans, jobs)
+    reporting = _started(plans, jobs)
     try:
         from crankorder.batch.campaign import run_plans
         from crankorder.batch.index import summary
+        from crankorder.batch.store import json_bytes
 
         if any("findings" in plan.settings.report.results for plan in plans):
             import crankorder.identify.findings  # noqa: F401  # while no garbage is looked for
@@ -158,35 +226,36 @@ def _run_plans(
         outcomes = run_plans(
             plans,
             out,
-            helper=helper,
+            reporting=reporting,
             jobs=jobs,
             fresh=fresh,
             strict=strict,
             watched=lambda name: _Progress(quiet, name),
             tell=lambda outcome: _say(outcome, quiet, verbose),
+            wait=lambda text: click.echo(f"crankorder: {text}", err=True),
         )
     finally:
         gc.enable()
-        helper.close()
+        reporting.close()
     if as_json:
-        click.echo(json.dumps(summary(outcomes, out=out), ensure_ascii=False, indent=2))
+        click.echo(json_bytes(summary(outcomes)).decode(), nl=False)
     return _exit_status(outcomes)
 
 
-def _started(plans: list[Any], jobs: int) -> Helper:
-    """A helper that hashes inputs and loads what draws and writes, while this process loads what analyses."""
+def _started(plans: list[Any], jobs: int) -> ReportingProcess:
+    """A process that hashes inputs and loads what draws and writes, while this process loads what analyses."""
     gc.disable()  # modules that load make no garbage, and looking for it costs a fifth of the time
     atexit.register(gc.freeze)  # nor is it worth 0.4 s to take everything apart before the process ends
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # recordings run side by side; small products run in one thread
     from crankorder.batch.lean import leave_out_unused
 
     leave_out_unused()
-    import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before the helper is split off
+    import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before it is split off
     import xarray  # noqa: F401
 
-    from crankorder.batch.ahead import Helper
+    from crankorder.batch.reporting import ReportingProcess
 
-    return Helper(plans, jobs=jobs)
+    return ReportingProcess(plans, jobs=jobs)
 
 
 def _exit_status(outcomes: list[Outcome]) -> int:
@@ -202,15 +271,15 @@ def _exit_status(outcomes: list[Outcome]) -> int:
 def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     from crankorder.report.sentences.story import headline
 
-    plan = outcome.plan
+    name = printable(outcome.plan.name)
     for fault in outcome.faults:
-        click.echo(f"crankorder: {plan.name}: {fault}", err=True)
+        click.echo(f"crankorder: {name}: {fault}", err=True)
     alike: dict[str, list[BaseException]] = {}
     for error in outcome.internal:
         alike.setdefault(f"{type(error).__name__}: {error}", []).append(error)
     for said, errors in alike.items():
         count = f" ({len(errors)} recordings)" if len(errors) > 1 else ""
-        click.echo(f"crankorder: {plan.name}: internal fault{count}: {printable(said, 1000)}", err=True)
+        click.echo(f"crankorder: {name}: internal fault{count}: {printable(said, 1000)}", err=True)
         if verbose:
             click.echo("".join(traceback.format_exception(errors[0])), err=True)
     if quiet:
@@ -219,8 +288,8 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
         for sentence in headline(outcome.findings):
             click.echo(sentence, err=True)
     if outcome.status != "failed":
-        note = "unchanged, kept" if outcome.status == "unchanged" else "done"
-        click.echo(f"{plan.name}: {note}: {plan.out / 'report.html'}", err=True)
+        note = "unchanged, kept" if outcome.kept else "done"
+        click.echo(f"{name}: {note}: {printable(outcome.plan.out / 'report.html', 1000)}", err=True)
     if verbose:
         if outcome.accuracy:
             click.echo(f"  {outcome.accuracy}", err=True)
@@ -258,9 +327,6 @@ class _Progress:
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
 def check(folder: Path, manifest: Path | None) -> None:
     """Validate manifest and files; list every fault at once, change nothing."""
-    from crankorder.ingest.manifest import load_manifest
-
-    load_manifest(folder, manifest)
     from crankorder.ingest.check import check_folder
     from crankorder.settings import load_settings
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]{6,16}(?=>)")
+
 LONGEST_PROBLEM = 500
 """Characters of a problem or remedy that are shown: they may quote a name from a file."""
 
@@ -49,9 +53,13 @@ def _rebuild(kind: type[CrankorderError], problem: str, keywords: dict[str, str]
 
 
 def printable(value: object, limit: int = 200) -> str:
-    """Text of ``value`` with control characters shown as ``\\xNN`` and cut at ``limit`` characters."""
-    text = str(value).encode("utf-8", "backslashreplace").decode("utf-8")
-    text = "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
+    """Text of ``value`` with control characters shown as ``\\xNN`` and cut at ``limit`` characters.
+
+    Where an object lies in memory is left out: the same fault has the same words in every run.
+    """
+    text = _ADDRESS.sub("", str(value)).encode("utf-8", "backslashreplace").decode("utf-8")
+    if not text.isprintable():
+        text = "".join(char if char.isprintable() else f"\\x{ord(char):02x}" for char in text)
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
@@ -85,6 +93,18 @@ class EnvironmentFailure(CrankorderError, OSError):
 
 class SchemaError(CrankorderError, TypeError):
     """A dataset does not have the dims, variables or units that its schema names: a fault of the program."""
+
+
+MOST_TOLD = 200
+"""Faults of one request that are told one by one: beyond them they are counted."""
+
+
+def told(faults: list[CrankorderError], count: int, *, file: object) -> list[CrankorderError]:
+    """The first ``MOST_TOLD`` of ``faults``, and how many there are where ``count`` of them were found in ``file``."""
+    if count <= MOST_TOLD:
+        return faults
+    rest = RequestError(f"and {count - MOST_TOLD} more faults", file=file, remedy="Mend these first")
+    return [*faults[:MOST_TOLD], rest]
 
 
 class ManyErrors(RequestError):

@@ -19,16 +19,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from crankorder.batch.ahead import Helper
 from crankorder.batch.balance import balance_of, publish_balance
 from crankorder.batch.balance import document_text as balance_text
 from crankorder.batch.campaign import run_plans
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
-from crankorder.batch.execute import Outcome, Progress
+from crankorder.batch.execute import Progress
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
+from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import TestPlan, plan_tests
-from crankorder.batch.store import DONE, json_bytes
+from crankorder.batch.reporting import ReportingProcess
+from crankorder.batch.result_folder import DONE
+from crankorder.batch.store import json_bytes
 from crankorder.errors import InputError, RequestError
 from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, shaft_of, units_of
 from crankorder.ingest.folder import recordings_of
@@ -121,9 +123,7 @@ def recording(
     table["ratio"] = number(ratio, "ratio")
     units = units_of(unit, list(channels))
     named = [{"name": key, "source": place, "unit": units[key]} for place, key in enumerate(channels)]
-    manifest = manifest_of(
-        {**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}, Path(CALL), {}
-    )
+    manifest = manifest_of({**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}, Path(CALL))
     start = number(start_s, "start_s")
     if pulse_times_s is not None:
         check_times(shaft["source"], start, len(next(iter(channels.values()))) / by_time["rate_hz"])
@@ -519,13 +519,13 @@ def _run_folders(plans: list[TestPlan], out: Path, jobs: int, *, fresh: bool, st
         yield lambda name, done, total: None
 
     outcomes: list[Outcome] = []
-    helper = Helper(plans, jobs=jobs)
+    reporting = ReportingProcess(plans, jobs=jobs)
     try:
         outcomes = run_plans(
-            plans, out, helper=helper, jobs=jobs, fresh=fresh, strict=strict, watched=unwatched, tell=_warn_of
+            plans, out, reporting=reporting, jobs=jobs, fresh=fresh, strict=strict, watched=unwatched, tell=_warn_of
         )
     finally:
-        helper.close()
+        reporting.close()
     if all(outcome.status == "failed" for outcome in outcomes):
         internal = [error for outcome in outcomes for error in outcome.internal]
         raise (internal or [fault for outcome in outcomes for fault in outcome.faults])[0]

@@ -28,6 +28,9 @@ ShaftAngle = NewType("ShaftAngle", xr.Dataset)
 TrueAngle = NewType("TrueAngle", xr.Dataset)
 """Crank angle, speed and their standard error on time knots."""
 
+ShaftSummary = NewType("ShaftSummary", xr.Dataset)
+"""Speed, pulses used and angle error of every recording of a test, and its speed against time in short."""
+
 BandRecording = NewType("BandRecording", xr.Dataset)
 """A recording limited to the band that the wanted results need (low-pass filtered and decimated)."""
 

@@ -233,7 +233,9 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
     try:
         text = ours[name] if found is None else found.read_text(encoding="utf-8")
         return tomllib.loads(text), f"{kind}/{name}.toml" if found is None else found.name
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise RequestError("not valid TOML: nested too deep", file=found or name) from None
+    except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
         raise RequestError(
             "not valid TOML", file=found or name, found=error, remedy="Mend the line that it names"
         ) from None

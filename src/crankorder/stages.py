@@ -62,6 +62,7 @@ from crankorder.quantities import (
     RecordingLevels,
     RecordingTracks,
     ShaftAngle,
+    ShaftSummary,
     TrueAngle,
     check_dataset,
     flags_of,
@@ -73,6 +74,7 @@ from crankorder.shaft.decode import encoder_pattern, flags_named, shaft_angle
 from crankorder.shaft.knowledge import ShaftKnowledge
 from crankorder.shaft.line_pattern import LinePattern
 from crankorder.shaft.silent_ends import silent_ends
+from crankorder.shaft.summary import shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
@@ -85,11 +87,13 @@ AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
 AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", list[xr.Dataset])
 AllRecordingLevels = NewType("AllRecordingLevels", list[xr.Dataset])
+AllShaftAngles = NewType("AllShaftAngles", list[xr.Dataset])
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
     BandRecording: "recording",
     ShaftAngle: "shaft_angle",
+    ShaftSummary: "shaft_summary",
     FramesAsShown: "order_frames",
     TrueAngle: "shaft_angle",
     OrderFrames: "order_frames",
@@ -335,6 +339,12 @@ def shapes(frames: AllOrderFrames, order_map: OrderMap, findings: Findings, sett
     return OperatingShapes(operating_shapes(frames, orders, settings=settings.orders))
 
 
+@stage
+def shaft_of_test(shafts: AllShaftAngles) -> ShaftSummary:
+    """Speed, pulses used, angle error and speed against time of each of ``shafts``: one row each."""
+    return ShaftSummary(shaft_summary(shafts))
+
+
 OF_ENCODER = (ingest, pattern)
 OF_RECORDING = (
     ingest,
@@ -360,6 +370,7 @@ OF_TEST = (
     tracks,
     cycles,
     shapes,
+    shaft_of_test,
 )
 
 RESULTS: dict[str, Any] = {
@@ -402,7 +413,7 @@ class RecordingResult:
 
 @dataclass(frozen=True)
 class TestResult:
-    """What a test gives to its report: datasets by result name, and findings, None where they were not asked for."""
+    """What a test gives to its report: datasets by result name and the ``shaft``; findings, None where nobody asked."""
 
     __test__ = False
 
@@ -419,9 +430,9 @@ def frames_wanted(settings: Settings) -> tuple[Any, ...]:
 @functools.cache
 def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
     """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
-    given = [*FRAMES_OF, TestName, Sources, Settings]
+    given = [*FRAMES_OF, AllShaftAngles, TestName, Sources, Settings]
     given += [] if "findings" in results else [Findings]
-    return StagePlan(OF_TEST, wanted=[RESULTS[name] for name in results], given=given)
+    return StagePlan(OF_TEST, wanted=[*(RESULTS[name] for name in results), ShaftSummary], given=given)
 
 
 @functools.cache
@@ -482,6 +493,7 @@ def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sourc
     """
     results = settings.report.results
     given: dict[Any, Any] = {TestName: test, Sources: sources, Settings: settings, Findings: {"orders": []}}
+    given[AllShaftAngles] = [item.shaft for item in recordings]
     for gathered, noun in FRAMES_OF.items():
         given[gathered] = [item.frames[noun] for item in recordings if noun in item.frames]
     made = _plan_of_test(results).run(given)
@@ -489,4 +501,4 @@ def analyse_test(recordings: list[RecordingResult], *, test: str, sources: Sourc
     datasets = {
         str(name): made[RESULTS[name]].drop_dims("look", errors="ignore") for name in results if name != "findings"
     }
-    return TestResult(datasets, made.get(Findings))
+    return TestResult({**datasets, "shaft": made[ShaftSummary]}, made.get(Findings))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from crankorder.batch.store import DONE, finished_with
+from crankorder.batch.result_folder import DONE, finished_with
 from crankorder.cli import main
 from crankorder.quantities import schema_of
 from crankorder.report.netcdf import read_results

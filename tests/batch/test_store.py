@@ -1,67 +1,12 @@
-"""Publication: whole or not at all."""
+"""Bytes on the disk: JSON, keys, and files as they were hashed."""
 
 from __future__ import annotations
 
-import errno
+import hashlib
 import json
 import os
 
-import pytest
-
-from crankorder.batch.store import DONE, finished_with, json_bytes, publish, text_sha256
-from crankorder.errors import EnvironmentFailure
-
-CONTENTS = {"a.json": b"{}\n", "b.png": b"\x89PNG" * 50}
-
-
-def test_published_results_are_finished_with_their_key_and_no_other(tmp_path):
-    publish(tmp_path / "out", CONTENTS, key="one")
-    assert finished_with(tmp_path / "out", "one")
-    assert not finished_with(tmp_path / "out", "two")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {*CONTENTS, DONE}
-
-
-@pytest.mark.parametrize("name", [*CONTENTS, DONE])
-@pytest.mark.parametrize("harm", ["removed", "changed"])
-def test_results_that_were_touched_are_not_finished(tmp_path, name, harm):
-    publish(tmp_path, CONTENTS, key="one")
-    if harm == "removed":
-        (tmp_path / name).unlink()
-    else:
-        (tmp_path / name).write_bytes(b"[]")
-    assert not finished_with(tmp_path, "one")
-
-
-@pytest.mark.parametrize("call", ["fsync", "replace", "open"])
-@pytest.mark.parametrize("number", range(6))
-def test_whichever_call_fails_no_half_file_stands_under_its_name(tmp_path, monkeypatch, call, number):
-    """Fail the n-th call, for all n: every file is the old one or the new one, and the marker never lies."""
-    publish(tmp_path, {name: b"old " + data for name, data in CONTENTS.items()}, key="old")
-    real, count = {"fsync": os.fsync, "replace": os.replace, "open": os.open}[call], [0]
-
-    def failing(*arguments, **named):
-        count[0] += 1
-        if count[0] == number + 1:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "disk")
-        return real(*arguments, **named)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, call, failing)
-        try:
-            publish(tmp_path, CONTENTS, key="new")
-            failed = False
-        except EnvironmentFailure as error:
-            failed = True
-            assert error.exit_status == 5 and "No space left" in str(error)
-    if failed:
-        assert not list(tmp_path.glob(".*"))
-    else:
-        assert finished_with(tmp_path, "new")
-    old = [(tmp_path / name).read_bytes() == b"old " + data for name, data in CONTENTS.items()]
-    new = [(tmp_path / name).read_bytes() == data for name, data in CONTENTS.items()]
-    assert all(one or other for one, other in zip(old, new, strict=True))
-    assert all(old) or not finished_with(tmp_path, "old")
-    assert all(new) or not finished_with(tmp_path, "new")
+from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 
 
 def test_json_has_no_nan_ten_digits_and_ends_with_a_newline():
@@ -72,3 +17,43 @@ def test_json_has_no_nan_ten_digits_and_ends_with_a_newline():
 
 def test_the_parts_of_a_key_cannot_be_shifted_into_each_other():
     assert text_sha256("ab", "c") != text_sha256("a", "bc")
+
+
+def test_characters_that_nobody_sees_are_escaped_in_json():
+    made = json_bytes({"name": "a\u202eb\x1b[31m\u200b\U000e0041é漢"})
+    assert json.loads(made) == {"name": "a\u202eb\x1b[31m\u200b\U000e0041é漢"}
+    assert all(char.isprintable() or char == "\n" for char in made.decode()) and "é漢" in made.decode()
+
+
+def test_a_file_that_changes_after_it_was_hashed_is_told_whatever_its_times_say(tmp_path):
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"one")
+    times = path.stat()
+    hashed = HashedFile.of(path)
+    assert hashed.sha256 == text_sha256_of(b"one") and hashed.is_still_at(path)
+    path.write_bytes(b"two")
+    os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert not hashed.is_still_at(path)
+    path.write_bytes(b"one")
+    os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert not hashed.is_still_at(path)  # it was another one in between
+    path.unlink()
+    assert not hashed.is_still_at(path)
+
+
+def test_a_file_that_grows_while_it_is_hashed_says_so(tmp_path, monkeypatch):
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"one")
+
+    def grown(stream):
+        with path.open("ab") as more:
+            more.write(b"more")
+        return "0" * 64
+
+    monkeypatch.setattr("crankorder.batch.store._stream_sha256", grown)
+    assert HashedFile.of(path).fault == CHANGED
+    assert "No such file" in HashedFile.of(tmp_path / "missing").fault
+
+
+def text_sha256_of(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,28 +1,15 @@
-"""Stated errors of kernels are the errors measured, and the cheapest that meets a tolerance is found."""
+"""Stated errors of kernels are the errors measured, and the shortest that meets a tolerance is found."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.fft.kernel_errors import cost_of
-from crankorder.fft.resampling import KERNEL_NAMES, Kernel, cheapest_kernel, kernel_named, predicted_error, values_at
+from crankorder.fft.resampling import LENGTHS, Kernel, cheapest_kernel, kernel_named, values_at
 
 CONTENTS = (0.02, 0.05, 0.2, 0.4)
-SOME_KERNELS = (
-    "lagrange-4",
-    "lagrange-6",
-    "bspline-3",
-    "bspline-5",
-    "sinc-6",
-    "sinc-8",
-    "sinc-16",
-    "sinc-32",
-    "sinc-48",
-)
+SOME_KERNELS = ("sinc-6", "sinc-8", "sinc-16", "sinc-32", "sinc-48")
 POSITION_ROUNDING = 1e-12
 """A position near 500 is rounded to 6e-14, which turns a tone at 0.4 of the rate by 1.5e-13."""
 
@@ -50,28 +37,27 @@ def test_the_error_of_every_kernel_is_predicted(name, content, double):
     assert kernel.predicted_error <= 5.0 * measured
 
 
-@pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("content", CONTENTS)
 @pytest.mark.parametrize("tolerance", [10.0**-k for k in range(2, 10)])
-def test_what_is_asked_for_is_met(tolerance, content, double, smooth):
+def test_what_is_asked_for_is_met(tolerance, content, double):
     if not double and tolerance < 1e-6:
         with pytest.raises(RequestError, match="float64"):
-            cheapest_kernel(1e-7, content=content, double=double, smooth=smooth)
+            cheapest_kernel(1e-7, content=content, double=double)
         return
-    kernel = cheapest_kernel(tolerance, content=content, double=double, smooth=smooth)
+    kernel = cheapest_kernel(tolerance, content=content, double=double)
     measured = measured_error(kernel, content)
     assert kernel.pass_band == content and kernel.double == double
     assert measured <= kernel.predicted_error + POSITION_ROUNDING
     assert kernel.predicted_error <= tolerance
-    assert kernel.predicted_error <= (20.0 if smooth else 5.0) * measured  # the ripple of a window varies with length
+    assert kernel.predicted_error <= 20.0 * measured  # the ripple of a window varies with length
 
 
 @pytest.mark.parametrize("share", [0.3, 0.42, 0.45, 0.48, 0.499])
 @pytest.mark.parametrize("content", [0.1, 0.3, 0.4])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
-def test_a_smooth_kernel_leaves_one_image_of_what_lies_above_its_band(tolerance, content, share):
-    kernel = cheapest_kernel(tolerance, content=content, smooth=True)
+def test_a_kernel_leaves_one_image_of_what_lies_above_its_band(tolerance, content, share):
+    kernel = cheapest_kernel(tolerance, content=content)
     at = np.arange(400.0, 3500.0, 0.6724)
     values = values_at(np.cos(2.0 * np.pi * share * np.arange(4000.0))[None], at, kernel=kernel)[0]
     angle = 2.0 * np.pi * np.outer(at, [share, 1.0 - share])
@@ -82,11 +68,10 @@ def test_a_smooth_kernel_leaves_one_image_of_what_lies_above_its_band(tolerance,
 
 @pytest.mark.parametrize("content", [0.05, 0.25, 0.4])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
-def test_no_kernel_that_meets_the_tolerance_costs_less(tolerance, content):
+def test_no_shorter_kernel_meets_the_tolerance(tolerance, content):
     chosen = cheapest_kernel(tolerance, content=content)
-    for name in KERNEL_NAMES:
-        if cost_of(name, True) < cost_of(chosen.name, True):
-            assert kernel_named(name, pass_band=content).predicted_error > tolerance
+    for taps in LENGTHS[: LENGTHS.index(chosen.taps)]:
+        assert kernel_named(f"kaiser-{taps}", pass_band=content).predicted_error > tolerance
 
 
 def test_content_near_half_of_the_rate_is_met_by_a_long_kernel():
@@ -118,7 +103,7 @@ def test_a_tolerance_that_is_no_error_is_refused(tolerance):
 
 
 @pytest.mark.parametrize(
-    "name", ["sinc-7", "sinc-2", "sinc-514", "sinc-", "sinc", "lagrange-5", "spline-3", "", "sinc-٨"]
+    "name", ["sinc-7", "sinc-2", "sinc-514", "sinc-", "sinc", "lagrange-6", "spline-3", "", "sinc-٨"]
 )
 def test_an_unknown_kernel_is_refused_by_name(name):
     with pytest.raises(RequestError, match="no such interpolation kernel"):
@@ -130,19 +115,9 @@ def test_a_kernel_made_for_a_band_is_better_there_than_one_made_for_a_wider_band
     made_for_band = kernel_named("sinc-16", pass_band=0.25)
     made_for_more = kernel_named("sinc-16", pass_band=0.4)
     assert made_for_band.predicted_error < 1e-6
-    assert predicted_error(made_for_more, 0.25) > 1e-4
     assert measured_error(made_for_more, 0.25) > 1e-4
 
 
-@pytest.mark.parametrize("name", ["lagrange-6", "bspline-5", "sinc-16"])
-def test_the_error_grows_with_the_content_and_may_be_asked_for_below_the_pass_band(name):
-    kernel = kernel_named(name, pass_band=0.3)
-    errors = [predicted_error(kernel, content) for content in (0.01, 0.05, 0.1, 0.2, 0.3)]
-    assert all(less <= 1.01 * more for less, more in pairwise(errors))
-    assert errors[-1] == kernel.predicted_error
-    assert measured_error(kernel, 0.2) <= predicted_error(kernel, 0.2)
-
-
 def test_eight_samples_are_enough_for_a_millionth_at_a_twentieth_of_the_rate():
-    assert cheapest_kernel(1e-6, content=0.05).taps <= 8
-    assert cheapest_kernel(1e-7, content=0.4).taps <= 48
+    assert kernel_named("sinc-8", pass_band=0.05).predicted_error < 1e-6
+    assert kernel_named("sinc-48", pass_band=0.4).predicted_error < 1e-7

@@ -8,13 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.errors import RequestError
-from crankorder.fft.resampling import KERNEL_NAMES, cheapest_kernel, kernel_named, margin, values_at
+from crankorder.fft.resampling import LENGTHS, kernel_named, margin, values_at
 
 SHORT_KERNELS = (
-    "lagrange-4",
-    "lagrange-6",
-    "bspline-3",
-    "bspline-5",
     "sinc-8",
     "sinc-10",
     "sinc-16",
@@ -57,8 +53,7 @@ def test_on_the_samples_the_samples_come_back(name):
     kernel = kernel_named(name, pass_band=0.3)
     inside = np.arange(60, N_SAMPLES - 60)
     values = values_at(noise(2), inside.astype(float), kernel=kernel)
-    within = 0.0 if name[0] != "b" else 2e-14
-    np.testing.assert_allclose(values, noise(2)[:, inside], rtol=0, atol=within)
+    np.testing.assert_array_equal(values, noise(2)[:, inside])
 
 
 @pytest.mark.parametrize("name", SHORT_KERNELS)
@@ -130,7 +125,7 @@ def test_both_precisions_agree_within_what_single_precision_states(name, content
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
-@pytest.mark.parametrize("name", ["lagrange-6", "bspline-5", "sinc-16"])
+@pytest.mark.parametrize("name", ["kaiser-8", "sinc-16"])
 def test_the_smallest_and_largest_amplitudes_survive(name, scale):
     kernel = kernel_named(name, pass_band=0.1)
     at = places(N_SAMPLES, kernel.margin)
@@ -138,7 +133,7 @@ def test_the_smallest_and_largest_amplitudes_survive(name, scale):
     assert np.abs(values / scale - tones(0.1, at)).max() < kernel.predicted_error + 1e-13
 
 
-@pytest.mark.parametrize("name", ["lagrange-6", "bspline-3", "sinc-16", "sinc-48"])
+@pytest.mark.parametrize("name", ["kaiser-8", "sinc-16", "sinc-48"])
 def test_a_constant_a_million_times_the_signal_costs_only_its_own_rounding(name):
     kernel = kernel_named(name, pass_band=0.1)
     at = places(N_SAMPLES, kernel.margin)
@@ -178,8 +173,6 @@ def test_shapes_that_do_not_fit_are_refused():
         values_at(np.zeros(300), np.array([150.0]))
     with pytest.raises(RequestError, match="positions are one row"):
         values_at(np.zeros((1, 300)), np.array([[150.0]]))
-    with pytest.raises(RequestError, match="its cut-off"):
-        values_at(np.zeros((1, 300)), np.array([150.0]), cut_off=np.array([0.5, 0.5]))
 
 
 def test_any_memory_layout_gives_the_same_values():
@@ -197,48 +190,7 @@ def test_any_memory_layout_gives_the_same_values():
     np.testing.assert_allclose(values_at(whole, np.array([150.5])), 150.5, rtol=1e-6)
 
 
-@pytest.mark.parametrize("dtype", ["f4", "f8"])
-@pytest.mark.parametrize(("pass_band", "tolerance"), [(0.05, 1e-4), (0.05, 2e-6), (0.25, 2e-6), (0.4, 1e-5)])
-@pytest.mark.parametrize("cut_off", [0.999, 0.5, 0.11])
-def test_a_cut_off_passes_what_lies_below_and_stops_what_would_fold(cut_off, pass_band, tolerance, dtype):
-    kernel = cheapest_kernel(tolerance, content=pass_band, double=dtype == "f8")
-    time = np.arange(2000.0)
-    at = places(2000, kernel.margin_at(cut_off), 1000)
-    low = np.full(len(at), cut_off)
-    for share in (0.0, 0.5, 1.0):
-        frequency = share * pass_band * cut_off
-        values = values_at(tones(frequency, time, dtype), at, kernel=kernel, cut_off=low)
-        assert values.dtype == dtype
-        assert np.abs(values - tones(frequency, at)).max() < tolerance
-    for frequency in np.linspace((1.0 - pass_band) * cut_off, 0.5, 7) if (1.0 - pass_band) * cut_off < 0.5 else ():
-        values = values_at(tones(frequency, time, dtype), at, kernel=kernel, cut_off=low)
-        assert np.abs(values).max() < tolerance
-
-
-def test_a_cut_off_of_one_is_the_kernel_itself_and_each_position_has_its_own():
-    signals, kernel = noise(2), kernel_named("sinc-16", pass_band=0.25)
-    at = places(N_SAMPLES, kernel.margin_at(0.4), 50)
-    plain = values_at(signals, at, kernel=kernel)
-    np.testing.assert_array_equal(values_at(signals, at, kernel=kernel, cut_off=np.ones(50)), plain)
-    low = np.where(np.arange(50) % 2, 1.0, 0.4)
-    mixed = values_at(signals, at, kernel=kernel, cut_off=low)
-    np.testing.assert_array_equal(mixed[:, 1::2], plain[:, 1::2])
-    all_low = values_at(signals, at, kernel=kernel, cut_off=np.full(50, 0.4))
-    np.testing.assert_array_equal(mixed[:, ::2], all_low[:, ::2])
-
-
-@pytest.mark.parametrize("wrong", [0.0, -0.5, np.nan])
-def test_a_cut_off_that_is_no_share_is_refused(wrong):
-    with pytest.raises(RequestError, match="share of the Nyquist"):
-        values_at(noise(1), np.array([300.0]), cut_off=np.array([wrong]))
-
-
-def test_a_stretched_kernel_without_its_neighbours_is_refused():
-    with pytest.raises(RequestError, match="positions must lie in"):
-        values_at(noise(1), np.array([60.0]), cut_off=np.array([0.2]))
-
-
-@pytest.mark.parametrize("name", KERNEL_NAMES)
+@pytest.mark.parametrize("name", [f"{family}-{taps}" for family in ("kaiser", "sinc") for taps in LENGTHS])
 def test_the_gain_beyond_the_pass_band_never_makes_noise_stronger(name):
     kernel = kernel_named(name, pass_band=0.1)
     size = 4000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.fft.scaling import power_of_two
+from crankorder.fft.windows import power_of_two
 
 
 @pytest.mark.parametrize("size", [1e-300, 1.0, 3.0, 1e300])

@@ -25,7 +25,8 @@ def test_a_hann_window_has_the_noise_bandwidth_of_harris_1978():
 )
 def test_windows_have_the_figures_of_their_authors(window, enbw_bins, scalloping_db, side_lobe_db, first_bin):
     assert window.enbw_bins == pytest.approx(enbw_bins, abs=6e-3 if enbw_bins == 2.0 else 6e-5)
-    assert abs(window.scalloping_db) == pytest.approx(scalloping_db, abs=6e-3 if scalloping_db > 0.01 else 6e-5)
+    worst_db = 20 * np.log10(window.response(np.array([0.5]))[0])
+    assert -worst_db == pytest.approx(scalloping_db, abs=6e-3 if scalloping_db > 0.01 else 6e-5)
     lobes = window.response(np.arange(first_bin, 60.0, 0.02))
     assert 20 * np.log10(lobes.max()) == pytest.approx(side_lobe_db, abs=0.15)
 
@@ -38,17 +39,17 @@ def test_a_kaiser_window_falls_to_the_side_lobes_of_its_parameter():
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("n_samples", [999, 1000])
-def test_a_window_is_periodic_and_finds_amplitude_rms_and_density(name, n_samples):
+def test_a_window_is_periodic_and_finds_amplitude_and_density(name, n_samples):
     window = window_named(name, n_samples)
     assert window.name == name
     np.testing.assert_allclose(window.values[1:], window.values[1:][::-1], atol=1e-12)
     wave = 0.7 * np.cos(2 * np.pi * 100 * np.arange(n_samples) / n_samples + 1.0)
     magnitude = np.abs(np.fft.rfft(wave * window.values)[100])
     assert magnitude * window.tone_scale == pytest.approx(0.7, rel=1e-6)
-    assert magnitude * window.rms_scale == pytest.approx(0.7 / 2**0.5, rel=1e-6)
     noise = np.random.default_rng(3).standard_normal((2000, n_samples))
     power = np.mean(np.abs(np.fft.rfft(noise * window.values)[:, 20:400]) ** 2) * window.tone_scale**2
-    assert power * window.psd_scale(rate_hz=50.0) == pytest.approx(1.0 / 25.0, rel=0.01)
+    # white noise of variance 1, one-sided, in bins of 1 / n_samples
+    assert power == pytest.approx(4.0 * window.enbw_bins / n_samples, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +91,3 @@ def test_overlapping_frames_are_worth_what_averaged_noise_shows(power, hop):
     values = np.abs(spectra) ** 2 if power else spectra
     measured = np.var(values[:, 0]) / np.var(values.mean(axis=1))
     assert window.independent_frames(hop, n_frames, power=power) == pytest.approx(measured, rel=0.06)
-
-
-@pytest.mark.parametrize(("name", "half_width_bins"), [("hann", 2.0), ("blackman-harris", 4.0), ("rectangular", 1.0)])
-def test_the_main_lobe_ends_at_the_first_null(name, half_width_bins):
-    offset, response = window_named(name, 256).main_lobe(steps=4)
-    assert offset[-1] == -offset[0] == half_width_bins
-    assert response[len(response) // 2] == pytest.approx(1.0, abs=1e-14)
-    np.testing.assert_array_equal(response, response[::-1])
-    assert response[0] < 1e-9

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.batch.store import json_bytes, publish
+from crankorder.batch.result_folder import publish
+from crankorder.batch.store import json_bytes
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.changes.compared import Tested

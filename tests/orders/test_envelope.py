@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, band_tree, squared_envelopes
+from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, band_tree, block_spectra, envelopes_of
 from crankorder.orders.envelope_map import envelope_map
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
@@ -201,7 +201,8 @@ def test_the_bands_of_a_tree_fill_the_range_at_every_level():
 def test_the_squared_envelope_of_a_tone_is_its_square_across_blocks():
     tone = 2.5 * np.cos(2.0 * np.pi * 0.2 * np.arange(3 * BLOCK_SAMPLES))
     edges = np.arange(2000.0, len(tone) - 2000.0, 77.7)
-    found = squared_envelopes(tone, rate_hz=1.0, bands=(Band(0.1, 0.3, 1),), edges=edges, reach_hz=0.01)
+    blocks = block_spectra(tone, begin=edges[0], end=edges[-1])
+    found = envelopes_of(blocks, rate_hz=1.0, bands=(Band(0.1, 0.3, 1),), edges=edges, reach_hz=0.01)
     assert found.unit * found.squared[0] == pytest.approx(2.5**2, rel=2e-4)
 
 

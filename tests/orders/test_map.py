@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.orders.floor import floor_bins, local_floor
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.tracks import order_tracks
@@ -106,19 +105,6 @@ def test_a_run_up_falls_into_bins_of_the_stated_width():
     speed = order_map([order_frames(*recording, settings=SETTINGS)], settings=SETTINGS)["speed"].values
     assert np.diff(speed).min() > 10.0
     assert np.diff(speed).max() < 2 * SETTINGS.speed_bin_rpm
-
-
-def test_the_local_floor_follows_coloured_noise_and_ignores_lines():
-    order = np.arange(321) / 16
-    rng = np.random.default_rng(1)
-    shape = 1.0 + order
-    power = shape * rng.gamma(8, 1 / 8, size=(400, 321))
-    power[:, 16 * 4] += 1e6
-    bins = floor_bins(order, line_step=0.5, guard_bins=2, n_bins=16)
-    floor = local_floor(power, bins, n_averages=np.array(8.0)).mean(axis=0)
-    # the sixteen quiet bins span three orders: where the noise grows by a third per order the floor lags by a tenth
-    assert np.abs(floor[32:290] / shape[32:290] - 1).max() < 0.1
-    assert np.abs(floor[100:290] / shape[100:290] - 1).max() < 0.05
 
 
 def test_a_track_between_two_bins_keeps_the_amplitude_of_its_line():

@@ -27,7 +27,7 @@ from crankorder.report.figures import (
 )
 from crankorder.report.pictures import pictures_of
 from crankorder.report.speed_figure import changing_recordings
-from crankorder.report.speed_trace import speed_trace, trace_variables
+from crankorder.shaft.summary import speed_trace, trace_variables
 
 HARD = [
     "one speed", "two speeds", "run-up", "hostile", "all zero", "thirty orders", "sixty orders", "eight channels",

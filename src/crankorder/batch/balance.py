@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crankorder.batch.store import publish, text_sha256
+from crankorder.batch.result_folder import publish
+from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.hinge_definition import HingedEngine, load_hinged_engine

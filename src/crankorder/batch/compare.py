@@ -9,7 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from crankorder.batch.store import DONE, file_sha256, json_bytes, publish, text_sha256
+from crankorder.batch.result_folder import DONE, publish
+from crankorder.batch.store import file_sha256, json_bytes, text_sha256
 from crankorder.errors import InputError, RequestError
 from crankorder.identify.changes.compared import Compared, Tested, compared
 from crankorder.identify.changes.datasets import change_datasets

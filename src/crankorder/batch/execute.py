@@ -6,25 +6,20 @@ import contextlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from crankorder.batch.ahead import Helper
 from crankorder.batch.calibrate import knowledge_of
 from crankorder.batch.changed_gains import without_changed_gains
 from crankorder.batch.lean import load_kernels
+from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import TestPlan
-from crankorder.batch.store import (
-    finished_with,
-    json_bytes,
-    publish,
-    text_sha256,
-    write_atomically,
-)
+from crankorder.batch.reporting import ReportingProcess
+from crankorder.batch.result_folder import TIMINGS, finished_with, publish, refuse_foreign, refuse_others, settle
+from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.engine.definition import Engine, load_engine
@@ -35,58 +30,42 @@ from crankorder.ingest.manifest import Manifest
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
-from crankorder.report.speed_trace import trace_variables
 from crankorder.settings import Settings, toml_table
 from crankorder.shaft.swing import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
-
-SHA256_DIGITS = 64
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
 
 
-@dataclass
-class Outcome:
-    """What became of one test."""
-
-    plan: TestPlan
-    status: str = "failed"
-    faults: list[CrankorderError] = field(default_factory=list)
-    internal: list[BaseException] = field(default_factory=list)
-    flags: list[QualityFlag] = field(default_factory=list)
-    findings: dict[str, Any] | None = None
-    accuracy: str = ""
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def exit_status(self) -> int:
-        """Exit status of this test alone, as the command line defines it."""
-        if self.internal:
-            return 1
-        if self.status == "failed":
-            return next((f.exit_status for f in self.faults if f.exit_status in (4, 5)), 3)
-        return 3 if self.faults else 0
-
-
 def run_test(
-    plan: TestPlan, *, helper: Helper, jobs: int, fresh: bool, strict: bool, progress: Progress | None = None
+    plan: TestPlan,
+    *,
+    reporting: ReportingProcess,
+    jobs: int,
+    fresh: bool,
+    strict: bool,
+    progress: Progress | None = None,
 ) -> Outcome:
     """Analyse the test of ``plan`` and publish its results; nothing is raised for a fault of the input.
 
-    ``helper`` has the hashes of its recordings and writes its files; ``jobs`` recordings are analysed at a time, each
-    in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into faults;
+    ``reporting`` has the hashes of its recordings and writes its files; ``jobs`` recordings are analysed at a time,
+    each in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into
+    faults;
     ``progress`` is told of every recording that is done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
     clock = _Clock(outcome.seconds)
     try:
-        (code, versions), hashes = helper.program(), helper.hashes(plan)
+        (code, versions), hashes = reporting.program(), reporting.hashes(plan)
         clock.lap("hash")
         provenance = _provenance(plan, code, versions, hashes)
         key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(strict))
+        settle(plan.out)
+        refuse_foreign(plan.out)
+        refuse_others(plan.out, plan.owner)
         if not fresh and not plan.faults and finished_with(plan.out, key):
-            outcome.status = "unchanged"
+            outcome.status, outcome.kept = "done", True
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
         first_run = load_kernels()
@@ -100,7 +79,7 @@ def run_test(
                 file=plan.folder,
                 remedy="Mend the faults listed above",
             )
-        _finish(plan, results, provenance, key, outcome, helper, clock)
+        _finish(plan, results, provenance, key, outcome, reporting, clock)
     except CrankorderError as error:
         outcome.faults.append(error)
     except Exception as error:
@@ -114,7 +93,7 @@ def _finish(
     provenance: dict[str, Any],
     key: str,
     outcome: Outcome,
-    helper: Helper,
+    reporting: ReportingProcess,
     clock: _Clock,
 ) -> None:
     """Maps, findings, files and their publication."""
@@ -126,15 +105,20 @@ def _finish(
     clock.lap("test")
     outcome.accuracy = _accuracy_text(groups.get("order_map"))
     stated = {**provenance, "quality": findings["quality"]}
-    files = helper.files_of_test(groups, findings, stated, plan.settings.report)
+    files = reporting.files_of_test(groups, findings, stated, plan.settings.report)
     clock.lap("report")
-    publish(plan.out, files, key=f"{key} with faults" if outcome.faults else key)
-    clock.lap("publish")
     outcome.findings = findings
     outcome.status = "partial" if outcome.faults else "done"
-    # timings are no result: a full disk must not turn a finished test into a failed one
-    with contextlib.suppress(OSError):
-        write_atomically(plan.out / "timings.json", json_bytes({"seconds": outcome.seconds}))
+    publish(
+        plan.out,
+        files,
+        key=f"{key} with faults" if outcome.faults else key,
+        owner=plan.owner,
+        record=outcome.record,
+        # timings are no result
+        besides={TIMINGS: json_bytes({"seconds": outcome.seconds})},
+    )
+    clock.lap("publish")
 
 
 def results_of_test(
@@ -166,7 +150,7 @@ def results_of_test(
     most_deg = settings.orders.largest_eccentricity_deg
     findings["speed_swing"] = _swing_records(results, findings["quality"], most_deg=most_deg)
     findings["quality"] += contradiction_flags(findings)
-    return {**made.datasets, "shaft": _shaft_summary(results)}, findings, left_out
+    return made.datasets, findings, left_out
 
 
 class _Clock:
@@ -183,7 +167,7 @@ class _Clock:
 
 def _analyse(
     plan: TestPlan,
-    hashes: dict[Path, str],
+    hashes: dict[Path, HashedFile],
     jobs: int,
     outcome: Outcome,
     progress: Progress | None,
@@ -197,14 +181,14 @@ def _analyse(
     results: dict[Path, RecordingResult] = {}
     first_of: dict[str, Path] = {}
     # what cannot be read, and empty files, are no copies of each other: each gets its own error
-    alike = {path: digest for path, digest in hashes.items() if len(digest) == SHA256_DIGITS and path.stat().st_size}
-    wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path, str(path)), path) == path]
+    alike = {path: found.sha256 for path, found in hashes.items() if found.state is not None and found.state.size}
+    wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
     outcome.flags += [
         {
             "recording": path.name,
             "flag": "duplicate_of",
             "severity": "info",
-            "detail": f"the same bytes as {first_of[hashes[path]].name}: counted once",
+            "detail": f"the same bytes as {first_of[alike[path] or ''].name}: counted once",
         }
         for path in plan.recordings
         if path not in wanted
@@ -216,7 +200,7 @@ def _analyse(
         return analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
 
     for count, (number, made) in enumerate(each(analyse, len(wanted), jobs=jobs, one_first=one_first), start=1):
-        _collect(made, wanted[number], results, outcome)
+        _collect(made, wanted[number], hashes[wanted[number]], results, outcome)
         if progress is not None:
             progress(plan.name, count, len(wanted))
     place = {path.name: number for number, path in enumerate(plan.recordings)}
@@ -225,8 +209,16 @@ def _analyse(
 
 
 def _collect(
-    made: Callable[[], RecordingResult], path: Path, results: dict[Path, RecordingResult], outcome: Outcome
+    made: Callable[[], RecordingResult],
+    path: Path,
+    hashed: HashedFile,
+    results: dict[Path, RecordingResult],
+    outcome: Outcome,
 ) -> None:
+    if hashed.fault == CHANGED or (hashed.state is not None and not hashed.is_still_at(path)):
+        remedy = "Wait until it is written whole, then run again: nothing of it was kept"
+        outcome.faults.append(InputError(CHANGED, file=path.name, remedy=remedy))
+        return
     try:
         results[path] = made()
     except EnvironmentFailure:
@@ -310,7 +302,7 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
     )
 
 
-def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dict[Path, str]) -> dict[str, Any]:
+def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]) -> dict[str, Any]:
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:
@@ -323,8 +315,8 @@ def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dic
         "inputs": [
             {
                 "name": printable(path.relative_to(plan.folder).as_posix()),
-                "sha256": None if hashes[path].startswith("unreadable") else hashes[path],
-                "bytes": path.stat().st_size,
+                "sha256": hashes[path].sha256,
+                "bytes": _size(path, hashes[path]),
             }
             for path in plan.recordings
         ],
@@ -332,6 +324,15 @@ def _provenance(plan: TestPlan, code: str, versions: dict[str, str], hashes: dic
         "engine": engine,
         "settings": plan.settings.model_dump(mode="json"),
     }
+
+
+def _size(path: Path, hashed: HashedFile) -> int | None:
+    """Bytes of the file at ``path`` as it was ``hashed``; as it is where it could not be, None where it is gone."""
+    if hashed.state is not None:
+        return hashed.state.size
+    with contextlib.suppress(OSError):
+        return path.stat().st_size
+    return None
 
 
 def _accuracy_text(order_map: xr.Dataset | None) -> str:
@@ -345,35 +346,6 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
         f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {measured}, "
         f"{asked:g} asked{missed}"
     )
-
-
-def _shaft_summary(results: dict[Path, RecordingResult]) -> xr.Dataset:
-    """Speed, pulses used and angle error of every recording: one row each."""
-    shafts = [result.shaft for result in results.values()]
-
-    def each(of: Callable[[xr.Dataset], float]) -> tuple[str, np.ndarray[Any, np.dtype[np.float64]]]:
-        return "recording", np.array([of(shaft) for shaft in shafts], dtype=np.float64)
-
-    summary = xr.Dataset(
-        {
-            "speed_mean": each(lambda s: _known(np.mean, s["speed"].values)),
-            "speed_min": each(lambda s: _known(np.min, s["speed"].values)),
-            "speed_max": each(lambda s: _known(np.max, s["speed"].values)),
-            "standard_error": each(lambda s: _known(np.mean, s["standard_error"].values)),
-            "n_pulses": each(lambda s: float(s.attrs["n_pulses"])),
-        },
-        coords={"recording": ("recording", [printable(path.name) for path in results])},
-    )
-    for name, units, text in (
-        ("speed_mean", "min-1", "mean speed"),
-        ("speed_min", "min-1", "lowest speed"),
-        ("speed_max", "min-1", "highest speed"),
-        ("standard_error", "rev", "mean standard error of the crank angle"),
-        ("n_pulses", "1", "encoder pulses used"),
-        ("recording", "1", "file name"),
-    ):
-        summary[name].attrs = {"units": units, "long_name": text}
-    return summary.assign(trace_variables(shafts))
 
 
 def _swing_records(
@@ -405,12 +377,6 @@ def _swing_records(
                 }
             )
     return records
-
-
-def _known(of: Callable[[Any], Any], values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """What ``of`` makes of those ``values`` that are numbers; NaN of none."""
-    known = values[~np.isnan(values)]
-    return float(of(known)) if known.size else np.nan
 
 
 def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:

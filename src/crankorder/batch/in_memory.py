@@ -120,4 +120,4 @@ def _machine(given: Mapping[str, xr.Dataset], tables: Mapping[str, Any], test: s
     columns = (first[key].values.tolist() for key in ("channel", "unit"))
     channels = [dict(zip(("name", "unit"), row, strict=True)) for row in zip(*columns, strict=True)]
     stated = {key: dict(table) if isinstance(table, Mapping) else list(table) for key, table in tables.items() if table}
-    return manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"), {})
+    return manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"))

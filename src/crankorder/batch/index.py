@@ -1,53 +1,85 @@
-"""What all tests of a run gave: batch.json and index.html."""
+"""What all tests in a folder of results gave: batch.json and index.html, as each test's own folder tells it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from crankorder.batch.execute import Outcome
+from crankorder.batch.locks import locked
+from crankorder.batch.result_folder import finished_tests
 from crankorder.batch.store import json_bytes, write_atomically
-from crankorder.errors import EnvironmentFailure, printable
-from crankorder.report.sentences.story import headline
+from crankorder.errors import EnvironmentFailure, RequestError
+from crankorder.ingest.folder import natural_key
+
+if TYPE_CHECKING:
+    from crankorder.batch.outcome import Outcome
+
+BATCH, INDEX = "batch.json", "index.html"
+VERSION = 1
 
 
-def summary(outcomes: list[Outcome], *, out: Path) -> dict[str, Any]:
-    """Name, status, folder, headline and failed recordings of each of ``outcomes``: what ``--json`` says.
+def summary(outcomes: list[Outcome]) -> dict[str, Any]:
+    """Name, status, folder, headline and failed recordings of each of ``outcomes``: what ``--json`` says."""
+    return _document([outcome.record for outcome in outcomes])
 
-    ``out`` is the folder that the tests' folders are named relative to.
+
+def _document(records: list[dict[str, Any]]) -> dict[str, Any]:
+    return {"schema_version": VERSION, "tests": records}
+
+
+def refuse_foreign_index(out: Path) -> None:
+    """Refuse a folder ``out`` of results whose batch.json or index.html no run wrote: RequestError."""
+    ours = _records_in(out) is not None
+    found = [name for name in (BATCH, INDEX) if not ours and (out / name).exists()]
+    if found:
+        raise RequestError(
+            "holds a file that no earlier run wrote, where the index of the results would stand",
+            file=out,
+            found=", ".join(found),
+            remedy="Choose another --out: nothing of yours is overwritten",
+        )
+
+
+def publish_index(
+    out: Path,
+    outcomes: list[Outcome],
+    *,
+    page_of: Callable[[list[dict[str, Any]]], str],
+    tell: Callable[[str], object] = lambda text: None,
+) -> None:
+    """Write ``batch.json`` and ``index.html`` of all tests in ``out``: those of ``outcomes`` and those of other runs.
+
+    What is finished is told by the tests' own folders; a test that failed stays named until it is done. ``page_of``
+    makes the page of the records; ``tell`` is told where another process is waited for.
+    Raises EnvironmentFailure where it cannot be written.
     """
-    return {"schema_version": 1, "tests": [_record(outcome, out) for outcome in outcomes]}
+    with locked(out / BATCH, tell=tell):
+        try:
+            now = {outcome.plan.out.name: outcome.record for outcome in outcomes if outcome.status == "failed"}
+            done = {outcome.plan.out.name for outcome in outcomes} - set(now)
+            known = {record["folder"]: record for record in _records_in(out) or [] if record["status"] == "failed"}
+            records = {folder.name: marker["record"] for folder, marker in finished_tests(out) if "record" in marker}
+            records |= {name: record for name, record in known.items() if name not in done} | now
+            document = _document([records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))])
+            write_atomically(out / BATCH, json_bytes(document))
+            page = page_of(document["tests"])
+            write_atomically(out / INDEX, page.encode("utf-8", "backslashreplace"))
+        except OSError as error:
+            if isinstance(error, EnvironmentFailure):
+                raise
+            raise EnvironmentFailure(f"cannot write ({error.strerror})", file=error.filename or out) from error
 
 
-def _record(outcome: Outcome, out: Path) -> dict[str, Any]:
-    plan = outcome.plan
-    folder = plan.out.relative_to(out).as_posix()
-    failed = [{"recording": Path(fault.file).name, "error": str(fault)} for fault in outcome.faults]
-    failed += [
-        {"recording": "", "error": f"internal fault: {type(error).__name__}: {printable(error)}"}
-        for error in outcome.internal
-    ]
-    return {
-        "name": plan.name,
-        "status": outcome.status,
-        "folder": folder,
-        "link": None if outcome.status == "failed" else f"{folder}/report.html",
-        "recordings": len(plan.recordings),
-        "headline": [] if outcome.findings is None else headline(outcome.findings),
-        "failed": failed,
-    }
-
-
-def publish_index(out: Path, outcomes: list[Outcome], *, page_of: Callable[[list[dict[str, Any]]], str]) -> None:
-    """Write ``batch.json`` and ``index.html`` of ``outcomes`` into ``out``; ``page_of`` makes the page of the records.
-
-    Raises EnvironmentFailure where it cannot.
-    """
-    document = summary(outcomes, out=out)
+def _records_in(out: Path) -> list[dict[str, Any]] | None:
+    """Records of the tests that ``batch.json`` in ``out`` names; None where there is none that a run wrote."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / "batch.json", json_bytes(document))
-        write_atomically(out / "index.html", page_of(document["tests"]).encode("utf-8", "backslashreplace"))
-    except OSError as error:
-        raise EnvironmentFailure(f"cannot write ({error.strerror})", file=error.filename or out) from error
+        document = json.loads((out / BATCH).read_bytes())
+        records = document["tests"]
+        known = document["schema_version"] == VERSION and all(
+            isinstance(one, Mapping) and {"name", "status", "folder"} <= set(one) for one in records
+        )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return list(records) if known else None

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from crankorder.batch.index import BATCH, INDEX, refuse_foreign_index
+from crankorder.batch.result_folder import Owner, finished_tests, owner_recorded, refuse_foreign, refuse_others
+from crankorder.batch.store import text_sha256
 from crankorder.errors import CrankorderError, ManyErrors, RequestError, printable
-from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.folder import natural_key, recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.settings import Settings, load_settings
 
@@ -34,6 +39,7 @@ class TestPlan:
     settings: Settings
     recordings: list[Path]
     out: Path
+    owner: Owner
     faults: list[CrankorderError] = field(default_factory=list)
 
 
@@ -45,24 +51,33 @@ def plan_tests(
     recipe: str | None = None,
     tolerance: float | None = None,
     max_memory_mb: int | None = None,
+    name: str | None = None,
 ) -> list[TestPlan]:
     """Plans of the tests in ``folders``, whose results go below ``out``.
 
     ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
     the manifest names; ``tolerance`` (relative amplitude error) and ``max_memory_mb`` (megabytes of samples of one
-    recording in memory) go before those of the recipe. Raises ManyErrors with the faults of all folders; nothing has
-    been written then.
+    recording in memory) go before those of the recipe; ``name`` of the one test before that of its manifest.
+    Raises ManyErrors with the faults of all folders; nothing has been written then.
     """
     asked: dict[str, dict[str, Any]] = {
         "orders": {} if tolerance is None else {"tolerance": tolerance},
         "ingest": {} if max_memory_mb is None else {"in_memory_bytes": max_memory_mb * 1_000_000},
     }
+    folders = list({folder.resolve(): folder for folder in folders}.values())
+    if name is not None and len(folders) > 1:
+        raise RequestError("one name for several tests", file="--name", found=name, remedy="Run each test by itself")
     plans: list[TestPlan] = []
     faults: list[CrankorderError] = []
-    taken = {"batch.json", "index.html"}
-    for folder in folders:
+    try:
+        refuse_foreign_index(out)
+    except RequestError as error:
+        faults.append(error)
+    places = _Places(out, folders)
+    # a test's place must not depend on the order of the folders in the call
+    for folder in sorted(folders, key=lambda folder: natural_key(folder.resolve())):
         try:
-            plans.append(_plan(folder, out, manifest, recipe, asked, taken))
+            plans.append(_plan(folder, out, manifest, recipe, asked, name, places))
         except ManyErrors as error:
             faults += error.faults
         except CrankorderError as error:
@@ -71,7 +86,52 @@ def plan_tests(
         raise faults[0]
     if faults:
         raise ManyErrors(faults)
-    return plans
+    return sorted(plans, key=lambda plan: folders.index(plan.folder))
+
+
+class _Places:
+    """Where results may go: below ``out``, each test of a call at a place of its own, away from all its ``folders``."""
+
+    def __init__(self, out: Path, folders: list[Path]) -> None:
+        self._out, self._folders = out, folders
+        self._taken = {BATCH, INDEX}
+        self._of_call = {_relative(folder, out) for folder in folders}
+        found = finished_tests(out) if out.is_dir() else ()
+        self._owners = {folder.name: owner_recorded(folder) for folder, _ in found}
+
+    def of(self, test: str, owner: Owner) -> Path:
+        """Folder for the results of ``test``: that which holds those of ``owner``, else the first that is free.
+
+        Tests of one name in one call get numbers behind it. Raises RequestError where results would replace what is
+        no result of this test.
+        """
+        first = _plain_name(test)
+        numbered = re.compile(rf"{re.escape(first)}(-[0-9]+)?", re.IGNORECASE)
+        own = [name for name, found in self._owners.items() if found is not None and found.folder == owner.folder]
+        own = [name for name in own if numbered.fullmatch(name) and name.lower() not in self._taken]
+        chosen = min(own, key=len, default="") or self._free(first)
+        self._taken.add(chosen.lower())
+        place = self._out / chosen
+        for folder in self._folders:
+            _refuse_inside(folder, place)
+        refuse_foreign(place)
+        refuse_others(place, owner)
+        return place
+
+    def _free(self, first: str) -> str:
+        """``first``, with a number behind it where a test of this very call has it, or has its results there."""
+        name, number = first, 2
+        while name.lower() in self._taken or self._held_by_call(name):
+            name, number = f"{first}-{number}", number + 1
+        return name
+
+    def _held_by_call(self, name: str) -> bool:
+        found = self._owners.get(name)
+        return found is not None and found.folder in self._of_call
+
+
+def _relative(folder: Path, out: Path) -> str:
+    return Path(os.path.relpath(folder.resolve(), out.resolve())).as_posix()
 
 
 def _plan(
@@ -80,7 +140,8 @@ def _plan(
     manifest: Path | None,
     recipe: str | None,
     asked: dict[str, dict[str, Any]],
-    taken: set[str],
+    name: str | None,
+    places: _Places,
 ) -> TestPlan:
     if not folder.is_dir():
         raise RequestError(
@@ -91,15 +152,17 @@ def _plan(
     beside = manifest.parent if manifest is not None else folder
     settings = up_to_stated(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
     found = recordings_of(folder, stated)
-    name = folder_name(stated.test.name or folder.resolve().name, taken)
-    _refuse_inside(folder, out / name)
+    name = name or stated.test.name or folder.resolve().name
+    content = text_sha256(json.dumps(stated.model_dump(mode="json"), sort_keys=True))
+    owner = Owner(_relative(folder, out), content)
     return TestPlan(
-        name=stated.test.name or folder.resolve().name,
+        name=name,
         folder=folder,
         manifest=stated,
         settings=settings,
         recordings=list(found.paths),
-        out=out / name,
+        out=places.of(name, owner),
+        owner=owner,
         faults=list(found.faults),
     )
 
@@ -130,10 +193,14 @@ def _refuse_inside(folder: Path, out: Path) -> None:
 
 def folder_name(name: str, taken: set[str]) -> str:
     """File name made of the letters, digits, ``-``, ``_``, ``.`` of ``name``, not yet in ``taken`` (which it joins)."""
-    plain = unicodedata.normalize("NFKD", printable(name)).encode("ascii", "ignore").decode()
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip("-.")[:LONGEST_NAME] or "test"
+    plain = _plain_name(name)
     unique, number = plain, 2
     while unique.lower() in taken:
         unique, number = f"{plain}-{number}", number + 1
     taken.add(unique.lower())
     return unique
+
+
+def _plain_name(name: str) -> str:
+    plain = unicodedata.normalize("NFKD", printable(name)).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip("-.")[:LONGEST_NAME] or "test"

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from crankorder.batch.locks import locked
 from crankorder.batch.publish import files_of_test
-from crankorder.batch.store import DONE, publish
+from crankorder.batch.result_folder import TIMINGS, marker_of, owner_recorded, publish, settle
 from crankorder.errors import InputError
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
@@ -19,12 +20,20 @@ def redraw(result: Path) -> Path:
     settings of the run.
     Raises InputError where the folder holds no finished results.
     """
-    folder = result if result.is_dir() else result.parent
+    folder = (result if result.is_dir() or not result.suffix else result.parent).absolute()
+    with locked(folder):
+        return _redrawn(folder)
+
+
+def _redrawn(folder: Path) -> Path:
+    settle(folder)
+    marker = marker_of(folder)
     try:
-        key = json.loads((folder / DONE).read_bytes())["key"]
         findings = json.loads((folder / "findings.json").read_bytes())
         provenance = json.loads((folder / "run.json").read_bytes())
-    except (OSError, ValueError, KeyError) as error:
+        stated = load_settings().report.model_dump() | provenance["settings"]["report"]
+        key = marker["key"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             "no finished results here",
             file=folder,
@@ -34,9 +43,10 @@ def redraw(result: Path) -> Path:
         ) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
     # a key that is newer than the results has today's default
-    stated = load_settings().report.model_dump() | provenance["settings"]["report"]
     settings = ReportSettings.model_validate(stated)
     files = files_of_test(groups, findings, provenance, settings=settings)
     kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
-    publish(folder, files | kept, key=key)
+    timings = {TIMINGS: (folder / TIMINGS).read_bytes()} if (folder / TIMINGS).is_file() else {}
+    owner, record = owner_recorded(folder), marker.get("record")
+    publish(folder, files | kept, key=key, owner=owner, record=record, besides=timings)
     return folder / "report.html"

@@ -1,4 +1,4 @@
-"""Results appear whole or not at all: bytes are written beside, flushed and renamed; a done marker comes last."""
+"""Bytes on the disk: hashes of what is read, and files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,18 +6,26 @@ import hashlib
 import json
 import math
 import os
+import re
 import tempfile
+import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from crankorder.errors import EnvironmentFailure
-
-DONE = "done.json"
 CHUNK = 1 << 18
+
+_BEYOND_ASCII = re.compile(r"[^\x00-\x7e]")
+
+CHANGED = "changed while it was read"
+
+SETTLED_NS = 2_000_000_000
+"""A file changed longer ago than this has another time when it changes again: the coarsest clocks of disks tick so."""
 
 LIBRARIES = ("numpy", "scipy", "xarray", "h5py", "h5netcdf", "matplotlib", "numba", "pyfftw")
 """Libraries on whose versions results may depend."""
@@ -29,7 +37,12 @@ DIGITS = 10
 def json_bytes(document: Any) -> bytes:
     """``document`` as UTF-8 JSON with sorted lists kept, ten significant digits, NaN and infinity as null."""
     text = json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False)
-    return (text + "\n").encode("utf-8", "backslashreplace")
+    return (without_controls(text) + "\n").encode("utf-8", "backslashreplace")
+
+
+def without_controls(text: str) -> str:
+    """JSON ``text`` whose characters that nobody sees, such as those that turn the writing round, are escaped."""
+    return _BEYOND_ASCII.sub(lambda found: found[0] if found[0].isprintable() else json.dumps(found[0])[1:-1], text)
 
 
 def _plain(value: Any) -> Any:
@@ -46,13 +59,72 @@ def _plain(value: Any) -> Any:
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of the file at ``path``, read in pieces; the hash runs without the interpreter's lock."""
-    digest = hashlib.sha256()
     with path.open("rb", buffering=0) as stream:
-        buffer = bytearray(CHUNK)
-        view = memoryview(buffer)
-        while count := stream.readinto(buffer):
-            digest.update(view[:count])
+        return _stream_sha256(stream)
+
+
+def _stream_sha256(stream: FileIO) -> str:
+    digest = hashlib.sha256()
+    buffer = bytearray(CHUNK)
+    view = memoryview(buffer)
+    while count := stream.readinto(buffer):
+        digest.update(view[:count])
     return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class FileState:
+    """What changes when a file does: its device, number, size [bytes] and times of change [ns]."""
+
+    device: int
+    inode: int
+    size: int
+    modified_ns: int
+    changed_ns: int
+
+    @classmethod
+    def of(cls, path: Path) -> FileState:
+        """State of the file at ``path``. Raises OSError where there is none."""
+        return cls._from(path.stat())
+
+    @classmethod
+    def _from(cls, found: os.stat_result) -> FileState:
+        return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+
+
+@dataclass(frozen=True)
+class HashedFile:
+    """A file as it was hashed: its SHA-256 and state, or the ``fault`` for which it could not be read.
+
+    A file that was written just before may change again within one tick of the clock of its disk: ``just_written``.
+    """
+
+    sha256: str | None
+    state: FileState | None
+    fault: str = ""
+    just_written: bool = False
+
+    @classmethod
+    def of(cls, path: Path) -> HashedFile:
+        """The file at ``path``, hashed; one that changes meanwhile has that for its fault."""
+        try:
+            with path.open("rb", buffering=0) as stream:
+                before = FileState._from(os.fstat(stream.fileno()))
+                digest = _stream_sha256(stream)
+            if FileState.of(path) != before:
+                return cls(None, None, CHANGED)
+        except OSError as error:
+            return cls(None, None, str(error.strerror))
+        return cls(digest, before, just_written=time.time_ns() - before.changed_ns < SETTLED_NS)
+
+    def is_still_at(self, path: Path) -> bool:
+        """Whether the file at ``path`` is the one that was hashed, untouched since."""
+        try:
+            if FileState.of(path) != self.state:
+                return False
+            return not self.just_written or file_sha256(path) == self.sha256
+        except OSError:
+            return False
 
 
 def text_sha256(*parts: str) -> str:
@@ -79,55 +151,34 @@ def library_versions() -> dict[str, str]:
     return {name: version(name) for name in ("crankorder", *LIBRARIES)}
 
 
-def publish(folder: Path, contents: Mapping[str, bytes], *, key: str) -> None:
-    """Write ``contents`` (name → bytes) into ``folder`` and then the done marker with their hashes and ``key``.
-
-    The old marker goes first, so that a reader never takes a half-replaced folder for a finished one.
-    Raises EnvironmentFailure where the disk is full or the folder cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        stale = _outputs_of(folder) - set(contents)
-        (folder / DONE).unlink(missing_ok=True)
-        for name, data in contents.items():
-            write_atomically(folder / name, data)
-        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
-        for name in stale:
-            (folder / name).unlink(missing_ok=True)
-        for leftover in folder.glob(".*.part"):
-            leftover.unlink(missing_ok=True)
-        write_atomically(folder / DONE, json_bytes({"key": key, "outputs_sha256": hashes}))
-    except OSError as error:
-        raise EnvironmentFailure(
-            f"the results cannot be written ({error.strerror or error})",
-            file=error.filename or folder,
-            remedy="Free space on the disk or choose another --out; what was there before is kept or gone, never half",
-        ) from error
-
-
-def _outputs_of(folder: Path) -> set[str]:
-    """Names of the files that an earlier run finished in ``folder``."""
-    try:
-        names = json.loads((folder / DONE).read_bytes())["outputs_sha256"]
-        return {name for name in names if Path(name).name == name}
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
-
-
 def write_atomically(path: Path, data: bytes) -> None:
     """Put ``data`` at ``path`` in one step: a temporary file beside it, flushed, renamed, the folder flushed."""
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
+        _fill(handle, data)
         Path(temporary).chmod(0o666 & ~_umask())
         Path(temporary).replace(path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-    descriptor = os.open(path.parent, os.O_RDONLY)
+    flush_folder(path.parent)
+
+
+def write_flushed(path: Path, data: bytes) -> None:
+    """Make a new file at ``path`` that holds ``data``, on the disk when this returns."""
+    _fill(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), data)
+
+
+def _fill(handle: int, data: bytes) -> None:
+    with os.fdopen(handle, "wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def flush_folder(folder: Path) -> None:
+    """Have the names in ``folder`` on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -139,14 +190,3 @@ def _umask() -> int:
     current = os.umask(0o022)
     os.umask(current)
     return current
-
-
-def finished_with(folder: Path, key: str) -> bool:
-    """Whether ``folder`` holds results that were finished with ``key`` and whose files are still those written."""
-    try:
-        marker = json.loads((folder / DONE).read_bytes())
-        return bool(marker["key"] == key) and all(
-            file_sha256(folder / name) == digest for name, digest in marker["outputs_sha256"].items()
-        )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return False

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
+from crankorder.batch.locks import forget_locks
 from crankorder.batch.shared_pages import SharedPages
 
 FORKS = sys.platform == "linux"
@@ -126,6 +127,7 @@ def _serve(task: Callable[[Any], Any], connection: Connection, requests: SharedP
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal tells the whole group; the parent ends its workers
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        forget_locks()
         while _ours:
             _ours.pop().close()
         _ours.append(connection)  # for the workers of this worker

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ FLAT_TOP = (1.0, 1.96760033, 1.57983607, 0.81123644, 0.22583558, 0.02773848, 0.0
 """HFT144D of Heinzel, Rüdiger and Schilling (2002, appendix D): flat within 0.0021 dB, side lobes below -144 dB."""
 
 NAMES = ("hann", "flat-top", "blackman-harris", "kaiser", "rectangular")
-
 
 WIDEST_LOBE_BINS = 16
 """Half width of main lobes that are looked at: a Kaiser window of beta 45 has one as wide."""
@@ -35,22 +34,10 @@ class Window:
         return 2.0 / float(self.values.sum())
 
     @property
-    def rms_scale(self) -> float:
-        """Factor that turns the magnitude of a one-sided spectrum into the RMS of a tone on a bin."""
-        return self.tone_scale / math.sqrt(2.0)
-
-    @property
     def enbw_bins(self) -> float:
         """Equivalent noise bandwidth in bins (Harris 1978, eq. 11): 1.5 for a Hann window."""
         values = self.values
         return float(len(values) * (values @ values) / values.sum() ** 2)
-
-    def psd_scale(self, rate_hz: float) -> float:
-        """Factor from the squared peak amplitude of a bin to one-sided power spectral density at ``rate_hz``.
-
-        The bins at 0 and at half of the rate have no mirror image: there it is half of this factor's result.
-        """
-        return len(self.values) / (2.0 * self.enbw_bins * rate_hz)
 
     def response(self, offset_bins: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of a tone's amplitude that a bin shows from which the tone lies ``offset_bins`` away."""
@@ -58,11 +45,6 @@ class Window:
         centred = (np.arange(n) - 0.5 * n) / n
         turned = np.exp(-2j * np.pi * np.outer(np.asarray(offset_bins, dtype=np.float64), centred))
         return np.asarray(np.abs(turned @ self.values) / self.values.sum())
-
-    @property
-    def scalloping_db(self) -> float:
-        """Loss in dB of a tone half-way between two bins (Harris 1978, eq. 17): 1.42 for a Hann window."""
-        return float(-20.0 * np.log10(self.response(np.array([0.5]))[0]))
 
     @cached_property
     def tone_weights(self) -> tuple[float, float]:
@@ -80,13 +62,6 @@ class Window:
         total = near + neighbours * (left + right)
         middle = float(np.sqrt(total.min() * total.max()))
         return 1.0 / middle, neighbours / middle
-
-    def main_lobe(self, *, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Offsets in bins, ``steps`` to a bin, over the main lobe, and the power response there, 1 at its middle."""
-        response = self.response(np.arange(WIDEST_LOBE_BINS * steps + 1) / steps) ** 2
-        end = int(np.argmax(np.diff(response) > 0.0))  # where it no longer falls
-        half = response[: end + 1]
-        return np.arange(-end, end + 1) / steps, np.concatenate([half[:0:-1], half])
 
     def independent_frames(self, hop_samples: int, n_frames: int, *, power: bool) -> float:
         """Independent frames that ``n_frames`` overlapping ones, ``hop_samples`` apart, are worth in an average.
@@ -149,3 +124,22 @@ def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Win
     if name not in made:
         raise ValueError(f"no window is called {name!r}: {', '.join(NAMES)}")
     return made[name](n_samples)
+
+
+LEAST, LARGEST = -1021, 1023
+"""Exponents of two between which both the power and its inverse are normal numbers, or nearly so."""
+
+
+def power_of_two(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Power of two (channels, 1, …) next above the largest magnitude of each channel, 2 where that is 0 or unknown.
+
+    ``values`` (channels, …) real or complex, in any unit; NaN is left out.
+    """
+    axes = tuple(range(1, values.ndim))
+    if np.iscomplexobj(values):
+        largest = np.abs(np.nan_to_num(values)).max(axis=axes, keepdims=True, initial=0.0)
+    else:
+        high, low = (bound.reduce(values, axis=axes, keepdims=True, initial=0.0) for bound in (np.fmax, np.fmin))
+        largest = np.maximum(high, -low)
+    exponent = np.frexp(np.where(largest > 0.0, largest, 1.0))[1]
+    return np.asarray(np.ldexp(1.0, np.clip(exponent, LEAST, LARGEST)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
-from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
+from crankorder.errors import MOST_TOLD, CrankorderError, InputError, ManyErrors, RequestError
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS
 from crankorder.ingest.manifest import MANIFEST_NAME, TRACE_KINDS, Manifest, load_manifest
 from crankorder.settings import IngestSettings
@@ -63,7 +63,10 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
         return [error]
     faults: list[CrankorderError] = []
     names: dict[str, str] = {}
-    for role, source in _roles(manifest).items():
+    for number, (role, source) in enumerate(roles := _roles(manifest).items()):
+        if len(faults) >= MOST_TOLD:
+            problem = f"{len(roles) - number} more of the channels that the manifest names were not looked at"
+            return [*faults, InputError(problem, file=path, remedy="Mend these first")]
         try:
             names[role] = named(source, contents.names, path)
         except CrankorderError as error:

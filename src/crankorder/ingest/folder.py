@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import glob
+import os
 import re
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, UnsafeInputError
+from crankorder.errors import MOST_TOLD, CrankorderError, InputError, NoUsableRecordingError, UnsafeInputError
 from crankorder.ingest.manifest import MANIFEST_NAME, Manifest
 
 _LEFTOVER = re.compile(
@@ -47,7 +49,11 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
     chosen: dict[Path, None] = {}
     faults: list[CrankorderError] = []
     ignored: list[str] = []
+    untold = 0
     for pattern in manifest.recordings.files:
+        if len(faults) >= MOST_TOLD and not glob.has_magic(pattern) and not os.path.lexists(f"{folder}/{pattern}"):
+            untold += 1
+            continue
         try:
             matches = _matches(folder, pattern)
         except CrankorderError as error:
@@ -64,6 +70,8 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
                     chosen[path] = None
             except CrankorderError as error:
                 faults.append(error)
+    if untold:
+        faults.append(InputError(f"and {untold} more files that are not there", file=folder, remedy="Mend these first"))
     if not chosen and not faults:
         raise NoUsableRecordingError(
             "no recording found; looked for " + ", ".join(manifest.recordings.files),

@@ -19,9 +19,6 @@ from crankorder.ingest.text import last_line_flags
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
-SIGNATURE = b"LabVIEW Measurement"
-"""First bytes of the format."""
-
 _END_OF_HEADER = "***End_of_Header***"
 _TIME = "X_Value"
 _PIECE_LINES = 1 << 16

@@ -19,7 +19,7 @@ from pydantic import field_validator as field_check
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
-from crankorder.errors import CrankorderError, ManyErrors, RequestError
+from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
 from crankorder.ingest.encoder_table import Count, Encoder, Name, Positive, Source, Table, encoder_faults
 from crankorder.ingest.path_tables import path_faults, with_tables
@@ -29,6 +29,8 @@ from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, par
 SCHEMA_VERSION = 1
 MANIFEST_NAME = "run.toml"
 _MAX_MANIFEST_BYTES = 4_000_000
+_MOST_KEYS, _MOST_TABLES = 150_000, 10_000
+_LONG_KEY = re.compile(r"^[^=\n\"'#\[]{1000,}=", re.MULTILINE)
 
 
 class Test(Table):
@@ -154,6 +156,7 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     """
     path = folder / MANIFEST_NAME if manifest is None else manifest
     text = _text_of(path, folder)
+    _refuse_endless(text, path)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -163,6 +166,8 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
         raise RequestError(problem, file=f"{path}{where}", remedy="Mend that line") from None
     except RecursionError:
         raise RequestError("not valid TOML: nested too deep", file=path) from None
+    except ValueError as error:  # a number with thousands of digits
+        raise RequestError("not valid TOML", file=path, found=error) from None
     version = table.get("schema_version")
     if isinstance(version, int) and version > SCHEMA_VERSION:
         raise RequestError(
@@ -173,26 +178,30 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
             allowed=str(SCHEMA_VERSION),
             remedy="Update crankorder",
         )
-    lines = key_lines(text)
-    found = manifest_of(table, path, lines)
+    found = manifest_of(table, path, text)
     paths, unread = with_tables(found.transfer_paths, folder)
     if unread:
+        lines = key_lines(text)
         raise ManyErrors([_located(fault, path, lines) for fault in unread])
     return found.model_copy(update={"transfer_paths": paths})
 
 
-def manifest_of(table: dict[str, Any], path: Path, lines: dict[str, int]) -> Manifest:
-    """Manifest of the ``table`` that ``path`` holds, or that errors call so; ``lines`` of its keys, where it has any.
+def manifest_of(table: dict[str, Any], path: Path, text: str = "") -> Manifest:
+    """Manifest of the ``table`` that ``path`` holds as ``text``, or that errors call so.
 
     Raises ManyErrors listing every fault.
     """
     try:
         found = Manifest.model_validate(table)
     except ValidationError as error:
-        raise ManyErrors([_fault(fault, path, lines) for fault in error.errors()]) from None
-    faults: list[CrankorderError] = [_located(fault, path, lines) for fault in _cross_faults(found)]
-    if faults:
-        raise ManyErrors(faults)
+        several, lines = error.errors(include_url=False), key_lines(text)
+        faults: list[CrankorderError] = [_fault(fault, path, lines) for fault in several[:MOST_TOLD]]
+        raise ManyErrors(told(faults, len(several), file=path)) from None
+    crossed = _cross_faults(found)
+    if crossed:
+        lines = key_lines(text)
+        faults = [_located(fault, path, lines) for fault in crossed[:MOST_TOLD]]
+        raise ManyErrors(told(faults, len(crossed), file=path))
     return found
 
 
@@ -204,6 +213,16 @@ def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, Any]]) 
         "recordings": {"files": [name]},
         "channels": list(channels),
     }
+
+
+def _refuse_endless(text: str, path: Path) -> None:
+    """Refuse the ``text`` of a manifest that would take minutes to look through."""
+    counts = {"keys": (text.count("="), _MOST_KEYS), "tables": (text.count("[["), _MOST_TABLES)}
+    for what, (found, most) in counts.items():
+        if found > most:
+            raise RequestError(f"too many {what} for a manifest", file=path, found=found, allowed=f"up to {most}")
+    if _LONG_KEY.search(text):
+        raise RequestError("too long a key", file=path, allowed="names of up to 1000 characters")
 
 
 def _text_of(path: Path, folder: Path) -> str:

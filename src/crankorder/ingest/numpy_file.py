@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tokenize
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,6 @@ from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
 _MOST_COLUMNS = 1000
-# what NumPy raises on a header that is no header
-_HEADER_ERRORS = (
-    ValueError,
-    TypeError,
-    SyntaxError,
-    KeyError,
-    tokenize.TokenError,
-    OverflowError,
-    RecursionError,
-    EOFError,
-)
 
 
 def read_npy(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -59,54 +47,41 @@ def contents_of_npy(path: Path, *, settings: IngestSettings) -> Contents:
 
 def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
     """The array, mapped, as (sample, channel), or (sample,) with fields; nothing of it is read yet."""
-    shape, fortran_order, dtype, start = _header(path)
+    data = _mapped(path)
+    dtype = data.dtype
     kinds = {dtype[index].kind for index in range(len(dtype.names))} if dtype.names else {dtype.kind}
     flat = all(not dtype[index].shape for index in range(len(dtype.names or ())))
-    if not kinds <= set("iufb") or not flat or dtype.itemsize == 0:
-        raise InputError(
-            "holds no real numbers", file=path, found=str(dtype), remedy="Save an array of integers or floats"
-        )
-    n_values = 1
-    for side in shape:
-        n_values *= side
-    check_budget(n_values * max(4, dtype.itemsize), path, max_bytes=settings.max_bytes)
-    present = (path.stat().st_size - start) // dtype.itemsize
-    if present < n_values:
-        raise InputError(f"truncated: {present} of {n_values} values", file=path, remedy="Copy it again")
-    sides = [side for side in shape if side != 1] or [1]
-    if n_values == 0 or len(sides) > 2 or (len(sides) == 2 and (min(sides) > _MOST_COLUMNS or dtype.names)):
+    if not kinds <= set("iufb") or not flat:
+        remedy = "Save an array of integers or floats"
+        raise InputError("holds no real numbers", file=path, found=str(dtype), remedy=remedy)
+    check_budget(data.size * max(4, dtype.itemsize), path, max_bytes=settings.max_bytes)
+    sides = [side for side in data.shape if side != 1] or [1]
+    if data.size == 0 or len(sides) > 2 or (len(sides) == 2 and (min(sides) > _MOST_COLUMNS or dtype.names)):
         allowed = f"(samples,), or two sides of which one has at most {_MOST_COLUMNS} channels"
-        raise InputError("is no array of signals", file=path, found=f"shape {shape}", allowed=allowed)
-    data = np.memmap(path, dtype, "r", offset=start, shape=tuple(sides), order="F" if fortran_order else "C")
+        raise InputError("is no array of signals", file=path, found=f"shape {data.shape}", allowed=allowed)
+    table = data.squeeze()
     if dtype.names:
-        return data
-    table = data[:, None] if data.ndim == 1 else data
+        return table.reshape(-1)
+    table = table.reshape(-1, 1) if table.ndim < 2 else table
     return table.T if table.shape[1] > table.shape[0] else table
 
 
-def _header(path: Path) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Shape, whether columns follow each other, type, and where the values begin."""
+def _mapped(path: Path) -> npt.NDArray[Any]:
+    """The array at ``path``, mapped: NumPy runs nothing of it and takes no memory, whatever its header claims."""
     try:
-        with path.open("rb") as stream:
-            version = np.lib.format.read_magic(stream)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            if version not in ((1, 0), (2, 0)):
-                raise InputError("is of a version that is not read", file=path, found=version, allowed="(1, 0), (2, 0)")
-            shape, fortran_order, dtype = read(stream)
-            start = stream.tell()
-    except InputError:
-        raise
-    except _HEADER_ERRORS as error:
-        raise InputError("has a damaged header", file=path, found=error, remedy="Copy it again") from None
-    if dtype.hasobject:
-        raise UnsafeInputError(
-            "holds Python objects, a pickle that can run code: never opened",
-            file=path,
-            remedy="Save an array of numbers",
-        )
-    if any(side < 0 for side in shape):
-        raise InputError("has a damaged header", file=path, found=f"shape {shape}", remedy="Copy it again")
-    return shape, fortran_order, dtype, start
+        with np.errstate(over="raise"):
+            data = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # a header is read as Python's literals: whatever its parser raises, it is damaged
+        if "Python objects" in str(error) or "pickle" in str(error):
+            raise UnsafeInputError(
+                "holds Python objects, a pickle that can run code: never opened",
+                file=path,
+                remedy="Save an array of numbers",
+            ) from None
+        raise InputError("is damaged or truncated", file=path, found=error, remedy="Copy it again") from None
+    if not isinstance(data, np.memmap):
+        raise InputError("is no array of signals", file=path, found=type(data).__name__, allowed="one array")
+    return data
 
 
 def _names(table: npt.NDArray[Any]) -> tuple[str, ...]:

@@ -77,13 +77,13 @@ def kernel_for(samples: TimeSamples, tolerance: float) -> Kernel:
     the same angle. Raises RequestError where there is none.
     """
     single = None if samples.double else _single_of(samples.content, tolerance)
-    return single or cheapest_kernel(tolerance, content=samples.content, smooth=True)
+    return single or cheapest_kernel(tolerance, content=samples.content)
 
 
 def _single_of(content: float, tolerance: float) -> Kernel | None:
     """The kernel for ``content`` in single precision; None where that is too coarse for ``tolerance``."""
     try:
-        double = cheapest_kernel(tolerance, content=content, smooth=True)
+        double = cheapest_kernel(tolerance, content=content)
     except RequestError:
         return None
     single = kernel_named(double.name, pass_band=double.pass_band, double=False)

@@ -1,4 +1,4 @@
-"""Cross-spectra and ordinary coherence between channels, from the order frames at like speed."""
+"""Frames of like speed, and the ordinary coherence between channels over them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.fft.scaling import power_of_two
 from crankorder.fft.windows import hann
 from crankorder.orders.common_frames import common_frames
-from crankorder.quantities import QualityFlag, channel_coords
+from crankorder.quantities import QualityFlag
 from crankorder.shaft.speed_groups import speed_groups
 
 SHAPE_SAMPLES = 1024
@@ -73,78 +72,11 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
     )
 
 
-def cross_spectra(frames: list[xr.Dataset], *, speed_bin_rpm: float, references: list[str] | None = None) -> xr.Dataset:
-    """Cross-spectra (channel, reference, speed, order) between channels, with their coherence.
-
-    Parameters
-    ----------
-    frames : OrderFrames of the recordings of a test
-    speed_bin_rpm : width of a group of like speed, rpm
-    references : names of the channels to refer to; None for all
-
-    Returns
-    -------
-    Dataset of ``cross_spectrum``, the mean over frames of channel times conjugate reference, peak amplitudes: its phase
-    is that of the channel before the reference, whatever the origin of crank angle; ``coherence``, the unbiased
-    magnitude-squared one; ``coherence_level`` (speed), which independent channels pass in 5 % of all cases, before the
-    bias is taken off; ``n_frames`` and ``n_independent`` (speed). Frames with a gap in either channel take no part.
-
-    Raises RequestError for a reference that is no channel. Source: Bendat and Piersol 2010, chapter 6 and section 9.2.
-    """
-    grouped = like_speed_frames(frames, speed_bin_rpm=speed_bin_rpm)
-    names = [str(name) for name in grouped.used[0]["channel"].values]
-    wanted = names if references is None else references
-    at = [place_of(name, names) for name in wanted]
-    parts = [_pairs(grouped.spectrum[:, group], at) for group in grouped.groups]
-    cross = np.stack([part[0] for part in parts], axis=2)
-    share = np.stack([part[2] for part in parts], axis=2)
-    independent = grouped.n_power[None, None, :, None] * share
-    coherence = unbiased_coherence(np.stack([part[1] for part in parts], axis=2), n_frames=independent)
-    same = np.arange(len(names))[:, None] == np.array(at)[None, :]
-    coherence[same] = np.where(np.isnan(coherence[same]), np.nan, 1.0)
-    made = xr.Dataset(
-        coords={
-            **channel_coords(grouped.used[0]),
-            "reference": ("reference", list(wanted), {"units": "1", "long_name": "channel referred to"}),
-            "order": grouped.used[0]["order"],
-            "speed": ("speed", grouped.speed_rpm, {"units": "min-1", "long_name": "speed"}),
-        }
-    )
-    dims = ("channel", "reference", "speed", "order")
-    made["cross_spectrum"] = (dims, cross, {"units": "see unit", "long_name": "mean channel times conjugate reference"})
-    made["coherence"] = (dims, coherence, {"units": "1", "long_name": "magnitude-squared coherence, unbiased"})
-    level = coherence_level(grouped.n_power)
-    made["coherence_level"] = ("speed", level, {"units": "1", "long_name": "95 % level of independent channels"})
-    count = np.array([len(group) for group in grouped.groups], dtype=np.int64)
-    made["n_frames"] = ("speed", count, {"units": "1", "long_name": "frames"})
-    made["n_independent"] = ("speed", grouped.n_power, {"units": "1", "long_name": "independent frames"})
-    return made
-
-
 def place_of(name: str, names: list[str]) -> int:
     """Position of the channel ``name`` in ``names``. Raises RequestError where it is none of them."""
     if name not in names:
         raise RequestError("no such channel to refer to", found=name, allowed=", ".join(names))
     return names.index(name)
-
-
-def _pairs(
-    spectrum: NDArray[np.complex128], at: list[int]
-) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Cross-spectrum, coherence as estimated, share of frames used (channels, references, orders) of a group."""
-    scale = power_of_two(spectrum)
-    values = spectrum / scale
-    known = ~np.isnan(values)
-    values = np.where(known, values, 0.0)
-    seen, power = known.astype(np.float64), np.abs(values) ** 2
-    count = np.einsum("cfo,rfo->cro", seen, seen[at])
-    cross = np.einsum("cfo,rfo->cro", values, values[at].conj())
-    both = np.einsum("cfo,rfo->cro", power, seen[at]) * np.einsum("cfo,rfo->cro", seen, power[at])
-    estimate = np.divide(np.abs(cross) ** 2, both, out=np.full(both.shape, np.nan), where=both > 0.0)
-    with np.errstate(over="ignore"):  # a product of two amplitudes of 1e300 is infinite
-        mean = cross / np.maximum(count, 1.0) * scale * scale[at][:, 0][None]
-    mean[count == 0] = np.nan
-    return mean, estimate, count / spectrum.shape[1]
 
 
 def coherence_level(n_frames: NDArray[np.float64], *, probability: float = 0.95) -> NDArray[np.float64]:

@@ -13,14 +13,16 @@ from crankorder.errors import RequestError
 from crankorder.fft.nonuniform import (
     ComplexArray,
     FloatArray,
-    channel_scales,
+    OrderTransform,
+    Upsampling,
+    folding_error,
+    hann_of_constant,
+    hann_of_turns,
     phase_of_whole_revs,
     real_signals,
-    scaled_sums,
+    upsampled,
+    upsampling,
 )
-from crankorder.fft.nonuniform_plan import OrderTransform
-from crankorder.fft.nonuniform_upsampling import Upsampling, upsampled, upsampling
-from crankorder.fft.nonuniform_windows import folding_error, hann_of_constant, hann_of_turns
 from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
 from crankorder.shaft.angle import time_at
 
@@ -75,7 +77,7 @@ def order_frames_nufft(
     Hann frames of ``revs`` from each ``begin_rev`` on, by the non-uniform FFT of the samples themselves. Amplitudes
     err by at most ``tolerance`` of the frame's largest: a frame with too few samples for it (:func:`frame_factor`) is
     first made denser, which takes neighbours. Next to the ends of the record fewer orders have enough of them, next to
-    unusable samples none; there the error is that of :func:`crankorder.fft.nonuniform_windows.folding_error`.
+    unusable samples none; there the error is that of :func:`crankorder.fft.nonuniform.folding_error`.
 
     Parameters
     ----------
@@ -100,54 +102,6 @@ def order_frames_nufft(
     record = _Record(signals, rate_hz, start_s, knots, usable)
     for frame in record.frames(begin, revs, float(order[-1]), tolerance):
         found = transform.spectra(frame.signals, frame.weights, frame.turns, first=frame.first, mean_spectrum=of_mean)
-        _keep(spectrum, frame, found, order)
-    return _from_zero_angle(spectrum, begin, order)
-
-
-def named_orders(
-    signals: NDArray[np.floating],
-    *,
-    rate_hz: float,
-    start_s: float,
-    knots: Knots,
-    begin_rev: ArrayLike,
-    revs: float,
-    orders: ArrayLike,
-    tolerance: float = 1e-9,
-    usable: NDArray[np.bool_] | None = None,
-) -> ComplexArray:
-    """Complex amplitudes (channels, frames, orders) of any orders, peak, phases from angle 0.
-
-    The frames of :func:`order_frames_nufft` by a direct sum, right to round-off but for folding, which ``tolerance``
-    bounds. Another line, a mean among them, leaks into an order as far as the Hann window shows it there: not at all
-    where both lie on whole multiples of 1/revs, two or more apart.
-
-    Parameters
-    ----------
-    signals : (channels, samples), float32 or float64, evenly spaced in time
-    rate_hz : Hz; start_s : s, time of the first sample
-    knots : arguments of :func:`crankorder.shaft.angle.angle_at`
-    begin_rev : (frames,), rev; revs : rev, above 0
-    orders : (orders,), cycles per revolution, 0 or more, on a bin or not
-    tolerance : 1e-12…0.1, of amplitudes: what folding may add
-    usable : (channels, samples) bool; a frame that touches a sample that is not is NaN for that channel
-
-    Orders above 0.98 of the Nyquist frequency at a frame's highest speed are NaN.
-    Raises RequestError for a frame outside the record or an argument out of range.
-    """
-    signals = _checked(signals, rate_hz, revs, tolerance)
-    begin = np.atleast_1d(np.asarray(begin_rev, dtype=np.float64))
-    order = np.atleast_1d(np.asarray(orders, dtype=np.float64))
-    if not (np.isfinite(order).all() and (order >= 0.0).all()):
-        raise RequestError("orders must be 0 or more", found=order)
-    spectrum = np.full((len(signals), len(begin), len(order)), np.nan + 0j)
-    exponent, mean = np.empty(len(signals), dtype=np.int64), np.empty(len(signals))
-    of_mean = hann_of_constant(order * revs)
-    record = _Record(signals, rate_hz, start_s, knots, usable)
-    for frame in record.frames(begin, revs, float(order.max(initial=0.0)), tolerance):
-        channel_scales(frame.signals, frame.first, frame.weights, True, exponent, mean)
-        found = scaled_sums(frame.signals, frame.first, frame.weights, frame.turns, order * revs, exponent, mean)
-        found += np.ldexp(mean, exponent)[:, None] * of_mean
         _keep(spectrum, frame, found, order)
     return _from_zero_angle(spectrum, begin, order)
 

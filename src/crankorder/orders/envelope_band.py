@@ -91,31 +91,6 @@ def between(bands: tuple[Band, ...]) -> tuple[Band, ...]:
     return tuple(Band(low, high, bands[0].level) for low, high in pairwise(middles))
 
 
-def squared_envelopes(
-    signal: NDArray[np.floating],
-    *,
-    rate_hz: float,
-    bands: tuple[Band, ...],
-    edges: NDArray[np.float64],
-    reach_hz: float,
-) -> Envelopes:
-    """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
-
-    The envelope is that of the analytic signal of the band, as a staircase of ``rate_hz``; its mean over each step is
-    exact. A line of it at the frequency f thus loses sinc(f / rate_hz) sinc(order / steps per revolution).
-
-    Parameters
-    ----------
-    signal : (samples,), any unit, may be a memory map: it is read in blocks of 65 536; NaN: missing
-    rate_hz : samples per second
-    bands : from :func:`band_tree`, level by level
-    reach_hz : highest frequency of the envelope that must be free of what folds
-    edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
-    """
-    blocks = block_spectra(signal, begin=float(edges[0]), end=float(edges[-1]))
-    return envelopes_of(blocks, rate_hz=rate_hz, bands=bands, edges=edges, reach_hz=reach_hz)
-
-
 def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
     """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``."""
     plan = _forward()
@@ -156,9 +131,18 @@ def without_tones(blocks: Blocks) -> Blocks:
 def envelopes_of(
     blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: NDArray[np.float64], reach_hz: float
 ) -> Envelopes:
-    """As :func:`squared_envelopes` with its ``rate_hz``, ``bands``, ``edges``, ``reach_hz``, of a signal's ``blocks``.
+    """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
 
-    ``blocks`` must reach from the first of the edges to the last.
+    The envelope is that of the analytic signal of the band, as a staircase of ``rate_hz``; its mean over each step is
+    exact. A line of it at the frequency f thus loses sinc(f / rate_hz) sinc(order / steps per revolution).
+
+    Parameters
+    ----------
+    blocks : of the signal, from the first of the edges to the last
+    rate_hz : samples per second
+    bands : from :func:`band_tree`, level by level
+    edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
+    reach_hz : highest frequency of the envelope that must be free of what folds
     """
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float64)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES

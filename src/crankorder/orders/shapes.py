@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.fft.scaling import power_of_two
+from crankorder.fft.windows import power_of_two
 from crankorder.orders.between_recordings import between_recordings, wider_of
 from crankorder.orders.coherence import (
     LEAST_FRAMES,

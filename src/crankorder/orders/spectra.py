@@ -162,7 +162,7 @@ def achieved_error(
     begin = layout.begin_rev[frame : frame + 1]
     place = (time_at(np.append(begin, begin + layout.revs), **knots_of(shaft)) - samples.start_s) * samples.rate_hz
     room = min(place[0], samples.signals.shape[1] - 1 - place[1])
-    kernel = cheapest_kernel(LEAST_TOLERANCE, content=samples.content, smooth=True)
+    kernel = cheapest_kernel(LEAST_TOLERANCE, content=samples.content)
     if kernel.margin > room:
         kernel = kernel_for(samples, LARGEST_TOLERANCE) if layout.method.kernel is None else layout.method.kernel
         if kernel.margin > room:

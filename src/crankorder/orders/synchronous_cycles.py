@@ -10,10 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
-from crankorder.fft.scaling import power_of_two
+from crankorder.fft.windows import power_of_two
 from crankorder.orders.by_angle import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
 from crankorder.orders.phase_marks import mark_of, one_mark
-from crankorder.orders.synchronous import cycles_of
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
@@ -123,7 +122,7 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
     )
     whole: NDArray[np.bool_] = np.ones((len(signals), count), dtype=np.bool_)
     if usable is not None:
-        whole = np.asarray(np.all(cycles_of(usable, revs * evenly.samples_per_rev), axis=2))
+        whole = np.asarray(np.all(_cycles_of(usable, revs * evenly.samples_per_rev), axis=2))
     if is_by_angle(band):
         speed = np.full(count, float(shaft["speed"].values.mean()))
     else:
@@ -131,8 +130,14 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
     # the filter works round the record: where its ends are not alike, the outer cycles hold something of both
     swept = count > 2 and abs(speed[-1] - speed[0]) > SWEPT_SHARE * speed[0]
     kept = slice(1, -1) if swept else slice(None)
-    cycles = cycles_of(values, revs * points)
+    cycles = _cycles_of(values, revs * points)
     return _Cycles(cycles[:, kept], whole[:, kept], speed[kept], first % (revs * points), points)
+
+
+def _cycles_of(values: NDArray, samples_per_cycle: int) -> NDArray:  # type: ignore[type-arg]  # of bool and of floats
+    """Whole cycles (channels, cycles, samples_per_cycle) of ``values`` (channels, samples) from its first sample on."""
+    count = values.shape[1] // samples_per_cycle
+    return values[:, : count * samples_per_cycle].reshape(len(values), count, samples_per_cycle)
 
 
 def _points_per_rev(max_order: float) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.fft.scaling import power_of_two
+from crankorder.fft.windows import power_of_two
 from crankorder.orders.angle_errors import AngleErrors
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.common_frames import common_frames

@@ -1,12 +1,14 @@
-"""Speed against time of every recording, short enough to keep with the results."""
+"""One row for each recording of a test: its speed, the error of its angle, and its speed against time in short."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+
+from crankorder.errors import printable
 
 KNOTS = 500
 """Knots of a trace: two pixels each where it is drawn across a page."""
@@ -59,3 +61,36 @@ def trace_variables(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> dict
         )
         for number, (name, (unit, text)) in enumerate(_UNITS.items())
     }
+
+
+def shaft_summary(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> xr.Dataset:
+    """Speed, pulses used, angle error and speed traces of every recording: one row each, in the order of ``shafts``.
+
+    ``shafts`` are ShaftAngles; ``speed_mean``, ``speed_min``, ``speed_max`` [rpm], ``standard_error`` [rev] and
+    ``n_pulses`` are (recording,), the traces of :func:`trace_variables` (recording, knot), of ``knots`` each.
+    """
+    rows: dict[str, tuple[Callable[[xr.Dataset], float], str, str]] = {
+        "speed_mean": (lambda shaft: _known(np.mean, shaft["speed"].values), "min-1", "mean speed"),
+        "speed_min": (lambda shaft: _known(np.min, shaft["speed"].values), "min-1", "lowest speed"),
+        "speed_max": (lambda shaft: _known(np.max, shaft["speed"].values), "min-1", "highest speed"),
+        "standard_error": (
+            lambda shaft: _known(np.mean, shaft["standard_error"].values),
+            "rev",
+            "mean standard error of the crank angle",
+        ),
+        "n_pulses": (lambda shaft: float(shaft.attrs["n_pulses"]), "1", "encoder pulses used"),
+    }
+    names = [printable(shaft.attrs["recording"]) for shaft in shafts]
+    return xr.Dataset(
+        {
+            name: xr.Variable("recording", [of(shaft) for shaft in shafts], {"units": unit, "long_name": text})
+            for name, (of, unit, text) in rows.items()
+        },
+        coords={"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})},
+    ).assign(trace_variables(shafts, knots=knots))
+
+
+def _known(of: Callable[[NDArray[np.float64]], float], values: NDArray[np.float64]) -> float:
+    """What ``of`` makes of those ``values`` that are numbers; NaN of none."""
+    known = values[~np.isnan(values)]
+    return float(of(known)) if known.size else np.nan

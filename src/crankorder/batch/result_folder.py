@@ -1,0 +1,287 @@
+"""The folder that a test's results stand in: whole or not at all, of one input, and nobody else's.
+
+New results are written into a folder beside, flushed, and exchanged for the old ones in one step. ``done.json`` says
+what they were made of, and what every file must be.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import hashlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from crankorder.batch.store import file_sha256, flush_folder, json_bytes, write_flushed
+from crankorder.errors import EnvironmentFailure, RequestError, printable
+from crankorder.ingest.folder import is_leftover
+
+DONE = "done.json"
+TIMINGS = "timings.json"
+"""Seconds of the stages: no result, and not the same in a second run."""
+
+EXCHANGE = 2
+"""``RENAME_EXCHANGE`` of Linux's renameat2."""
+
+
+@dataclass(frozen=True)
+class Owner:
+    """The input that results belong to: its folder, relative to that of all results, and the hash of its manifest."""
+
+    folder: str
+    manifest_sha256: str
+
+
+def marker_of(folder: Path) -> dict[str, Any]:
+    """What ``done.json`` in ``folder`` says; empty where there is none that a run wrote."""
+    try:
+        marker = json.loads((folder / DONE).read_bytes())
+        names = marker["outputs_sha256"]
+        sound = isinstance(marker["key"], str) and all(Path(name).name == name for name in names)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}
+    return dict(marker) if sound else {}
+
+
+def finished_with(folder: Path, key: str) -> bool:
+    """Whether ``folder`` holds results that were finished with ``key`` and whose files are still those written."""
+    marker = marker_of(folder)
+    try:
+        return marker.get("key") == key and all(
+            file_sha256(folder / name) == digest for name, digest in marker["outputs_sha256"].items()
+        )
+    except OSError:
+        return False
+
+
+def foreign_in(folder: Path) -> list[str]:
+    """Names of what lies in ``folder`` and no earlier run wrote; what editors and file managers leave is nobody's."""
+    try:
+        names = {item.name for item in folder.iterdir()}
+    except FileNotFoundError:
+        return []
+    except NotADirectoryError:
+        return [folder.name]
+    marker = marker_of(folder)
+    ours = {*marker["outputs_sha256"], DONE, TIMINGS} if marker else set()
+    return sorted(name for name in names - ours if not is_leftover(name))
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Refuse to replace a ``folder`` that holds what no earlier run wrote: RequestError names it."""
+    found = foreign_in(folder)
+    marker = marker_of(folder)
+    if marker and "run.json" not in marker["outputs_sha256"]:
+        found = sorted(marker["outputs_sha256"])  # of a comparison or a balance
+    if found:
+        raise RequestError(
+            "holds files that no earlier run wrote",
+            file=folder,
+            found=", ".join(printable(name, 60) for name in found[:5]) + (", …" if len(found) > 5 else ""),
+            allowed="a folder that is missing, empty, or was made by `crankorder run`",
+            remedy="Move them away, or choose another --out or --name: nothing of yours is overwritten",
+        )
+
+
+def owner_recorded(folder: Path) -> Owner | None:
+    """The input that the results in ``folder`` were made of, None where they do not say."""
+    stated = marker_of(folder).get("input")
+    try:
+        return None if stated is None else Owner(str(stated["folder"]), str(stated["manifest_sha256"]))
+    except (KeyError, TypeError):
+        return None
+
+
+def belongs(folder: Path, owner: Owner) -> bool:
+    """Whether the results in ``folder`` may be replaced by those of ``owner``: theirs, or of data that moved here.
+
+    Results that do not say what they were made of belong to everybody.
+    """
+    recorded = owner_recorded(folder)
+    if recorded is None or recorded.folder == owner.folder:
+        return True
+    there = folder.parent / recorded.folder
+    with contextlib.suppress(OSError):
+        if there.samefile(folder.parent / owner.folder):
+            return True
+    return recorded.manifest_sha256 == owner.manifest_sha256 and not there.is_dir()
+
+
+def refuse_others(folder: Path, owner: Owner) -> None:
+    """Refuse to replace results in ``folder`` that were made of another input than ``owner``: RequestError."""
+    if not belongs(folder, owner):
+        recorded = owner_recorded(folder)
+        assert recorded is not None
+        raise RequestError(
+            "holds the results of another test of this name",
+            file=folder,
+            found=f"made of {printable(recorded.folder)}, not of {printable(owner.folder)}",
+            remedy="Give one of the two another name: --name NAME, or name = … under [test] in its run.toml",
+        )
+
+
+def publish(
+    folder: Path,
+    contents: Mapping[str, bytes],
+    *,
+    key: str,
+    owner: Owner | None = None,
+    record: Mapping[str, Any] | None = None,
+    besides: Mapping[str, bytes] | None = None,
+) -> None:
+    """Make ``contents`` (name → bytes) the results in ``folder``, with a marker that holds their hashes and ``key``.
+
+    ``owner``: the input that they were made of. ``record``: what an index says of them. ``besides``: files that are no
+    results and may change, such as timings. Whoever reads ``folder`` finds the old results or the new ones; where the
+    system cannot exchange two folders, it may find none for a moment. Files of others stay, where there are any.
+    Raises EnvironmentFailure where the disk is full or the folder cannot be written: the old results stand then;
+    RequestError where a file of others has the name of a result.
+    """
+    marker: dict[str, Any] = {"key": key}
+    if owner is not None:
+        marker["input"] = asdict(owner)
+    if record is not None:
+        marker["record"] = dict(record)
+    marker["outputs_sha256"] = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
+    files = {**contents, **(besides or {}), DONE: json_bytes(marker)}
+    folder = folder.parent.resolve() / folder.name if not folder.is_symlink() else folder.resolve()
+    shared = sorted(set(foreign_in(folder)) & set(files))
+    if shared:
+        raise RequestError(
+            "holds files that no earlier run wrote",
+            file=folder,
+            found=", ".join(shared),
+            remedy="Choose another --out: nothing of yours is overwritten",
+        )
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        settle(folder)
+        if _replaceable(folder):
+            _exchange(folder, files)
+        else:
+            _replace_files(folder, files)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            settle(folder)
+        raise EnvironmentFailure(
+            f"the results cannot be written ({error.strerror or error})",
+            file=error.filename or folder,
+            remedy="Free space on the disk or choose another --out; what was there before is kept, or there is nothing",
+        ) from error
+
+
+def settle(folder: Path) -> None:
+    """Finish or undo an exchange of ``folder`` that was cut short, and clear away what it left.
+
+    Raises OSError where that cannot be done.
+    """
+    new, old = _beside(folder)
+    if not folder.exists():
+        if new.is_dir() and finished_with(new, marker_of(new).get("key", "")):
+            new.rename(folder)
+        elif old.is_dir():
+            old.rename(folder)
+    for leftover in (new, old):
+        if leftover.is_dir():
+            shutil.rmtree(leftover)
+    inside = folder / _inside(folder)
+    if inside.is_dir():
+        if marker_of(inside) and not (folder / DONE).exists():
+            _move_in(folder, inside)
+        shutil.rmtree(inside, ignore_errors=True)
+
+
+def _beside(folder: Path) -> tuple[Path, Path]:
+    """Folders of the new results, and of the old ones where they cannot be exchanged in one step."""
+    return folder.with_name(f".{folder.name}.crankorder-new"), folder.with_name(f".{folder.name}.crankorder-old")
+
+
+def _inside(folder: Path) -> str:
+    return f".{folder.name}.crankorder-new"
+
+
+def _replaceable(folder: Path) -> bool:
+    """Whether a new folder may take the place of ``folder``: nothing of others in it, and nobody stands in it."""
+    if not os.access(folder.parent, os.W_OK) or folder.is_mount():
+        return False
+    if not folder.exists():
+        return True
+    here = Path.cwd().resolve()
+    return not foreign_in(folder) and here != folder and folder not in here.parents
+
+
+def _exchange(folder: Path, files: Mapping[str, bytes]) -> None:
+    new, old = _beside(folder)
+    _write_all(new, files)
+    if not folder.exists():
+        new.rename(folder)
+    elif _exchanged(new, folder):
+        old = new
+    else:
+        folder.rename(old)
+        new.rename(folder)
+    flush_folder(folder.parent)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write ``files`` into the new ``folder`` and flush them; nothing of it stays where one cannot be written."""
+    folder.mkdir()
+    try:
+        for name, data in files.items():
+            write_flushed(folder / name, data)
+        flush_folder(folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; False where this system or this disk cannot."""
+    if sys.platform != "linux":
+        return False
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if rename is None:
+        return False
+    here = -100  # AT_FDCWD: paths are absolute or relative to the working directory
+    if rename(here, os.fsencode(one), here, os.fsencode(other), EXCHANGE) == 0:
+        return True
+    fault = ctypes.get_errno()
+    if fault in (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP):
+        return False
+    raise OSError(fault, os.strerror(fault), str(other))
+
+
+def _replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Put ``files`` among those of others in ``folder``: all are written first, then moved, the marker last."""
+    folder.mkdir(exist_ok=True)
+    new = folder / _inside(folder)
+    _write_all(new, files)
+    stale = set(marker_of(folder).get("outputs_sha256", ())) - set(files)
+    (folder / DONE).unlink(missing_ok=True)
+    _move_in(folder, new)
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    new.rmdir()
+
+
+def _move_in(folder: Path, new: Path) -> None:
+    for path in sorted(new.iterdir(), key=lambda path: path.name == DONE):
+        path.replace(folder / path.name)
+    flush_folder(folder)
+
+
+def finished_tests(out: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Every folder in ``out`` with finished results, in the order of the names, and what its marker says."""
+    for folder in sorted(out.iterdir()):
+        if not folder.name.startswith(".") and folder.is_dir():
+            marker = marker_of(folder)
+            if marker:
+                yield folder, marker

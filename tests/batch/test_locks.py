@@ -1,0 +1,70 @@
+"""One process at a time where several write."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from crankorder.batch.locks import locked
+from crankorder.errors import EnvironmentFailure
+
+FORK = multiprocessing.get_context("fork")
+
+
+def add_one(place: Path, rounds: int) -> None:
+    for _ in range(rounds):
+        with locked(place):
+            count = int(place.read_text())
+            time.sleep(0.0005)
+            place.write_text(str(count + 1))
+
+
+def test_four_processes_count_without_losing_one(tmp_path):
+    place = tmp_path / "count"
+    place.write_text("0")
+    processes = [FORK.Process(target=add_one, args=(place, 25)) for _ in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert place.read_text() == "100"
+    assert [path.name for path in tmp_path.iterdir()] == ["count"]
+
+
+def hold(place: Path, ready) -> None:
+    with locked(place):
+        ready.set()
+        time.sleep(60)
+
+
+def test_the_lock_of_a_killed_process_is_free_and_the_waiting_one_says_whom_it_waits_for(tmp_path):
+    ready, told = FORK.Event(), []
+    holder = FORK.Process(target=hold, args=(tmp_path / "test", ready))
+    holder.start()
+    ready.wait()
+
+    def tell(text: str) -> None:
+        told.append(text)
+        os.kill(holder.pid, signal.SIGKILL)
+
+    with locked(tmp_path / "test", tell=tell):
+        assert len(told) == 1 and f"process {holder.pid}" in told[0] and told[0].startswith("test: waiting")
+    holder.join()
+
+
+def test_who_holds_it_stands_in_the_lock(tmp_path):
+    with locked(tmp_path / "test"):
+        assert json.loads((tmp_path / ".test.lock").read_bytes())["pid"] == os.getpid()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_cannot_be_written_is_said_to_be_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EnvironmentFailure, match="file"), locked(tmp_path / "file" / "test"):
+        pass

@@ -1,0 +1,179 @@
+"""Result folders: whole or not at all, of one input, never over files of others."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from crankorder.batch import result_folder
+from crankorder.batch.result_folder import DONE, Owner, belongs, finished_with, publish, refuse_foreign, settle
+from crankorder.errors import EnvironmentFailure, RequestError
+
+OLD = {"a.json": b"old {}\n", "b.png": b"old \x89PNG" * 50, "gone.png": b"old"}
+NEW = {"a.json": b"{}\n", "b.png": b"\x89PNG" * 50}
+
+
+def held(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != DONE}
+
+
+def failing_at(number: int, real):
+    count = [0]
+
+    def failing(*arguments, **named):
+        count[0] += 1
+        if count[0] == number + 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "disk")
+        return real(*arguments, **named)
+
+    return failing
+
+
+def test_published_results_are_finished_with_their_key_and_no_other(tmp_path):
+    publish(tmp_path / "out", NEW, key="one")
+    assert finished_with(tmp_path / "out", "one")
+    assert not finished_with(tmp_path / "out", "two")
+    assert {path.name for path in tmp_path.rglob("*")} == {"out", *NEW, DONE}
+
+
+@pytest.mark.parametrize("name", [*NEW, DONE])
+@pytest.mark.parametrize("harm", ["removed", "changed"])
+def test_results_that_were_touched_are_not_finished(tmp_path, name, harm):
+    publish(tmp_path / "out", NEW, key="one")
+    if harm == "removed":
+        (tmp_path / "out" / name).unlink()
+    else:
+        (tmp_path / "out" / name).write_bytes(b"[]")
+    assert not finished_with(tmp_path / "out", "one")
+
+
+@pytest.mark.parametrize("can_exchange", [True, False])
+@pytest.mark.parametrize("call", ["fsync", "rename", "open", "mkdir", "write"])
+@pytest.mark.parametrize("number", range(8))
+def test_whichever_call_fails_the_old_results_are_whole_or_the_new_ones(
+    tmp_path, monkeypatch, call, number, can_exchange
+):
+    out = tmp_path / "out"
+    publish(out, OLD, key="old")
+    with monkeypatch.context() as patched:
+        if not can_exchange:
+            patched.setattr(result_folder, "_exchanged", lambda one, other: False)
+        if call == "write":
+            patched.setattr(result_folder, "write_flushed", failing_at(number, result_folder.write_flushed))
+        else:
+            patched.setattr(os, call, failing_at(number, getattr(os, call)))
+        try:
+            publish(out, NEW, key="new")
+            failed = False
+        except EnvironmentFailure as error:
+            failed = True
+            assert error.exit_status == 5 and "No space left" in str(error)
+    settle(out)  # as every command does first
+    assert not failed or finished_with(out, "old") or finished_with(out, "new")
+    assert failed or finished_with(out, "new")
+    assert held(out) == (OLD if finished_with(out, "old") else NEW)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("can_exchange", [True, False])
+@pytest.mark.parametrize("steps", range(12))
+def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(
+    tmp_path, monkeypatch, steps, can_exchange
+):
+    """Each call that changes the disk is the last one of the process, in turn."""
+    out, left = tmp_path / "out", [steps]
+    publish(out, OLD, key="old")
+
+    class Killed(BaseException):
+        pass
+
+    def counted(real):
+        def call(*arguments, **named):
+            if left[0] == 0:
+                raise Killed
+            left[0] -= 1
+            return real(*arguments, **named)
+
+        return call
+
+    with monkeypatch.context() as patched:
+        for name in ("rename", "mkdir", "rmdir", "unlink"):
+            patched.setattr(os, name, counted(getattr(os, name)))
+        for name in ("write_flushed", "_exchanged"):
+            real = getattr(result_folder, name)
+            if name == "_exchanged" and not can_exchange:
+                real = lambda one, other: False  # noqa: E731
+            patched.setattr(result_folder, name, counted(real))
+        patched.setattr(shutil, "rmtree", counted(shutil.rmtree))
+        with contextlib.suppress(Killed):
+            publish(out, NEW, key="new")
+    settle(out)
+    assert held(out) == (OLD if finished_with(out, "old") else NEW)
+    assert finished_with(out, "old") or finished_with(out, "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_files_of_others_stay_where_results_are_put_among_them(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    publish(tmp_path, OLD, key="old")
+    publish(tmp_path, NEW, key="new")
+    assert held(tmp_path) == {**NEW, "notes.txt": b"mine"}
+
+
+def test_a_file_of_others_with_the_name_of_a_result_is_not_overwritten(tmp_path):
+    (tmp_path / "a.json").write_text("mine")
+    with pytest.raises(RequestError, match=r"a\.json"):
+        publish(tmp_path, NEW, key="new")
+    assert held(tmp_path) == {"a.json": b"mine"}
+
+
+def test_the_folder_that_somebody_stands_in_stays_the_same_folder(tmp_path, monkeypatch):
+    publish(tmp_path, OLD, key="old")
+    number = tmp_path.stat().st_ino
+    monkeypatch.chdir(tmp_path)
+    publish(tmp_path, NEW, key="new")
+    assert tmp_path.stat().st_ino == number and held(tmp_path) == NEW
+
+
+def test_a_folder_with_files_of_others_is_refused_and_leftovers_are_not(tmp_path):
+    publish(tmp_path / "out", {**NEW, "run.json": b"{}"}, key="one")
+    (tmp_path / "out" / ".DS_Store").write_bytes(b"")
+    refuse_foreign(tmp_path / "out")
+    refuse_foreign(tmp_path / "missing")
+    (tmp_path / "out" / "results of mine.xlsx").write_bytes(b"")
+    with pytest.raises(RequestError, match=r"results of mine\.xlsx"):
+        refuse_foreign(tmp_path / "out")
+
+
+def test_a_marker_that_is_no_marker_makes_nothing_ours(tmp_path):
+    for number, text in enumerate(
+        ("", "[]", "{}", '{"key": 1}', '{"key": "a", "outputs_sha256": {"../x": ""}}', "[" * 9999)
+    ):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / DONE).write_text(text)
+        with pytest.raises(RequestError, match="done"):
+            refuse_foreign(folder)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "asking", "mine"),
+    [
+        (Owner("../a", "1"), Owner("../a", "1"), True),
+        (Owner("../a", "1"), Owner("../a", "2"), True),  # its manifest was edited
+        (Owner("../a", "1"), Owner("../b", "1"), False),  # a copy of the manifest beside other data
+        (Owner("../gone", "1"), Owner("../b", "1"), True),  # the data moved
+        (Owner("../gone", "1"), Owner("../b", "2"), False),
+        (None, Owner("../b", "2"), True),
+    ],
+)
+def test_results_belong_to_one_input(tmp_path, recorded, asking, mine):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    publish(tmp_path / "out" / "t", NEW, key="one", owner=recorded)
+    assert belongs(tmp_path / "out" / "t", asking) is mine
