@@ -13,7 +13,7 @@ import xarray as xr
 from crankorder.engine.motor import Motor
 from crankorder.identify.explain import explained
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.lines.speed_proof import NO_PULSES, STATED_SPEED_ERROR
+from crankorder.identify.lines.order_lock import NO_PULSES, STATED_SPEED_ERROR
 from crankorder.identify.motor_speed import SpeedRead, explained_at, speed_read, with_speed_read
 from crankorder.identify.said import LIKE_UNBALANCE
 from crankorder.identify.sources import Sources

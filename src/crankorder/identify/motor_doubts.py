@@ -13,7 +13,7 @@ from crankorder.identify.explain import Causes
 from crankorder.identify.explain_families import BY_ITSELF
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.lines.order_lock import STATED_SPEED_ERROR, speed_source
 from crankorder.identify.mains import mains_words
 from crankorder.identify.motor_speed import RATED, SpeedRead
 from crankorder.identify.motors import MotorFound, MotorSpeed

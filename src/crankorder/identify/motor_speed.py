@@ -13,7 +13,7 @@ from crankorder.engine.motor import Motor
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, Lock, ModalFit
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.lines.order_lock import STATED_SPEED_ERROR, speed_source
 from crankorder.identify.said import ALIKE_SPEEDS, SPEAK_FOR
 from crankorder.settings import IdentifySettings
 

@@ -23,7 +23,7 @@ from crankorder.identify.known_lines import (
     sightings,
 )
 from crankorder.identify.lines.line_phasors import recordings_of
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.lines.order_lock import STATED_SPEED_ERROR, speed_source
 from crankorder.identify.mains import ALONE, mains_words
 from crankorder.settings import IdentifySettings
 

@@ -12,49 +12,58 @@ from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.angle_sidebands import sideband_of
-from crankorder.identify.lines.lengths import longest_frame
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
-from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
-from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
-from crankorder.identify.lines.several_orders import FREEDOM, SOLVED, close_lines, lines_at
-from crankorder.identify.lines.speed_proof import (
+from crankorder.identify.lines.order_lock import (
     NO_PULSES,
     PROVEN_SPEED_ERROR,
     STATED_SPEED_ERROR,
+    lock_of,
+    nearest_multiple,
     proves_speed,
+    revs_to_decide,
     speed_source,
+    sure_half_width,
 )
-from crankorder.identify.lines.swept_company import NEAREST_BINS
-from crankorder.identify.lines.swept_phase import Course
-from crankorder.identify.lines.zoom import Zoomed
+from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
+from crankorder.identify.lines.several_orders import FREEDOM, SOLVED, close_lines, lines_at
+from crankorder.identify.lines.swept_orders import NEAREST_BINS, longest_frame
+from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.identify.mains import nearest_multiple as nearest_mains
 from crankorder.identify.said import ALIKE_SPEEDS, UNRESOLVED
+from crankorder.orders.angle_errors import ERROR
 from crankorder.settings import IdentifySettings
 
 SAME_ORDER = 0.125
 """Lines of different channels that are closer than this are one order of the shaft."""
 
+
 WANDER_RATIO = 10.0
 """A line that changes slowly by so many times its fast noise swells and fades: noise does by chance once in 1e6."""
+
 
 UNPARTED_CYCLES = 0.75
 """Two lines that a recording does not part beat less than so often on each side of what they seem to be."""
 
+
 MOST_MODE_TURNS = 4.0
 """Turns of the phase that modes make over a whole run-up: eight of them, crossed one way."""
+
 
 IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
 """What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
 
+
 BEATS_OF_A_PAIR = 3.0
 """Two lines that a recording holds fewer beats of are read as one that swells."""
+
 
 UNPARTED = "too short to part a locked line from another beside it, which together would look like this"
 """What is said of a line that would slip, if it is one."""
 
+
 PARTED_IN_SWEEP = "one of several lines within a quarter order, told apart as they were followed through the sweep"
+
 
 Floats = NDArray[np.float64]
 
@@ -509,3 +518,42 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
             )
         )
     return lines or group
+
+
+OF_ROUNDING = float(np.sqrt(12.0))
+"""Sideband over carrier, per order and standard error [rev] of the angle: the first harmonic of a rounding error."""
+
+
+Array = NDArray[np.float64]
+
+
+def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Sequence[xr.Dataset]) -> float | None:
+    """Order whose sidebands all ``lines`` (one order, by channel) may be, at every speed at which they are seen.
+
+    An edge that is rounded to the samples of a recording errs by up to half of one, in a pattern that beats with the
+    samples: it turns the phase of order n by n times the error of the angle, and leaves lines at orders that are none.
+    ``order_map`` (OrderMap) says how large the others are, ``frames`` (OrderFrames) how well the angle is known. None
+    where one of the lines is larger than that.
+    """
+    error = _errors(order_map["speed"].values, float(order_map.attrs.get("speed_bin_rpm", 25.0)), frames)
+    axis, names = order_map["order"].values, order_map["channel"].values.tolist()
+    carrier = 0.0
+    for line in lines:
+        size = np.nan_to_num(order_map["amplitude"].values[names.index(line.channel)])
+        turned = size[line.seen] * axis
+        if not (line.amplitude <= OF_ROUNDING * error[line.seen] * turned.max(axis=1)).all():
+            return None
+        carrier = float(axis[int(turned[line.strongest].argmax())])
+    return carrier if lines else None
+
+
+def _errors(speed_rpm: Array, width_rpm: float, frames: Sequence[xr.Dataset]) -> Array:
+    """Standard error [rev] of the crank angle (speeds,) in the recordings that ran at each speed; the largest."""
+    made = np.zeros(len(speed_rpm))
+    for item in frames:
+        speed = item["speed"].values
+        if not len(speed) or not np.isfinite(speed).any():
+            continue
+        ran = (speed_rpm >= np.nanmin(speed) - width_rpm) & (speed_rpm <= np.nanmax(speed) + width_rpm)
+        made = np.where(ran | ~np.isfinite(speed_rpm), np.maximum(made, float(item.attrs.get(ERROR, 0.0))), made)
+    return made

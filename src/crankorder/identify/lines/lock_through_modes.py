@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
-from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
-from crankorder.identify.lines.speed_proof import proves_speed, speed_source
+from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_force import smooth_shapes
 from crankorder.identify.modal.order_responses import Block

@@ -12,9 +12,15 @@ from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
-from crankorder.identify.lines.changing import HeldSizes, between_of, ends_of, held_sizes, remark_on
-from crankorder.identify.lines.kept_phase import keeps_its_phase
-from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
+from crankorder.identify.lines.growth import HeldSizes, between_of, ends_of, held_sizes, remark_on
+from crankorder.identify.lines.line_evidence import (
+    UNPROVEN,
+    evidence_of,
+    has_moved,
+    is_unprovable,
+    keeps_its_phase,
+    keeps_one_order,
+)
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.identify.said import UNRESOLVED

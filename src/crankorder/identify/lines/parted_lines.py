@@ -10,8 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.swept_phase import STRETCHES, SURE_SIGMAS, Course, course_of
-from crankorder.identify.lines.zoom import SWEPT_TURNS
+from crankorder.identify.lines.zoom import STRETCHES, SURE_SIGMAS, SWEPT_TURNS, Course, course_of
 
 UNREAD_SHARE = 0.15
 """Standard error of a number whose phase is lost in noise, as a share of the distance to the other line: frames place

@@ -1,4 +1,4 @@
-"""The order of a line, from the phase by which it runs ahead of its bin from frame to frame."""
+"""The order of a line, from the phase by which it runs ahead of its bin; in a run-up modes turn it too."""
 
 from __future__ import annotations
 
@@ -10,56 +10,72 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from crankorder.identify.lines.close_pair import solved_pair
-from crankorder.identify.lines.swept_phase import SURE_SIGMAS, Course, course_of
 
 GRID_PER_SPAN = 4
 """Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
 
+
 SEEN_SQUARED = 40.0
 """Square of a line's amplitude over its noise, along one axis, from which its phase is followed."""
+
 
 BEATING_SQUARED = 4.0
 """The same of a line whose beat with a second one still counts as its noise."""
 
+
 NOISE_DEGREES = 6
 """Slow polynomials over the frames, whose power is the noise near the line."""
 
+
 SWEPT_RATIO = 1.02
 """Fastest over slowest frame from which the phase of the structure's response may turn under way …"""
+
 
 SWEPT_TURN, SWEPT_TURNS = 0.25, 1.0
 """… by this standard error, in revolutions of phase over the whole recording: a mode turns it by half of one; several
 add up to the second, where a line stands alone and cannot be seen part by part."""
 
+
 DRIFT_TURN, DRIFT_TURNS = 0.25, 40.0
 """Standard error of the turn [rev] where a speed that is held drifts: so many times the drift, as a share, up to the
 first; that of the lightest mode, damped by 0.2 %, on which the line may stand."""
 
+
 SECOND_CHANCE = 1e-6
 """Chance that noise shows a second line beside the first."""
+
 
 SECOND_RATIO = 0.03
 """A second line has at least this share of the first one's amplitude: less may be its skirts."""
 
+
 SECOND_CYCLES = 1.5
 """Two lines are told apart where they beat so often within the recording."""
+
 
 WANDER_DEGREES = 3
 """Polynomials over the frames that tell a line that swells and fades once …"""
 
+
 WANDER_SHARE = 0.02
 """… by at least this share of its amplitude (root mean square)."""
+
 
 SWEPT_SECOND_RATIO = 0.15
 """In a run-up, whose lines have skirts of their own, a second line has at least this share of the first one's."""
 
+
 SAME_HALVES = 0.5
 """Largest difference of a second line between both halves of the recording, over its amplitude."""
+
 
 MIRRORED = 0.5
 """An equal line on the other side, of this share of the second's amplitude, makes both a modulation of the first."""
 
+
 Complex = NDArray[np.complex128]
+
+
 Floats = NDArray[np.float64]
 
 
@@ -359,3 +375,103 @@ def _wander(phasors: Complex, turn: Floats, line: Zoomed) -> float:
     ratio = slow / WANDER_DEGREES / (fast / (len(turn) - WANDER_DEGREES - 1))
     large = slow / len(turn) > (WANDER_SHARE * np.abs(line.amplitude)) ** 2
     return float(np.median(np.where(large, ratio, 0.0)))
+
+
+STRETCHES = 10
+"""Parts of a run-up whose turns are compared: a mode turns the phase in a few of them, a slip evenly in all."""
+
+
+DENSEST_SHARE = 0.4
+"""Share of the stretches that turn most alike: between modes the phase stands still, or runs as the slip says."""
+
+
+MODE_TAILS = 0.03
+"""Turn [rev] of a stretch that the tails of modes leave where none is crossed."""
+
+
+LARGEST_SCATTER = 0.06
+"""Steps from frame to frame whose turn [rev] noise moves by more tell nothing."""
+
+
+FEWEST_STEPS = 6
+"""Steps from frame to frame from which on stretches can be compared."""
+
+
+SURE_SIGMAS = 3.3
+"""Standard deviations within which noise stays 999 times in 1000."""
+
+
+LEAST_TURNS = 2.0
+"""A slip turns the phase so often over the whole run-up: eight modes crossed one way make four at most …"""
+
+
+EVEN_SHARE = 0.35
+"""… but not evenly: the stretches that turn most alike scatter by less than this share of their turn …"""
+
+
+ONE_WAY_SHARE = 0.8
+"""… and so many of all stretches turn the same way."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the phase of a line runs over a recording: at ``offset`` orders from its bin, surely within ``half`` orders.
+
+    ``slopes`` (stretches,) are those of its stretches, each known within ``reach``; they cover ``span_rev``.
+    ``alike`` is the length of the mean of the unit phasors of its ``steps`` from frame to frame: 1 where all are alike.
+    """
+
+    offset: float
+    half: float
+    slopes: Floats
+    reach: float
+    span_rev: float
+    alike: float
+    steps: int
+
+    def slips_from(self, offset: float) -> bool:
+        """Whether the phase runs away from that of a line ``offset`` orders from the bin as modes cannot make it."""
+        slope = self.slopes - offset
+        mean = self.offset - offset
+        if abs(mean) * self.span_rev < LEAST_TURNS or self.half > EVEN_SHARE * abs(mean):
+            return False
+        return float(np.mean(slope * np.sign(mean) > self.reach)) >= ONE_WAY_SHARE
+
+
+def course_of(phasors: Complex, turn: Floats, noise: Floats) -> Course | None:
+    """How the phase of the line in ``phasors`` runs over a run-up; None where too few frames show it.
+
+    Its turn per revolution is that at which most stretches of the run-up agree: a mode adds up to half a turn where it
+    is crossed, several add up, but between them a locked line stands still. A slip turns all stretches alike.
+
+    Parameters
+    ----------
+    phasors : (channels, frames), complex amplitudes in one bin whose phase is that from crank angle 0
+    turn : (frames,), rev, crank angle of the middle of each frame
+    noise : (channels, frames), noise power of each
+    """
+    scaled = phasors / np.sqrt(np.maximum(noise, 1e-300))
+    product = (scaled[:, 1:] * scaled[:, :-1].conj()).sum(axis=0)
+    power = np.square(np.abs(scaled)).sum(axis=0)
+    size = np.maximum(np.abs(product), 1e-300)
+    scatter = np.sqrt(0.5 * (power[1:] + power[:-1]) + len(phasors)) / size / (2.0 * np.pi)
+    step, hop = np.angle(product) / (2.0 * np.pi), np.diff(turn)
+    kept = scatter < LARGEST_SCATTER
+    if np.count_nonzero(kept) < FEWEST_STEPS:
+        return None
+    step, hop, scatter = step[kept], hop[kept], scatter[kept]
+    width = max(1, len(step) // STRETCHES)
+    path = np.concatenate([[0.0], np.cumsum(step)])
+    along = np.concatenate([[0.0], np.cumsum(hop)])
+    length = along[width:] - along[:-width]
+    slopes = (path[width:] - path[:-width]) / length
+    noise_of_slope = float(np.sqrt(2.0) * np.median(scatter)) / float(np.median(length))
+    ordered, count = np.sort(slopes), max(2, int(np.ceil(DENSEST_SHARE * len(slopes))))
+    spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    first = int(np.argmin(spans))
+    offset = float(np.median(ordered[first : first + count]))
+    tails = MODE_TAILS / float(np.median(length))
+    independent = max(1.0, count / width)
+    alike = float(np.abs(np.exp(2j * np.pi * step).mean()))
+    half = 0.5 * float(spans[first]) + SURE_SIGMAS * noise_of_slope / float(np.sqrt(independent)) + tails
+    return Course(offset, half, slopes, SURE_SIGMAS * noise_of_slope + tails, float(along[-1]), alike, len(step))
