@@ -132,7 +132,7 @@ def test_version_7_3_is_told_as_the_hdf5_that_it_is(tmp_path, limits):
         file["x"] = np.arange(10.0)[None, :]
     with path.open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
-    assert format_of(path) == "HDF5"
+    assert format_of(path).name == "HDF5"
     np.testing.assert_array_equal(read_file(path, sources=["x"], settings=limits).columns["x"], np.arange(10.0))
 
 

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from crankorder.ingest.hdf5 import read_hdf5
+from crankorder.ingest import hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
 from crankorder.synth.acquisition import recorded, true_rate_hz
@@ -105,7 +105,7 @@ def test_int16_codes_come_back_through_the_hdf5_reader(bits: int | None, tmp_pat
     with h5py.File(tmp_path / "r.h5", "w") as file:
         dataset = file.create_dataset("acc", data=made.samples[0])
         dataset.attrs.update({"unit": made.unit, "scale_factor": made.scale, "rate_hz": 1000.0})
-    raw = read_hdf5(tmp_path / "r.h5", sources=["acc"], settings=load_settings().ingest)
+    raw = hdf5.read(tmp_path / "r.h5", sources=["acc"], settings=load_settings().ingest)
     volts = signal[0] * 0.5 / 9.80665
     step = 5.0 / 2 ** (bits or 16)
     assert np.abs(raw.columns["acc"] - volts).max() <= step / 2 * (1 + 1e-3)

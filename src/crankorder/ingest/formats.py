@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, NoReturn
 
 from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.rawfile import HDF5_SIGNATURE, Contents, RawFile, Source
 from crankorder.settings import IngestSettings
 
-Format = Literal["HDF5", "WAV", "XLSX", "MATLAB", "NumPy", "LVM", "text"]
-
 HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
 _BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".npy", ".dat")
 _HEAD_BYTES = 8192
-# MATLAB 7.3 says so too, but is HDF5 behind that header
-_READ: tuple[tuple[bytes, Format], ...] = (
-    (b"MATLAB 5.0 MAT-file", "MATLAB"),
-    (b"\x93NUMPY", "NumPy"),
-    (b"LabVIEW Measurement", "LVM"),
-)
 # what the first bytes say, and what to do with a format that is not read
 _EXPORT = "Export the recording to HDF5, WAV or text"
 _UNREAD: tuple[tuple[bytes, str, str], ...] = (
@@ -52,40 +46,77 @@ _UNREAD: tuple[tuple[bytes, str, str], ...] = (
 )
 
 
+@dataclass(frozen=True)
+class Format:
+    """A format that is read: its ``name``, the ``module`` of this room that reads it, and what tells a file of it.
+
+    ``told_by`` takes the file's path and first bytes. The module has ``read`` (path, sources, settings → RawFile) and
+    ``contents`` (path, settings → Contents); it is imported when it is needed.
+    """
+
+    name: str
+    module: str
+    told_by: Callable[[Path, bytes], bool]
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """The function ``name`` of the module."""
+        found: Callable[..., Any] = getattr(import_module(f"crankorder.ingest.{self.module}"), name)
+        return found
+
+
+def _begins(signature: bytes) -> Callable[[Path, bytes], bool]:
+    return lambda path, head: head.startswith(signature)
+
+
+def _is_hdf5(path: Path, head: bytes) -> bool:
+    return any(head[start : start + 8] == HDF5_SIGNATURE for start in (0, 512, 1024, 2048, 4096))
+
+
+def _is_wav(path: Path, head: bytes) -> bool:
+    return head.startswith(b"RIFF") and (head[8:12] == b"WAVE" or len(head) < 12)
+
+
+def _is_xlsx(path: Path, head: bytes) -> bool:
+    if not head.startswith(b"PK\x03\x04"):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            is_workbook = "xl/workbook.xml" in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):  # what zipfile raises on damaged directories
+        raise InputError(
+            "truncated or damaged: a zip or XLSX file without its directory", file=path, remedy="Copy it again"
+        ) from None
+    if not is_workbook:
+        _refuse(path, "a zip archive", "not a recording. Unpack it")
+    return True
+
+
+FORMATS = (
+    Format("HDF5", "hdf5", _is_hdf5),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
+    Format("WAV", "wav", _is_wav),
+    Format("MATLAB", "matlab", _begins(b"MATLAB 5.0 MAT-file")),
+    Format("NumPy", "numpy_file", _begins(b"\x93NUMPY")),
+    Format("LVM", "lvm", _begins(b"LabVIEW Measurement")),
+    Format("XLSX", "xlsx", _is_xlsx),
+)
+"""Formats with a sign of their own, in the order in which they are tried; the rest is text, or refused."""
+
+TEXT = Format("text", "text", lambda path, head: True)
+
+
 def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns of the file at ``path`` that ``sources`` ask for, by whatever reader fits its content.
 
     ``settings`` limit what is read. Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
     """
-    match format_of(path):
-        case "HDF5":
-            from crankorder.ingest.hdf5 import read_hdf5
-
-            return _guarded(read_hdf5, path, sources, settings)
-        case "WAV":
-            from crankorder.ingest.wav import read_wav
-
-            return _guarded(read_wav, path, sources, settings)
-        case "XLSX":
-            from crankorder.ingest.xlsx import read_xlsx
-
-            return _guarded(read_xlsx, path, sources, settings)
-        case "MATLAB":
-            from crankorder.ingest.matlab import read_matlab
-
-            return _guarded(read_matlab, path, sources, settings)
-        case "NumPy":
-            from crankorder.ingest.numpy_file import read_npy
-
-            return _guarded(read_npy, path, sources, settings)
-        case "LVM":
-            from crankorder.ingest.lvm import read_lvm
-
-            return _guarded(read_lvm, path, sources, settings)
-        case _:
-            from crankorder.ingest.text import read_text
-
-            return _guarded(read_text, path, sources, settings)
+    read = format_of(path).function("read")
+    try:
+        raw: RawFile = read(path, sources=sources, settings=settings)
+    except MemoryError:
+        raise UnsafeInputError(
+            "does not fit into memory", file=path, remedy="Split the recording, or run where there is more memory"
+        ) from None
+    return raw
 
 
 def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
@@ -93,35 +124,8 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` limit what is read. Raises what :func:`read_file` raises.
     """
-    match format_of(path):
-        case "HDF5":
-            from crankorder.ingest.hdf5 import contents_of_hdf5
-
-            return contents_of_hdf5(path, settings=settings)
-        case "WAV":
-            from crankorder.ingest.wav import contents_of_wav
-
-            return contents_of_wav(path, settings=settings)
-        case "XLSX":
-            from crankorder.ingest.xlsx import contents_of_xlsx
-
-            return contents_of_xlsx(path, settings=settings)
-        case "MATLAB":
-            from crankorder.ingest.matlab import contents_of_matlab
-
-            return contents_of_matlab(path, settings=settings)
-        case "NumPy":
-            from crankorder.ingest.numpy_file import contents_of_npy
-
-            return contents_of_npy(path, settings=settings)
-        case "LVM":
-            from crankorder.ingest.lvm import contents_of_lvm
-
-            return contents_of_lvm(path, settings=settings)
-        case _:
-            from crankorder.ingest.text import contents_of_text
-
-            return contents_of_text(path, settings=settings)
+    found: Contents = format_of(path).function("contents")(path, settings=settings)
+    return found
 
 
 def format_of(path: Path) -> Format:
@@ -143,44 +147,16 @@ def format_of(path: Path) -> Format:
     for signature, kind, advice in _UNREAD:
         if head.startswith(signature):
             _refuse(path, kind, advice)
-    if any(head[start : start + 8] == HDF5_SIGNATURE for start in (0, 512, 1024, 2048, 4096)):
-        return "HDF5"
-    if head.startswith(b"RIFF") and (head[8:12] == b"WAVE" or size < 12):
-        return "WAV"
-    for signature, known in _READ:
-        if head.startswith(signature):
+    for known in FORMATS:
+        if known.told_by(path, head):
             return known
-    if head.startswith(b"PK\x03\x04"):
-        return _zip_kind(path)
     _refuse_by_suspicion(path, head, size)
-    return "text"
-
-
-def _guarded(reader: object, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
-    try:
-        raw: RawFile = reader(path, sources=sources, settings=settings)  # type: ignore[operator]  # all readers share the call
-    except MemoryError:
-        raise UnsafeInputError(
-            "does not fit into memory", file=path, remedy="Split the recording, or run where there is more memory"
-        ) from None
-    return raw
+    return TEXT
 
 
 def _refuse(path: Path, kind: str, advice: str) -> NoReturn:
     problem, _, remedy = advice.partition(". ")
     raise InputError(f"is {kind}: {problem}", file=path, remedy=remedy)
-
-
-def _zip_kind(path: Path) -> Format:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if "xl/workbook.xml" in archive.namelist():
-                return "XLSX"
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):  # what zipfile raises on damaged directories
-        raise InputError(
-            "truncated or damaged: a zip or XLSX file without its directory", file=path, remedy="Copy it again"
-        ) from None
-    _refuse(path, "a zip archive", "not a recording. Unpack it")
 
 
 def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
@@ -200,7 +176,7 @@ def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
         _refuse(path, "not HDF5 (HEAD .hdf is a format of its own)", "not supported. Export UFF58, WAV or HDF5")
     if b"\0" in head:
         raise InputError(
-            "content is not known (not HDF5, WAV, XLSX, MATLAB, NumPy, LVM or text)",
+            f"content is not known (not {', '.join(known.name for known in FORMATS)} or text)",
             file=path,
             found=f"first bytes {head[:8].hex(' ')}",
             remedy=_EXPORT,

@@ -51,7 +51,7 @@ class _Column:
     n_samples: int
 
 
-def read_hdf5(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns that ``sources`` ask for from the HDF5 file at ``path``: 1-D datasets, or ``"name[0]"`` of a 2-D one.
 
     A source is a dataset path or a position in the sorted list of them; ``settings`` give the byte and object limits.
@@ -87,10 +87,10 @@ def _stated(rates: dict[str, float | None]) -> dict[str, float]:
     return {name: rate for name, rate in rates.items() if rate is not None}
 
 
-def contents_of_hdf5(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names, lengths, units and rates of the numeric datasets of the HDF5 file at ``path``; reads no samples.
 
-    ``settings`` give the object limit. Raises what :func:`read_hdf5` raises.
+    ``settings`` give the object limit. Raises what :func:`read` raises.
     """
     with _opened(path) as file:
         columns = _columns_of(file, path, settings)

@@ -65,7 +65,7 @@ class _Layout:
     columns: dict[str, _Column]
 
 
-def read_lvm(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the LabVIEW file at ``path``.
 
     Channels are numbered before the columns of times (``X_Value``). With several segments a name is the number of the
@@ -101,10 +101,10 @@ def read_lvm(path: Path, *, sources: Sequence[Source], settings: IngestSettings)
     )
 
 
-def contents_of_lvm(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names and units of the columns of the LabVIEW file at ``path``, and the rate that they or the header state.
 
-    ``settings`` give the byte limit. Raises what :func:`read_lvm` raises for the headers.
+    ``settings`` give the byte limit. Raises what :func:`read` raises for the headers.
     """
     check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
     layout = _layout(path)

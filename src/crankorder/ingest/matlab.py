@@ -55,7 +55,7 @@ class _Tree:
         return (*self.columns, *self.scalars)
 
 
-def read_matlab(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns that ``sources`` ask for from the MATLAB file at ``path``: ``"x"``, ``"bearing.gs"``, ``"data[0]"``.
 
     A source is such a name, a pattern that fits one, or a position in the file, single numbers last; ``settings`` give
@@ -81,10 +81,10 @@ def read_matlab(path: Path, *, sources: Sequence[Source], settings: IngestSettin
     return RawFile(columns=columns, rate_hz=rates.pop() if len(rates) == 1 else None, flags=_flags(tree, path))
 
 
-def contents_of_matlab(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names and lengths of the numeric columns of the MATLAB file at ``path``, single numbers last, and their rates.
 
-    ``settings`` give the byte and object limits. Raises what :func:`read_matlab` raises.
+    ``settings`` give the byte and object limits. Raises what :func:`read` raises.
     """
     with _opened(path) as data:
         tree = _tree(data, path, settings)

@@ -17,7 +17,7 @@ from crankorder.settings import IngestSettings
 _MOST_COLUMNS = 1000
 
 
-def read_npy(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Channels that ``sources`` ask for, by number from 0, from the array at ``path``; by name where it has fields.
 
     The longer side of the array is time. ``settings`` give the byte limit. Raises InputError for damage, a missing
@@ -36,10 +36,10 @@ def read_npy(path: Path, *, sources: Sequence[Source], settings: IngestSettings)
     return RawFile(columns=dict(zip(sources, rows, strict=True)))
 
 
-def contents_of_npy(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Numbers (or field names) and lengths of the channels of the array at ``path``; reads its header only.
 
-    ``settings`` give the byte limit. Raises what :func:`read_npy` raises.
+    ``settings`` give the byte limit. Raises what :func:`read` raises.
     """
     table = _table(path, settings)
     return Contents(format="NumPy", names=_names(table), samples=dict.fromkeys(_names(table), len(table)))

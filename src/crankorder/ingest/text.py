@@ -43,7 +43,7 @@ class _Layout:
     rate_hz: float | None
 
 
-def read_text(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the text table at ``path``.
 
     ``settings`` give the byte limit. Raises InputError with line and cell where lines are ragged or cells no number.
@@ -67,10 +67,10 @@ def read_text(path: Path, *, sources: Sequence[Source], settings: IngestSettings
     )
 
 
-def contents_of_text(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names, units and rate that the head of the text table at ``path`` states; lengths are not known without reading.
 
-    ``settings`` give the byte limit. Raises what :func:`read_text` raises for the head.
+    ``settings`` give the byte limit. Raises what :func:`read` raises for the head.
     """
     check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
     layout = _layout_of(path)

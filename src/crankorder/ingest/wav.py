@@ -58,7 +58,7 @@ class _Header:
         return known if len(known) == self.n_channels else ("FS",) * self.n_channels
 
 
-def read_wav(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Channels that ``sources`` ask for (number from 0, or calibration name) from the WAV file at ``path``.
 
     Integer samples become fractions of full scale (-1 to 1), times the calibration where the file has one; ``settings``
@@ -94,10 +94,10 @@ def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
         samples *= scale
 
 
-def contents_of_wav(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names, lengths, units and rate of the channels of the WAV file at ``path``; reads no samples.
 
-    ``settings`` are those of :func:`read_wav`, whose errors it raises.
+    ``settings`` are those of :func:`read`, whose errors it raises.
     """
     header = _header_of(path)
     check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)

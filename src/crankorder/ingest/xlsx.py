@@ -16,7 +16,7 @@ from crankorder.ingest.units import unit_in_label
 from crankorder.settings import IngestSettings
 
 
-def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the first sheet of ``path``.
 
     ``settings`` give the byte limit. Raises InputError naming row and cell for a cell that is no number, and
@@ -47,10 +47,10 @@ def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings
     )
 
 
-def contents_of_xlsx(path: Path, *, settings: IngestSettings) -> Contents:
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names and units of the columns of the first sheet of the workbook at ``path``; reads its first row only.
 
-    ``settings`` give the byte limit. Raises what :func:`read_xlsx` raises.
+    ``settings`` give the byte limit. Raises what :func:`read` raises.
     """
     with _first_sheet(path, settings) as sheet:
         names = _names(next(sheet.iter_rows(values_only=True), ()), path)
