@@ -11,25 +11,23 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width, half_widths, interval
-from crankorder.identify.lines.agreed_orders import IN_SWEEP, MOST_MODE_TURNS
+from crankorder.identify.lines.agreed_orders import IN_SWEEP
+from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.track_rows import OrderRows, TrackReader
 from crankorder.orders.tracks import all_tracked, track_order
-from crankorder.settings import OrderSettings
-
-SAME_ORDER = 1e-3
-"""Share of an order within which a followed one is taken for it anyway."""
+from crankorder.settings import MethodNumbers, OrderSettings
 
 
-CLEAR = 5.0
-"""Standard errors by which a row of a track stands out …"""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orders"):
+    same_order: float
+    clear_sigmas: float
+    clear_rows: int
 
 
-CLEAR_ROWS = 6
-"""… and how many rows of a track, each beside two that share its noise, show that there is an order."""
-
+NUMBERS = _Numbers.load()
 
 ONLY_FOLLOWED = "seen along the sweep only, where it was followed: no frame of the map holds it for long"
 """What is said of an order that the map does not show."""
@@ -46,12 +44,14 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     if not tracks:
         return tuple(orders)
     numbers = np.unique(np.concatenate(tracks))
-    taken = [number for number in numbers if any(abs(one.order - number) <= SAME_ORDER * number for one in orders)]
+    taken = [
+        number for number in numbers if any(abs(one.order - number) <= NUMBERS.same_order * number for one in orders)
+    ]
     made = []
     for one in orders:
         number = float(numbers[np.abs(numbers - one.order).argmin()]) if len(numbers) else np.inf
         off = abs(number - one.order)
-        within = SAME_ORDER * number < off <= sure_half_width(one.order_error, one.degrees_of_freedom)
+        within = NUMBERS.same_order * number < off <= sure_half_width(one.order_error, one.degrees_of_freedom)
         if one.lock == "undecided" and within and number not in taken:
             taken.append(number)
             error = max(one.order_error, off / half_width(one.degrees_of_freedom))
@@ -77,13 +77,13 @@ def with_followed(
     for item in followed:
         for place in standing_out(item):
             number = float(item["order"].values[place])
-            known = any(abs(one.order - number) <= max(SAME_ORDER * number, apart) for one in found)
-            if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > SAME_ORDER * number:
+            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
+            if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > NUMBERS.same_order * number:
                 continue
             clear = _clear_rows(item, place)
             if clear.any():
                 span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
-                error = min(apart, MOST_MODE_TURNS / span) / half_width(np.inf)
+                error = min(apart, AGREED_ORDERS.most_mode_turns / span) / half_width(np.inf)
                 lines = _lines_along(item, place, clear, error, order_map)
                 why = f"{ONLY_FOLLOWED}; {IN_SWEEP}"
                 found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, why))
@@ -94,8 +94,8 @@ def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
     """Rows (channel, frame) in which the order at ``place`` of the tracks ``item`` stands out, of channels that do."""
     with np.errstate(invalid="ignore", divide="ignore"):
         level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
-    clear = np.nan_to_num(level) > CLEAR
-    return np.asarray(clear & (np.count_nonzero(clear, axis=1) >= CLEAR_ROWS)[:, None])
+    clear = np.nan_to_num(level) > NUMBERS.clear_sigmas
+    return np.asarray(clear & (np.count_nonzero(clear, axis=1) >= NUMBERS.clear_rows)[:, None])
 
 
 def _lines_along(

@@ -11,42 +11,25 @@ from scipy.special import gammaincc, gammaln
 
 from crankorder.identify.found import Evidence
 from crankorder.identify.lines.zoom import Zoomed
-
-STEADY_KURTOSIS = -0.4
-"""A line 4 dB over the noise in its own bin has this spectral kurtosis; noise alone has 0."""
+from crankorder.settings import MethodNumbers
 
 
-STEADY_SIGMAS = 5.0
-"""Standard deviations by which the spectral kurtosis must lie below that of noise."""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="line_evidence"):
+    steady_kurtosis: float
+    steady_sigmas: float
+    least_damping: float
+    followed_speeds: int
+    followed_bins: float
+    followed_sigmas: float
+    standing_ratio: float
+    provable_frames: float
+    least_frames: float
 
 
-LEAST_DAMPING = 1e-4
-"""No structure rings with a smaller damping ratio: what is steadier at one speed than such a resonance is a line."""
-
-
-FOLLOWED_SPEEDS = 8
-"""A line that is neither locked nor steady must be seen at so many speeds …"""
-
-
-FOLLOWED_BINS = 20.0
-"""… between which a line of fixed frequency would have moved by so many bins …"""
-
-
-FOLLOWED_SIGMAS = 6.0
-"""… and stand so many standard deviations of the noise above the orders beside it."""
-
-
-STANDING_RATIO = 100.0
-"""A line that cannot be proven must stand 20 dB over its floor."""
-
-
-PROVABLE_FRAMES = 8.0
-"""With so many independent frames beyond the first, a lock can be proven and must be."""
-
+NUMBERS = _Numbers.load()
 
 OVERLAP_ALIKE = 0.25
 """Length of the mean step of noise in frames that overlap by a half and so share a sixth, with what chance adds."""
-
 
 UNPROVEN: Evidence = "stands out, too few revolutions for proof"
 """What is said of a high line on an order of the cycle in a test of fewer frames."""
@@ -83,7 +66,7 @@ def _stands_out(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, se
     ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its reservation rather than
     kept back: a resonance that noise excites could be as high, but seldom on an order of the cycle at every speed.
     """
-    high = float(np.median(ratio[seen, peak])) > STANDING_RATIO and len(seen) == order_map.sizes["speed"]
+    high = float(np.median(ratio[seen, peak])) > NUMBERS.standing_ratio and len(seen) == order_map.sizes["speed"]
     return high and is_unprovable(order_map, peak)
 
 
@@ -92,7 +75,7 @@ def is_unprovable(order_map: xr.Dataset, peak: int) -> bool:
     axis, step = order_map["order"].values, 1.0 / int(order_map.attrs["revs_per_cycle"])
     off = abs(axis[peak] - step * round(axis[peak] / step)) / (axis[1] - axis[0])
     provable = float(np.maximum(order_map["n_independent"].values - 1.0, 0.0).sum())
-    return bool(off < 0.5 and provable < PROVABLE_FRAMES)
+    return bool(off < 0.5 and provable < NUMBERS.provable_frames)
 
 
 def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
@@ -103,7 +86,7 @@ def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen:
     """
     axis, speed = order_map["order"].values, order_map["speed"].values
     moved = axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) / (axis[1] - axis[0])
-    if len(seen) < FOLLOWED_SPEEDS or moved < FOLLOWED_BINS:
+    if len(seen) < NUMBERS.followed_speeds or moved < NUMBERS.followed_bins:
         return False
     span = slice(int(seen[0]), int(seen[-1]) + 1)
     height = np.log(np.maximum(ratio[span], 1e-3)).mean(axis=0)
@@ -114,7 +97,7 @@ def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen:
     frames = float(order_map["n_frames"].values[span].sum())
     independent = frames * min(1.0, 2.0 * (1.0 - float(order_map.attrs["overlap"])))
     scatter = np.pi / np.sqrt(6.0 * independent)
-    return bool(height[peak] - height[beside].mean() > FOLLOWED_SIGMAS * scatter)
+    return bool(height[peak] - height[beside].mean() > NUMBERS.followed_sigmas * scatter)
 
 
 def _is_locked(
@@ -149,7 +132,7 @@ def is_steady(
     if not known.any():
         return False
     mean = float(np.average(kurtosis[known], weights=frames[known]))
-    if mean < -STEADY_SIGMAS * 2.0 / float(np.sqrt(frames[known].sum())) and mean < STEADY_KURTOSIS:
+    if mean < -NUMBERS.steady_sigmas * 2.0 / float(np.sqrt(frames[known].sum())) and mean < NUMBERS.steady_kurtosis:
         return True
     evidence = -log_chance_of_kurtosis(kurtosis[known], frames[known]).sum()
     if gammaincc(np.count_nonzero(known), evidence) >= false_alarm_probability:
@@ -185,7 +168,7 @@ def _steadier_than_a_resonance(
     """
     hop = float(order_map.attrs["revs_per_frame"]) * (1.0 - float(order_map.attrs["overlap"]))
     turned = float(order_map["order"].values[peak]) * hop * max(float(order_map["n_frames"].values[at]) - 1.0, 0.0)
-    forgotten = 2.0 * np.pi * LEAST_DAMPING * turned
+    forgotten = 2.0 * np.pi * NUMBERS.least_damping * turned
     return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < false_alarm_probability)
 
 
@@ -221,17 +204,10 @@ def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) 
 
 Complex = NDArray[np.complex128]
 
-
 Floats = NDArray[np.float64]
-
-
-LEAST_FRAMES = 3.0
-"""Frames that must share the power of a line: one and its neighbour lie on one axis whatever they hold."""
-
 
 REFINEMENTS = 3
 """Steps of least squares from the best of them to where the part across the axis is least."""
-
 
 TRIALS_PER_SPAN = 8
 """Trial distances from the bin in which a line turns once over the recording."""
@@ -259,7 +235,7 @@ def keeps_its_phase(
         turn, offset, trials = centre - centre.mean(), 0.0, 1
         if slips:
             offset, trials = best_offset(phasors, turn, hop_rev=hop_rev)
-        forgotten = 2.0 * np.pi * LEAST_DAMPING * order * float(np.ptp(turn))
+        forgotten = 2.0 * np.pi * NUMBERS.least_damping * order * float(np.ptp(turn))
         chance = log_chance_of_phase(phasors, turn, offset=offset, forgotten=forgotten, worth=worth, fitted=int(slips))
         evidence -= min(0.0, chance + float(np.log(trials)))
     return len(recordings) > 0 and bool(gammaincc(len(recordings), evidence) < false_alarm_probability)
@@ -291,7 +267,7 @@ def log_chance_of_phase(
     power = np.square(np.abs(phasors))
     filled = float(power.sum() ** 2 / max(len(power) * float(np.square(power).sum()), 1e-300))
     n, forgotten = worth * filled * len(phasors) - fitted, filled * forgotten
-    if n < LEAST_FRAMES:
+    if n < NUMBERS.least_frames:
         return 0.0
     steady = phasors * np.exp(-2j * np.pi * offset * turn)
     axis = np.exp(0.5j * np.angle(np.square(steady).sum()))

@@ -24,63 +24,42 @@ from crankorder.identify.known_lines import (
     waves_of,
 )
 from crankorder.identify.lines.line_phasors import Recording
-from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, ONE_SPEED
+from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
+from crankorder.identify.lines.order_lines import ONE_SPEED
 from crankorder.identify.mains import ALONE
+from crankorder.settings import MethodNumbers
 
-MOST_LINES = 8
-"""More lines than these within a quarter order are none, but a line that wanders or a resonance."""
 
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="several_orders"):
+    most_lines: int
+    least_cycles: float
+    wander_cycles: float
+    smallest_share: float
+    unsteady_share: float
+    beside_bins: int
+    left_ratio: float
+    left_share: float
+    stands_over_ratio: float
+    level_bins: int
+    same_sigmas: float
+    alike_share: float
+
+
+NUMBERS = _Numbers.load()
 
 PADDED = 4
 """Trial places per reciprocal length of the recording: a line between two of them loses 10 % at most."""
 
-
 STEPS = 15
 """Gauss-Newton steps: a start within a quarter of a cycle of the recording needs five."""
-
 
 SETTLED = 1e-6
 """Cycles over the recording by which a step moves lines that are found."""
 
-
 LONGEST_STEP = 0.25
 """Cycles over the recording by which a step moves a line at most."""
 
-
-LEAST_CYCLES = 1e-3
-"""Standard error of a place in cycles over the recording, at least: no speed is held better."""
-
-
-WANDER_CYCLES = 0.02
-"""Cycles by which the speed lets a fixed frequency and an order run apart from which a line is tried as both."""
-
-
-SMALLEST = 0.002
-"""A line beside others has at least this share of the largest: less is what these leave if not quite steady."""
-
-
-UNSTEADY = 0.1
-"""Share of a line, within a beat of it, that is left where that is not quite steady: its place errs by half as much."""
-
-
-BESIDE_BINS = 16
-"""Bins on both sides of a neighbourhood whose median is the floor that its lines have to leave …"""
-
-
-LEFT_RATIO = 4.0
-"""… in every bin, at most so many times: a resonance that noise excites leaves far more."""
-
-
-LEFT_SHARE = 0.03
-"""… and what is left of a line that wanders as little as any does, as a share of its amplitude."""
-
-
-STANDS_OVER = 10.0
-"""Power over that floor from which a channel has a say in this."""
-
-
 Floats = NDArray[np.float64]
-
 
 Complex = NDArray[np.complex128]
 
@@ -133,7 +112,7 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
     weight = 1.0 / np.maximum(np.square(np.abs(data)).mean(axis=0), 1e-300)
     waves = np.zeros((len(data), 0), dtype=np.complex128)
     fit = _Fit((), np.zeros((0, data.shape[1]), dtype=np.complex128), data, np.zeros((0, 0)), waves)
-    while len(fit.places) < MOST_LINES:
+    while len(fit.places) < NUMBERS.most_lines:
         start = _strongest(held, bins, fit.left, low - beyond, high + beyond)
         if start is None:
             return []
@@ -142,8 +121,10 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
         new, size = lines[-1], np.array([float((one.amplitude * np.sqrt(weight)).max()) for one in lines])
         away = np.abs([one.order - new.order for one in lines[:-1]]) * held.span_rev
         beside = size[:-1][away < APART_CYCLES].max(initial=0.0)
-        if new.sigmas <= SEEN_SIGMAS or size[-1] < max(SMALLEST * size.max(), UNSTEADY * beside):
-            rest = UNSTEADY if beside and new.sigmas > SEEN_SIGMAS else 0.0
+        if new.sigmas <= SEEN_SIGMAS or size[-1] < max(
+            NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside
+        ):
+            rest = NUMBERS.unsteady_share if beside and new.sigmas > SEEN_SIGMAS else 0.0
             return _if_noise(held, bins, fit, _told(held, bins, fit, rest))
         orders = np.sort([one.order for one in lines])
         if len(orders) > 1 and np.diff(orders).min() * held.span_rev < APART_CYCLES:
@@ -175,12 +156,14 @@ def _is_noise(held: Held, bins: NDArray[np.int64], left: Complex, told: Floats) 
     Of the channels in which one of them stands out; False where none does.
     """
     power = np.square(np.abs(held.spectrum)).mean(axis=1)
-    wide = np.arange(max(int(bins[0]) - BESIDE_BINS, 1), min(int(bins[-1]) + BESIDE_BINS + 1, power.shape[1]))
+    wide = np.arange(
+        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
+    )
     floor = np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300)
     largest = np.square(told).max(axis=0)
-    shown = largest > STANDS_OVER * floor
+    shown = largest > NUMBERS.stands_over_ratio * floor
     over = np.square(np.abs(left)).reshape(len(held.turn), len(bins), -1).mean(axis=0).max(axis=0) / floor
-    return bool(shown.any() and (over < LEFT_RATIO + LEFT_SHARE**2 * largest / floor)[shown].all())
+    return bool(shown.any() and (over < NUMBERS.left_ratio + NUMBERS.left_share**2 * largest / floor)[shown].all())
 
 
 def _strongest(held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float) -> float | None:
@@ -214,7 +197,7 @@ def _joined(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, 
     """``fit`` with one line more near ``order``, all solved together; as an order or a fixed frequency, what fits."""
     kinds: list[Place] = [(0.0, order)]
     apart = held.time_s * held.rpm / 60.0 - (held.turn - held.turn[0])
-    if order * float(np.ptp(apart)) > WANDER_CYCLES:
+    if order * float(np.ptp(apart)) > NUMBERS.wander_cycles:
         kinds.append((order * held.rpm / 60.0, 0.0))
     made = [_solved(held, bins, data, weight, (*fit.places, kind)) for kind in kinds]
     return min(made, key=lambda one: one.power)
@@ -270,26 +253,13 @@ def _told(held: Held, bins: NDArray[np.int64], fit: _Fit, rest: float = 0.0) -> 
         size = np.abs(fit.amplitude[number])
         sigmas = float(np.max(size / np.maximum(alone, 1e-300)))
         cycles = np.sqrt(6.0) / (np.pi * sigmas) * float(by_place[number])
-        error = float(np.hypot(cycles, max(LEAST_CYCLES, 0.5 * rest))) / held.span_rev
+        error = float(np.hypot(cycles, max(NUMBERS.least_cycles, 0.5 * rest))) / held.span_rev
         made.append(SolvedLine(float(orders[number]), error, size, alone * float(by_size[number])))
     return made
 
 
-LEVEL_BINS = 16
-"""Bins on both sides of one whose median is the level that it stands over."""
-
-
 FREEDOM = 40.0
 """Degrees of freedom of an error that some 24 places beside a line tell."""
-
-
-SIGMAS = 3.0
-"""Standard errors within which two lines lie at one distance, or are of one size …"""
-
-
-ALIKE = 0.3
-"""… or shares of the larger: what changes the size changes the angle a little, which takes from one side."""
-
 
 SOLVED = "lines within a quarter order, solved together"
 """Words, after their number, of lines that were told apart so."""
@@ -330,7 +300,7 @@ def close_lines(
     held = max(held_recordings(recordings, axis, names), key=lambda one: one.span_rev, default=None)
     if held is None:
         return []
-    reach = min(NEIGHBOUR_ORDERS, NEIGHBOUR_BINS * float(axis[1] - axis[0]))
+    reach = min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * float(axis[1] - axis[0]))
     found = []
     of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in range(1, ALONE + 1)]
     for peak in _peaks(order_map, reach):
@@ -363,7 +333,7 @@ def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
         mirrored = [
             other
             for other in rest
-            if abs(other.order - strongest.order + away) < SIGMAS * np.hypot(one.error, other.error)
+            if abs(other.order - strongest.order + away) < NUMBERS.same_sigmas * np.hypot(one.error, other.error)
             and _are_alike(one, other)
         ]
         if not mirrored:
@@ -373,9 +343,12 @@ def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
 
 def _are_alike(one: SolvedLine, other: SolvedLine) -> bool:
     """Whether both are of one size in all channels, as far as their errors and a changing speed tell."""
-    room = SIGMAS * np.hypot(one.amplitude_error, other.amplitude_error)
+    room = NUMBERS.same_sigmas * np.hypot(one.amplitude_error, other.amplitude_error)
     return bool(
-        (np.abs(one.amplitude - other.amplitude) <= room + ALIKE * np.maximum(one.amplitude, other.amplitude)).all()
+        (
+            np.abs(one.amplitude - other.amplitude)
+            <= room + NUMBERS.alike_share * np.maximum(one.amplitude, other.amplitude)
+        ).all()
     )
 
 
@@ -383,12 +356,12 @@ def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
     """Bins that stand far over the level about them in a channel and are the largest within ``reach`` orders."""
     power = np.square(np.nan_to_num(order_map["amplitude"].values[:, 0].astype(np.float64)))
     bins = max(1, round(reach / float(order_map["order"].values[1] - order_map["order"].values[0])))
-    wide = np.pad(power, ((0, 0), (LEVEL_BINS, LEVEL_BINS)), mode="reflect")
-    level = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * LEVEL_BINS + 1, axis=1), axis=2)
+    wide = np.pad(power, ((0, 0), (NUMBERS.level_bins, NUMBERS.level_bins)), mode="reflect")
+    level = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * NUMBERS.level_bins + 1, axis=1), axis=2)
     over = (power / np.maximum(level, 1e-300)).max(axis=0)
     padded = np.pad(over, bins, constant_values=-1.0)
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * bins + 1).max(axis=1)
-    return [int(at) for at in np.flatnonzero((over >= highest) & (over > STANDS_OVER))]
+    return [int(at) for at in np.flatnonzero((over >= highest) & (over > NUMBERS.stands_over_ratio))]
 
 
 def lines_at(close: CloseLines, one: SolvedLine, order_map: xr.Dataset) -> list[OrderLine]:

@@ -14,17 +14,28 @@ from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.common_frames import reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import hann_lobe
-from crankorder.settings import Settings
+from crankorder.settings import MethodNumbers, Settings
 
-LONGEST_REVS, FEWEST_LENGTHS = 128, 4
-"""Longest frames in which lines are looked for, and how many lengths of them a recording must hold: short frames
-show how a line changes, long ones which lines there are."""
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="swept_orders"):
+    longest_revs: int
+    fewest_lengths: int
+    reach_bins: int
+    nearest_bins: float
+    step_bins: float
+    least_gain: float
+    fewest_frames: int
+    most_followed: int
+    same_bins: float
+
+
+NUMBERS = _Numbers.load()
 
 
 def longer_frames(revs: float, span_rev: float) -> list[float]:
     """Lengths [rev] from ``revs`` on, each twice the one before, that a recording of ``span_rev`` holds."""
     made = [revs]
-    while 2.0 * made[-1] <= LONGEST_REVS and span_rev >= FEWEST_LENGTHS * 2.0 * made[-1]:
+    while 2.0 * made[-1] <= NUMBERS.longest_revs and span_rev >= NUMBERS.fewest_lengths * 2.0 * made[-1]:
         made.append(2.0 * made[-1])
     return made
 
@@ -34,37 +45,17 @@ def longest_frame(revs: float, span_rev: float) -> float:
     return longer_frames(revs, span_rev)[-1]
 
 
-REACH_BINS = 10
-"""Bins on each side of a line in which its company is looked for; farther lines stand out by themselves."""
-
-
-NEAREST_BINS, STEP_BINS = 0.75, 0.25
-"""Distances that are tried: from the first, nearer company is one line that swells, in such steps."""
-
-
-LEAST_GAIN = 8.0
-"""By so much a company lowers what half of the frames leave or more: a resonance does so in a few frames only."""
-
-
-FEWEST_FRAMES = 8
-"""Frames of which so many can be told by their median."""
-
-
 SETTLING_STEPS = 3
 """Rounds in which numbers of close lines settle: each leaves a tenth of what the one before left."""
-
 
 TRIAL_SPEEDS = 64
 """Speeds at which a ringing mode may have been met."""
 
-
 LARGEST_MOVE = 0.5
 """Share of the distance of two lines by which a number moves at most."""
 
-
 WIDTH_BINS = 0.01
 """Step by which the shape of a line that swells or bends is differenced."""
-
 
 Array = NDArray[np.float64]
 
@@ -74,7 +65,7 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
 
     Each frame is solved for the line, whose amplitude may run as a parabola, those of ``others`` (orders) in reach, and
     one more at every distance in turn; it is there where it lowers what the median frame leaves of the bins in reach by
-    more than :data:`LEAST_GAIN`.
+    more than ``least_gain``.
     """
     revs = float(frames.attrs["revs_per_frame"])
     place = order * revs
@@ -82,9 +73,9 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     turned = _turned(frames, used)
     seen = turned.reshape(-1, len(used))
     seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
-    if len(seen) < FEWEST_FRAMES or len(used) < REACH_BINS:
+    if len(seen) < NUMBERS.fewest_frames or len(used) < NUMBERS.reach_bins:
         return float("nan")
-    near = [other * revs for other in others if 0.0 < abs(other * revs - place) < 2.0 * REACH_BINS]
+    near = [other * revs for other in others if 0.0 < abs(other * revs - place) < 2.0 * NUMBERS.reach_bins]
     known = [
         _changing_lobe(used - place),
         *(_changing_lobe(used - other)[:2] for other in near),
@@ -92,14 +83,14 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     base = np.linalg.qr(np.concatenate(known).T)[0]
     left = seen - (seen @ base) @ base.T
     energy = np.maximum((np.abs(left) ** 2).sum(axis=1), np.finfo(float).tiny)
-    beside: Array = np.arange(NEAREST_BINS, REACH_BINS - 1.0, STEP_BINS)
+    beside: Array = np.arange(NUMBERS.nearest_bins, NUMBERS.reach_bins - 1.0, NUMBERS.step_bins)
     apart = np.concatenate([-beside[::-1], beside])
     lobes = hann_lobe(used - place - apart[:, None])
     lobes -= (lobes @ base) @ base.T
     lobes /= np.linalg.norm(lobes, axis=1, keepdims=True)
     share = np.median(1.0 - np.abs(left @ lobes.T) ** 2 / energy[:, None], axis=0)
     best = int(share.argmin())
-    return order + float(apart[best]) / revs if share[best] * LEAST_GAIN < 1.0 else float("nan")
+    return order + float(apart[best]) / revs if share[best] * NUMBERS.least_gain < 1.0 else float("nan")
 
 
 def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float] = ()) -> list[float] | None:
@@ -115,7 +106,9 @@ def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float]
     centre: Array = frames["crank_angle"].values + 0.5 * revs
     turned = _turned(frames, used)
     near = [
-        _changing_lobe(used - other * revs)[:2] for other in others if abs(other - middle) * revs < 2.0 * REACH_BINS
+        _changing_lobe(used - other * revs)[:2]
+        for other in others
+        if abs(other - middle) * revs < 2.0 * NUMBERS.reach_bins
     ]
     numbers: Array = np.array(orders, dtype=np.float64)
     for _ in range(SETTLING_STEPS):
@@ -149,7 +142,7 @@ def _usual_turn(steps: NDArray[np.complex128]) -> Array:
 
 def _bins_about(place: float, frames: xr.Dataset) -> Array:
     """Numbers of the bins in reach of ``place`` (in bins)."""
-    first, last = round(place) - REACH_BINS, round(place) + REACH_BINS + 1
+    first, last = round(place) - NUMBERS.reach_bins, round(place) + NUMBERS.reach_bins + 1
     return np.arange(max(1, first), min(frames.sizes["order"], last), dtype=np.float64)
 
 
@@ -165,15 +158,6 @@ def _changing_lobe(off_bins: Array) -> Array:
     """Lobe (3, bins) of a line that is steady, that grows, and that bends."""
     before, here, after = (hann_lobe(off_bins + side * WIDTH_BINS) for side in (-1.0, 0.0, 1.0))
     return np.array([here, after - before, before + after - 2.0 * here])
-
-
-MOST_FOLLOWED = 20
-"""Orders that are followed jointly; the strongest, for the cost grows faster than their number."""
-
-
-SAME_BINS = 0.5
-"""A line within so many bins of a multiple of the cycle's frequency is taken to be it: in a sweep a bin tells
-no better, and the two together could not be told apart."""
 
 
 def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
@@ -208,14 +192,14 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
                 placed = [_on_multiple(number, cycle, step) for number in numbers]
                 kept.remove((order, level))
                 kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]
-    strongest = sorted(kept, key=lambda one: -one[1])[:MOST_FOLLOWED]
+    strongest = sorted(kept, key=lambda one: -one[1])[: NUMBERS.most_followed]
     return sorted(order for order, _ in strongest)
 
 
 def _on_multiple(order: float, cycle: int, step: float) -> float:
     """``order``, or the multiple of 1 / ``cycle`` that bins of ``step`` orders do not tell from it."""
     multiple = round(order * cycle) / cycle
-    return multiple if abs(order - multiple) < SAME_BINS * step else order
+    return multiple if abs(order - multiple) < NUMBERS.same_bins * step else order
 
 
 def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
