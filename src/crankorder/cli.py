@@ -293,6 +293,8 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     if verbose:
         if outcome.accuracy:
             click.echo(f"  {outcome.accuracy}", err=True)
+        if outcome.reused:
+            click.echo(f"  {outcome.reused} of {len(outcome.plan.recordings)} recordings as kept before", err=True)
         for name, seconds in outcome.seconds.items():
             click.echo(f"  {name}: {seconds:.2f} s", err=True)
 
@@ -345,6 +347,16 @@ def init(folder: Path) -> None:
     from crankorder.ingest.draft import draft_manifest
 
     click.echo(draft_manifest(folder), nl=False)
+
+
+@main.command()
+@click.argument("out", type=FOLDER)
+def clean(out: Path) -> None:
+    """Remove from OUT what `run` keeps of single recordings, so that it need not compute them again; results stay."""
+    from crankorder.batch.frame_store import clean
+
+    count, size = clean(out)
+    click.echo(f"{printable(out)}: {count} files, {size / 1e6:.1f} MB removed", err=True)
 
 
 @main.command()

@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.batch.changed_gains import without_changed_gains
+from crankorder.batch.frame_store import FrameStore, settings_of_recordings
 from crankorder.batch.index import publish_index
 from crankorder.batch.lean import load_kernels
 from crankorder.batch.locks import locked
@@ -39,7 +41,7 @@ from crankorder.shaft.decode import PULSE_KINDS, flags_named
 from crankorder.shaft.knowledge import ShaftKnowledge
 from crankorder.shaft.line_pattern import LinePattern
 from crankorder.shaft.swing import speed_swing
-from crankorder.stages import RecordingResult, analyse_encoder, analyse_recording, analyse_test
+from crankorder.stages import RecordingResult, analyse_encoder, analyse_recording, analyse_test, frames_wanted
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
@@ -86,8 +88,7 @@ def run_test(
 
     ``reporting`` has the hashes of its recordings and writes its files; ``jobs`` recordings are analysed at a time,
     each in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into
-    faults;
-    ``progress`` is told of every recording that is done.
+    faults; ``progress`` is told of every recording that is done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
     clock = _Clock(outcome.seconds)
@@ -103,8 +104,9 @@ def run_test(
             outcome.status, outcome.kept = "done", True
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
-        first_run = load_kernels()
-        results = _analyse(plan, hashes, jobs, outcome, progress, one_first=first_run)
+        made_by = text_sha256(code, json.dumps(versions, sort_keys=True))
+        work = _Work(jobs, made_by, fresh=fresh, one_first=load_kernels())
+        results = _analyse(plan, hashes, work, outcome, progress)
         results = without_changed_gains(results, settings=plan.settings.ingest)
         clock.lap("recordings")
         outcome.faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
@@ -117,8 +119,10 @@ def run_test(
         _finish(plan, results, provenance, key, outcome, reporting, clock)
     except CrankorderError as error:
         outcome.faults.append(error)
+        outcome.status, outcome.findings = "failed", None
     except Exception as error:
         outcome.internal.append(error)
+        outcome.status, outcome.findings = "failed", None
     return outcome
 
 
@@ -200,25 +204,57 @@ class _Clock:
         self._last = now
 
 
-def _analyse(
-    plan: CampaignPlan,
-    hashes: dict[Path, HashedFile],
-    jobs: int,
-    outcome: Outcome,
-    progress: Progress | None,
-    *,
-    one_first: bool,
-) -> dict[Path, RecordingResult]:
-    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
+@dataclass(frozen=True)
+class _Work:
+    """How recordings are analysed: ``jobs`` at a time by the program ``made_by``; ``fresh``, not as they were kept.
 
     With ``one_first`` the kernels are yet to be compiled: by one worker, not by all at once.
     """
+
+    jobs: int
+    made_by: str
+    fresh: bool
+    one_first: bool
+
+
+def _analyse(
+    plan: CampaignPlan, hashes: dict[Path, HashedFile], work: _Work, outcome: Outcome, progress: Progress | None
+) -> dict[Path, RecordingResult]:
+    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome."""
     results: dict[Path, RecordingResult] = {}
-    first_of: dict[str, Path] = {}
+    wanted, copies = _each_once(plan, hashes)
+    knowledge, flags = knowledge_of(plan, _engine(plan), wanted, work.jobs)
+    outcome.flags += copies + flags
+    store = FrameStore.of(plan.out)
+    keys = [text_sha256(work.made_by, *_recording_parts(plan, path, hashes[path], knowledge)) for path in wanted]
+
+    def analyse(number: int) -> tuple[RecordingResult, bool]:
+        kept = None if work.fresh else store.load(keys[number])
+        if kept is not None:
+            return kept, True
+        made = analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
+        _check_unchanged(wanted[number], hashes[wanted[number]])
+        store.save(keys[number], made)
+        return made, False
+
+    made_in_turn = each(analyse, len(wanted), jobs=work.jobs, one_first=work.one_first)
+    for count, (number, made) in enumerate(made_in_turn, start=1):
+        _collect(made, wanted[number], hashes[wanted[number]], results, outcome)
+        if progress is not None:
+            progress(plan.name, count, len(wanted))
+    store.keep_only(keys)
+    place = {path.name: number for number, path in enumerate(plan.recordings)}
+    outcome.faults.sort(key=lambda fault: place.get(Path(fault.file).name, -1))
+    return {path: results[path] for path in wanted if path in results}
+
+
+def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list[Path], list[QualityFlag]]:
+    """The recordings of ``plan`` of which none is a copy of another, and flags that name the copies."""
     # what cannot be read, and empty files, are no copies of each other: each gets its own error
     alike = {path: found.sha256 for path, found in hashes.items() if found.state is not None and found.state.size}
+    first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
-    outcome.flags += [
+    flags: list[QualityFlag] = [
         {
             "recording": path.name,
             "flag": "duplicate_of",
@@ -226,36 +262,46 @@ def _analyse(
             "detail": f"the same bytes as {first_of[alike[path] or ''].name}: counted once",
         }
         for path in plan.recordings
-        if path not in wanted
+        if path not in set(wanted)
     ]
-    knowledge, flags = knowledge_of(plan, _engine(plan), wanted, jobs)
-    outcome.flags += flags
+    return wanted, flags
 
-    def analyse(number: int) -> RecordingResult:
-        return analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
 
-    for count, (number, made) in enumerate(each(analyse, len(wanted), jobs=jobs, one_first=one_first), start=1):
-        _collect(made, wanted[number], hashes[wanted[number]], results, outcome)
-        if progress is not None:
-            progress(plan.name, count, len(wanted))
-    place = {path.name: number for number, path in enumerate(plan.recordings)}
-    outcome.faults.sort(key=lambda fault: place.get(Path(fault.file).name, -1))
-    return {path: results[path] for path in wanted if path in results}
+def _recording_parts(plan: CampaignPlan, path: Path, hashed: HashedFile, knowledge: ShaftKnowledge) -> list[str]:
+    """All that the result of the recording at ``path`` depends on beside the program."""
+    stated = plan.manifest.model_dump(mode="json", exclude={"recordings": True, "test": {"name"}})
+    asked = settings_of_recordings(plan.settings)
+    known = None if knowledge.calibration is None else asdict(knowledge.calibration)
+    about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
+    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
+    return [str(hashed.sha256), path.name, *exact]
+
+
+def _listed(value: Any) -> Any:
+    """What JSON has no word for, exactly: arrays as lists, models as their tables."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return value.model_dump(mode="json") if hasattr(value, "model_dump") else repr(value)
+
+
+def _check_unchanged(path: Path, hashed: HashedFile) -> None:
+    """Refuse what was read of the file at ``path`` where it is not that which was ``hashed``. Raises InputError."""
+    if hashed.fault == CHANGED or (hashed.state is not None and not hashed.is_still_at(path)):
+        remedy = "Wait until it is written whole, then run again: nothing of it was kept"
+        raise InputError(CHANGED, file=path.name, remedy=remedy)
 
 
 def _collect(
-    made: Callable[[], RecordingResult],
+    made: Callable[[], tuple[RecordingResult, bool]],
     path: Path,
     hashed: HashedFile,
     results: dict[Path, RecordingResult],
     outcome: Outcome,
 ) -> None:
-    if hashed.fault == CHANGED or (hashed.state is not None and not hashed.is_still_at(path)):
-        remedy = "Wait until it is written whole, then run again: nothing of it was kept"
-        outcome.faults.append(InputError(CHANGED, file=path.name, remedy=remedy))
-        return
     try:
-        results[path] = made()
+        _check_unchanged(path, hashed)
+        results[path], reused = made()
+        outcome.reused += reused
     except EnvironmentFailure:
         raise
     except CrankorderError as error:

@@ -24,6 +24,8 @@ class Outcome:
     findings: dict[str, Any] | None = None
     accuracy: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
+    reused: int = 0
+    """Recordings whose results an earlier run had kept."""
     kept: bool = False
     """Whether what an earlier run finished was kept, for nothing had changed."""
 

@@ -1,0 +1,186 @@
+"""What recordings gave is kept by content: exact, damaged by nobody, and reused where nothing that matters changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from crankorder.batch import execute
+from crankorder.batch.frame_store import STORE, FrameStore
+from crankorder.batch.plan import plan_tests
+from crankorder.cli import main
+from crankorder.quantities import OrderFrames, ShaftAngle
+from crankorder.stages import RecordingResult, analyse_recording
+
+NAMES = ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5")
+
+
+def crankorder(*arguments: object):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("campaign") / "recordings"
+    assert crankorder("synth", "thesis-second-motoring", "--out", folder, "--quick", "-q").exit_code == 0
+    return folder
+
+
+@pytest.fixture
+def three(campaign, tmp_path):
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name in NAMES:
+        shutil.copy(campaign / name, folder / name)
+    return folder
+
+
+def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
+    """Equal to the last bit, with the same kinds of attributes in the same order."""
+    assert list(one.variables) == list(other.variables) and set(one.coords) == set(other.coords)
+    for before, after in ((one, other), *((one[name], other[name]) for name in one.variables)):
+        assert list(before.attrs) == list(after.attrs)
+        for name, value in before.attrs.items():
+            assert type(after.attrs[name]) is type(value)
+            np.testing.assert_array_equal(after.attrs[name], value)
+    for name in one.variables:
+        assert one[name].dims == other[name].dims and one[name].dtype == other[name].dtype
+        assert one[name].values.tobytes() == other[name].values.tobytes()
+
+
+def test_every_frame_of_a_recording_comes_back_to_the_last_bit(three, tmp_path):
+    plan = plan_tests([three], tmp_path / "out")[0]
+    made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
+    store = FrameStore(tmp_path / "store")
+    store.save("a", made)
+    kept = store.load("a")
+    assert list(kept.frames) == list(made.frames)
+    assert_same(kept.shaft, made.shaft)
+    for noun, frames in made.frames.items():
+        assert_same(kept.frames[noun], frames)
+        assert all(variable.values.flags.writeable for variable in kept.frames[noun].data_vars.values())
+
+
+def test_odd_attributes_and_shapes_come_back_too(tmp_path):
+    attrs = {
+        "tuple": (1, "a"),
+        "list": [1.5, None],
+        "scalar": np.float32(0.1),
+        "array": np.arange(3),
+        "nan": np.nan,
+        "yes": True,
+    }
+    empty = xr.Dataset(
+        {"none": ("x", np.empty(0, complex)), "text": ("y", ["é漢", "b"]), "point": ((), np.int8(3))}, attrs=attrs
+    )
+    store = FrameStore(tmp_path)
+    store.save("a", RecordingResult(ShaftAngle(empty), {OrderFrames: empty}))
+    assert_same(store.load("a").frames[OrderFrames], empty)
+
+
+def test_a_damaged_file_is_nothing_kept(three, tmp_path):
+    shaft = ShaftAngle(xr.Dataset({"a": ("x", np.arange(9.0))}))
+    store = FrameStore(tmp_path / "store")
+    store.save("a", RecordingResult(shaft, {}))
+    whole = store.path("a").read_bytes()
+    for place in range(len(whole)):
+        store.path("a").write_bytes(whole[:place])
+        assert store.load("a") is None
+        store.path("a").write_bytes(whole[:place] + bytes([whole[place] ^ 16]) + whole[place + 1 :])
+        assert store.load("a") is None
+    assert store.load("b") is None
+
+
+def counted(monkeypatch, tmp_path) -> Path:
+    """A file that gets a line for each recording that is analysed."""
+    real, log = execute.analyse_recording, tmp_path / "analysed.txt"
+    log.write_text("")
+
+    def told(source, *arguments):
+        with log.open("a") as stream:
+            stream.write(f"{source.name}\n")
+        return real(source, *arguments)
+
+    monkeypatch.setattr(execute, "analyse_recording", told)
+    return log
+
+
+def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_run(three, tmp_path, monkeypatch):
+    log, out = counted(monkeypatch, tmp_path), tmp_path / "out"
+
+    def run_again(*arguments):
+        log.write_text("")
+        assert crankorder("run", three, "--out", out, "-q", *arguments).exit_code == 0
+        return sorted(log.read_text().split())
+
+    assert len(run_again()) == 3
+    assert run_again() == []
+    shutil.rmtree(next(out.glob("second*")))
+    assert run_again() == []
+    manifest = (three / "run.toml").read_text()
+    (three / "run.toml").write_text(manifest.replace("second configuration, motoring", "another name"))
+    shutil.rmtree(next(out.glob("second*")))
+    (three / "run.toml").write_text(manifest)
+    with (three / "rpm_1600.h5").open("ab") as stream:
+        stream.write(b"\0")
+    assert run_again() == ["rpm_1600.h5"]
+    assert len(run_again("--recipe", "maps")) == 3
+    assert len(list((out / STORE).rglob("*.frames"))) == 3
+    assert len(run_again("--fresh")) == 3
+    crankorder("run", three, "--out", tmp_path / "fresh", "-q")
+    for path in (tmp_path / "fresh").rglob("*"):
+        if path.is_file() and path.name not in ("timings.json", "done.json") and STORE not in path.parts:
+            assert path.read_bytes() == (out / path.relative_to(tmp_path / "fresh")).read_bytes()
+
+
+def test_clean_removes_what_is_kept_and_nothing_else(three, tmp_path):
+    crankorder("run", three, "--out", tmp_path / "out", "-q", "--recipe", "maps")
+    outcome = crankorder("clean", tmp_path / "out")
+    assert outcome.exit_code == 0 and "3 files" in outcome.output
+    assert sorted(path.name for path in (tmp_path / "out").iterdir())[:2] == ["batch.json", "index.html"]
+    assert "unchanged" in crankorder("run", three, "--out", tmp_path / "out", "--recipe", "maps").output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(12))
+def test_a_run_killed_at_any_moment_goes_on_and_ends_with_the_same_bytes(campaign, tmp_path, number):
+    """The process is killed after a part of its time; its workers end with it; then it is run again."""
+    command = [
+        sys.executable,
+        "-m",
+        "crankorder",
+        "run",
+        str(campaign),
+        "--jobs",
+        "2",
+        "-q",
+        "--recipe",
+        "maps",
+        "--out",
+    ]
+    begin = time.monotonic()
+    subprocess.run([*command, str(tmp_path / "whole")], check=True)
+    took = time.monotonic() - begin
+    process = subprocess.Popen([*command, str(tmp_path / "out")])
+    time.sleep(took * (number + 1) / 13)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    subprocess.run([*command, str(tmp_path / "out")], check=True)
+    whole = {path.relative_to(tmp_path / "whole"): path for path in (tmp_path / "whole").rglob("*") if path.is_file()}
+    for name, path in whole.items():
+        if name.name != "timings.json":
+            assert (tmp_path / "out" / name).read_bytes() == path.read_bytes(), name
+    left = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert {name for name in left - set(whole) if name.suffix not in (".lock", ".part")} == set()
+    assert json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["status"] == "done"
