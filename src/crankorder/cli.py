@@ -22,6 +22,7 @@ from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
     from crankorder.batch.outcome import Outcome
+    from crankorder.batch.plan import RunOptions
     from crankorder.batch.reporting import ReportingProcess
 
 FOLDER = click.Path(path_type=Path)
@@ -176,6 +177,13 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--fresh", is_flag=True, help="Recompute even what is finished and unchanged.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done; write nothing.")
+@click.option(
+    "--shard", metavar="K/N", help="Analyse every N-th recording from the K-th on, and keep what they give in OUT."
+)
+@click.option("--reduce", is_flag=True, help="Make the results of what shards have kept; what is missing is analysed.")
+@click.option(
+    "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), help="Seconds that a recording may take."
+)
 @click.option("--strict", is_flag=True, help='Leave out recordings with flags of severity "suspect".')
 @_run_options
 def run(
@@ -188,17 +196,29 @@ def run(
     max_memory_mb: int | None,
     fresh: bool,
     dry_run: bool,
+    shard: str | None,
+    reduce: bool,
+    timeout_s: float | None,
     strict: bool,
     jobs: int,
     as_json: bool,
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Analyse test-run folders."""
-    from crankorder.batch.plan import plan_tests
+    """Analyse test-run folders.
+
+    One machine: `crankorder run FOLDER --out OUT`. Many: the same with `--shard 1/8` to `--shard 8/8`, each wherever it
+    runs, with one OUT; then once with `--reduce`.
+    """
+    from crankorder.batch.plan import RunOptions, Shard, plan_tests
+
+    if shard is not None and reduce:
+        raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
     asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name}
     plans = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
+    if shard is not None:
+        plans = [Shard.parse(shard).of(plan) for plan in plans]
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
@@ -207,14 +227,15 @@ def run(
             for fault in plan.faults:
                 click.echo(f"  {fault}", err=True)
         return
-    sys.exit(_run_plans(plans, out, jobs, as_json, quiet, verbose, fresh=fresh, strict=strict))
+    options = RunOptions(
+        jobs=jobs, fresh=fresh and not reduce, strict=strict, timeout_s=timeout_s, keep_only=shard is not None
+    )
+    sys.exit(_run_plans(plans, out, options, as_json, quiet, verbose))
 
 
-def _run_plans(
-    plans: list[Any], out: Path, jobs: int, as_json: bool, quiet: bool, verbose: bool, *, fresh: bool, strict: bool
-) -> int:
+def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, quiet: bool, verbose: bool) -> int:
     """Run all plans, publish the index, say what was found; returns the exit status."""
-    reporting = _started(plans, jobs)
+    reporting = _started(plans, options.jobs)
     try:
         from crankorder.batch.execute import run_plans
         from crankorder.batch.index import summary
@@ -226,10 +247,8 @@ def _run_plans(
         outcomes = run_plans(
             plans,
             out,
+            options,
             reporting=reporting,
-            jobs=jobs,
-            fresh=fresh,
-            strict=strict,
             watched=lambda name: _Progress(quiet, name),
             tell=lambda outcome: _say(outcome, quiet, verbose),
             wait=lambda text: click.echo(f"crankorder: {text}", err=True),
@@ -287,7 +306,9 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     if outcome.findings is not None:
         for sentence in headline(outcome.findings):
             click.echo(sentence, err=True)
-    if outcome.status != "failed":
+    if outcome.status == "kept":
+        click.echo(f"{name}: {len(outcome.plan.recordings)} recordings kept for --reduce", err=True)
+    elif outcome.status != "failed":
         note = "unchanged, kept" if outcome.kept else "done"
         click.echo(f"{name}: {note}: {printable(outcome.plan.out / 'report.html', 1000)}", err=True)
     if verbose:
@@ -456,14 +477,14 @@ def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> list[Path]:
 @_run_options
 def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose: bool) -> None:
     """Synthesise the reference campaign from the engine model and analyse it."""
-    from crankorder.batch.plan import plan_tests
+    from crankorder.batch.plan import RunOptions, plan_tests
 
     recordings = out / "recordings"
     if not quiet:
         click.echo(f"synthesising the campaign into {recordings} …", err=True)
     _synthesise(DEMO_SCENE, recordings, quick, quiet)
     plans = plan_tests([recordings], out / "results")
-    status = _run_plans(plans, out / "results", jobs, as_json, quiet, verbose, fresh=False, strict=False)
+    status = _run_plans(plans, out / "results", RunOptions(jobs=jobs), as_json, quiet, verbose)
     if status == 0 and not as_json:
         for picture in sorted(plans[0].out.glob("*.png")):
             click.echo(str(picture))

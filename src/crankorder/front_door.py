@@ -26,7 +26,7 @@ from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Progress, run_plans
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
 from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import CampaignPlan, plan_tests
+from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import DONE
 from crankorder.batch.store import json_bytes
@@ -352,7 +352,7 @@ def run(
         folders = [Path(os.fspath(path)) for path in paths if isinstance(path, str | os.PathLike)]
         elsewhere = None if manifest is None else Path(manifest)
         plans = plan_tests(folders, Path(out), manifest=elsewhere, recipe=recipe, tolerance=tol)
-        _run_folders(plans, Path(out), jobs or os.cpu_count() or 1, fresh=fresh, strict=strict)
+        _run_folders(plans, Path(out), RunOptions(jobs=jobs or os.cpu_count() or 1, fresh=fresh, strict=strict))
         return open(out)
     if out is not None or manifest is not None:
         problem = "recordings in memory have no manifest and write no file"
@@ -510,19 +510,17 @@ def _document(text: str | bytes) -> dict[str, Any]:
     return document
 
 
-def _run_folders(plans: list[CampaignPlan], out: Path, jobs: int, *, fresh: bool, strict: bool) -> None:
-    """Run ``plans``; what was left out is warned of, and what nobody foresaw is raised."""
+def _run_folders(plans: list[CampaignPlan], out: Path, options: RunOptions) -> None:
+    """Run ``plans`` with ``options``; what was left out is warned of, and what nobody foresaw is raised."""
 
     @contextmanager
     def unwatched(_: str) -> Iterator[Progress]:
         yield lambda name, done, total: None
 
     outcomes: list[Outcome] = []
-    reporting = ReportingProcess(plans, jobs=jobs)
+    reporting = ReportingProcess(plans, jobs=options.jobs)
     try:
-        outcomes = run_plans(
-            plans, out, reporting=reporting, jobs=jobs, fresh=fresh, strict=strict, watched=unwatched, tell=_warn_of
-        )
+        outcomes = run_plans(plans, out, options, reporting=reporting, watched=unwatched, tell=_warn_of)
     finally:
         reporting.close()
     if all(outcome.status == "failed" for outcome in outcomes):

@@ -152,6 +152,45 @@ def test_clean_removes_what_is_kept_and_nothing_else(three, tmp_path):
     assert "unchanged" in crankorder("run", three, "--out", tmp_path / "out", "--recipe", "maps").output
 
 
+def everything_in(out: Path) -> dict[Path, bytes]:
+    """All files by their names, but for seconds and what is kept of recordings."""
+    files = [path for path in out.rglob("*") if path.is_file() and path.name != "timings.json"]
+    return {path.relative_to(out): path.read_bytes() for path in files if STORE not in path.parts}
+
+
+def test_shards_and_their_reduction_give_the_bytes_of_one_run(three, tmp_path, monkeypatch):
+    crankorder("run", three, "--out", tmp_path / "whole", "-q")
+    for k in (2, 1):
+        outcome = crankorder("run", three, "--out", tmp_path / "out", "--shard", f"{k}/2")
+        assert outcome.exit_code == 0 and "kept for --reduce" in outcome.output
+        assert everything_in(tmp_path / "out") == {}
+    log = counted(monkeypatch, tmp_path)
+    assert crankorder("run", three, "--out", tmp_path / "out", "-q", "--reduce").exit_code == 0
+    assert log.read_text() == ""
+    assert everything_in(tmp_path / "out") == everything_in(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "1/0", "-1/2", "1/2/3", ""])
+def test_a_shard_that_is_none_is_refused(three, tmp_path, text):
+    outcome = crankorder("run", three, "--out", tmp_path / "out", "--shard", text)
+    assert outcome.exit_code == 2 and "k/n" in outcome.output and not (tmp_path / "out").exists()
+
+
+def test_a_recording_that_takes_too_long_is_left_out_and_the_others_go_on(three, tmp_path, monkeypatch):
+    real = execute.analyse_recording
+
+    def slow(source, *arguments):
+        if source.name == "rpm_1600.h5":
+            time.sleep(60.0)
+        return real(source, *arguments)
+
+    monkeypatch.setattr(execute, "analyse_recording", slow)
+    outcome = crankorder("run", three, "--out", tmp_path / "out", "--recipe", "maps", "--timeout", "8")
+    assert outcome.exit_code == 3 and "rpm_1600.h5: could not be analysed" in outcome.output
+    assert "it took longer than 8 s" in outcome.output and "--timeout" in outcome.output
+    assert json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["status"] == "partial"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(12))
 def test_a_run_killed_at_any_moment_goes_on_and_ends_with_the_same_bytes(campaign, tmp_path, number):

@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,12 @@ from crankorder.batch.index import publish_index
 from crankorder.batch.lean import load_kernels
 from crankorder.batch.locks import locked
 from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import CampaignPlan
+from crankorder.batch.plan import CampaignPlan, RunOptions
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import TIMINGS, finished_with, publish, refuse_foreign, refuse_others, settle
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
-from crankorder.batch.workers import WorkerDiedError, each
+from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.engine.in_cycle import Lag
@@ -50,45 +50,38 @@ Progress = Callable[[str, int, int], None]
 def run_plans(
     plans: list[CampaignPlan],
     out: Path,
+    options: RunOptions,
     *,
     reporting: ReportingProcess,
-    jobs: int,
-    fresh: bool = False,
-    strict: bool = False,
     watched: Callable[[str], AbstractContextManager[Progress]],
     tell: Callable[[Outcome], None],
     wait: Callable[[str], object] = lambda text: None,
 ) -> list[Outcome]:
-    """What became of each of ``plans``, whose results and index are published in ``out``.
+    """What became of each of ``plans``, run with ``options``, whose results and index are published in ``out``.
 
-    ``reporting``, ``jobs``, ``fresh`` and ``strict`` are those of :func:`run_test`;
-    ``watched`` gives, for the name of a test, what is told of its progress while it runs; ``tell`` is called with each
-    outcome, ``wait`` with a sentence where another process that writes the same results is waited for.
+    ``reporting`` hashes their recordings and writes their files; ``watched`` gives, for the name of a test, what is
+    told of its progress while it runs; ``tell`` is called with each outcome, ``wait`` with a sentence where another
+    process that writes the same results is waited for.
     """
     outcomes = []
     for plan in plans:
-        with watched(plan.name) as progress, locked(plan.out, tell=wait):
-            outcome = run_test(plan, reporting=reporting, jobs=jobs, fresh=fresh, strict=strict, progress=progress)
+        alone = contextlib.nullcontext() if options.keep_only else locked(plan.out, tell=wait)
+        with watched(plan.name) as progress, alone:
+            outcome = run_test(plan, options, reporting=reporting, progress=progress)
         tell(outcome)
         outcomes.append(outcome)
-    publish_index(out, outcomes, page_of=reporting.index_page, tell=wait)
+    if not options.keep_only:
+        publish_index(out, outcomes, page_of=reporting.index_page, tell=wait)
     return outcomes
 
 
 def run_test(
-    plan: CampaignPlan,
-    *,
-    reporting: ReportingProcess,
-    jobs: int,
-    fresh: bool,
-    strict: bool,
-    progress: Progress | None = None,
+    plan: CampaignPlan, options: RunOptions, *, reporting: ReportingProcess, progress: Progress | None = None
 ) -> Outcome:
-    """Analyse the test of ``plan`` and publish its results; nothing is raised for a fault of the input.
+    """Analyse the test of ``plan`` with ``options`` and publish its results; no fault of the input is raised.
 
-    ``reporting`` has the hashes of its recordings and writes its files; ``jobs`` recordings are analysed at a time,
-    each in a worker of its own; ``fresh`` recomputes even what is finished; ``strict`` turns "suspect" flags into
-    faults; ``progress`` is told of every recording that is done.
+    ``reporting`` has the hashes of its recordings and writes its files; ``progress`` is told of every recording that is
+    done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
     clock = _Clock(outcome.seconds)
@@ -96,20 +89,23 @@ def run_test(
         (code, versions), hashes = reporting.program(), reporting.hashes(plan)
         clock.lap("hash")
         provenance = _provenance(plan, code, versions, hashes)
-        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(strict))
-        settle(plan.out)
-        refuse_foreign(plan.out)
-        refuse_others(plan.out, plan.owner)
-        if not fresh and not plan.faults and finished_with(plan.out, key):
+        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(options.strict))
+        if not options.keep_only:
+            settle(plan.out)
+            refuse_foreign(plan.out)
+            refuse_others(plan.out, plan.owner)
+        if not options.fresh and not plan.faults and finished_with(plan.out, key):
             outcome.status, outcome.kept = "done", True
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
         made_by = text_sha256(code, json.dumps(versions, sort_keys=True))
-        work = _Work(jobs, made_by, fresh=fresh, one_first=load_kernels())
-        results = _analyse(plan, hashes, work, outcome, progress)
+        results = _analyse(plan, options, hashes, made_by, outcome, progress)
+        if options.keep_only:
+            outcome.status = "kept"
+            return outcome
         results = without_changed_gains(results, settings=plan.settings.ingest)
         clock.lap("recordings")
-        outcome.faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
+        outcome.faults += left_out_of(results, ("bad", "suspect") if options.strict else ("bad",))
         if not results:
             raise NoUsableRecordingError(
                 "no recording could be used",
@@ -204,32 +200,27 @@ class _Clock:
         self._last = now
 
 
-@dataclass(frozen=True)
-class _Work:
-    """How recordings are analysed: ``jobs`` at a time by the program ``made_by``; ``fresh``, not as they were kept.
-
-    With ``one_first`` the kernels are yet to be compiled: by one worker, not by all at once.
-    """
-
-    jobs: int
-    made_by: str
-    fresh: bool
-    one_first: bool
-
-
 def _analyse(
-    plan: CampaignPlan, hashes: dict[Path, HashedFile], work: _Work, outcome: Outcome, progress: Progress | None
+    plan: CampaignPlan,
+    options: RunOptions,
+    hashes: dict[Path, HashedFile],
+    made_by: str,
+    outcome: Outcome,
+    progress: Progress | None,
 ) -> dict[Path, RecordingResult]:
-    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome."""
+    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
+
+    What the program ``made_by`` gave of a recording with these ``hashes`` before is taken as it was kept.
+    """
     results: dict[Path, RecordingResult] = {}
     wanted, copies = _each_once(plan, hashes)
-    knowledge, flags = knowledge_of(plan, _engine(plan), wanted, work.jobs)
+    knowledge, flags = knowledge_of(plan, _engine(plan), wanted, options.jobs)
     outcome.flags += copies + flags
     store = FrameStore.of(plan.out)
-    keys = [text_sha256(work.made_by, *_recording_parts(plan, path, hashes[path], knowledge)) for path in wanted]
+    keys = [text_sha256(made_by, *_recording_parts(plan, path, hashes[path], knowledge)) for path in wanted]
 
     def analyse(number: int) -> tuple[RecordingResult, bool]:
-        kept = None if work.fresh else store.load(keys[number])
+        kept = None if options.fresh else store.load(keys[number])
         if kept is not None:
             return kept, True
         made = analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
@@ -237,12 +228,15 @@ def _analyse(
         store.save(keys[number], made)
         return made, False
 
-    made_in_turn = each(analyse, len(wanted), jobs=work.jobs, one_first=work.one_first)
+    # where kernels are yet to be compiled, one worker does it, not all at once
+    first = load_kernels()
+    made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
     for count, (number, made) in enumerate(made_in_turn, start=1):
         _collect(made, wanted[number], hashes[wanted[number]], results, outcome)
         if progress is not None:
             progress(plan.name, count, len(wanted))
-    store.keep_only(keys)
+    if not options.keep_only:
+        store.keep_only(keys)
     place = {path.name: number for number, path in enumerate(plan.recordings)}
     outcome.faults.sort(key=lambda fault: place.get(Path(fault.file).name, -1))
     return {path: results[path] for path in wanted if path in results}
@@ -306,6 +300,9 @@ def _collect(
         raise
     except CrankorderError as error:
         outcome.faults.append(error)
+    except TooLateError as error:
+        remedy = "Leave it out, or give it more time with --timeout"
+        outcome.faults.append(InputError("could not be analysed", file=path.name, found=error, remedy=remedy))
     except WorkerDiedError as error:
         remedy = "Leave it out; if it is sound, too little memory is the likely cause: try --jobs 1"
         outcome.faults.append(InputError("could not be analysed", file=path.name, found=error, remedy=remedy))

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import unicodedata
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,45 @@ class CampaignPlan:
     out: Path
     owner: Owner
     faults: list[CrankorderError] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A share of the recordings of each test: every ``count``-th, from the ``number``-th on (1 to ``count``)."""
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Shard that ``text`` such as "2/8" names. Raises RequestError where it names none."""
+        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            allowed = "k/n with k from 1 to n, such as 2/8"
+            raise RequestError("no share of the recordings", file="--shard", found=text, allowed=allowed)
+        return cls(int(found[1]), int(found[2]))
+
+    def of(self, plan: CampaignPlan) -> CampaignPlan:
+        """The ``plan`` with this share of its recordings. Raises RequestError where it needs them all."""
+        if plan.settings.shaft.calibrate_encoder:
+            problem = "an encoder is calibrated by all recordings of its test"
+            raise RequestError(problem, file=plan.folder, place="shaft.calibrate_encoder", remedy="Run without --shard")
+        return replace(plan, recordings=plan.recordings[self.number - 1 :: self.count])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How planned tests are run: ``jobs`` recordings at a time, each for ``timeout_s`` at most.
+
+    ``fresh`` recomputes even what is kept; ``strict`` turns "suspect" flags into faults; of a shard (``keep_only``)
+    what its recordings give is kept, and no results are made.
+    """
+
+    jobs: int
+    fresh: bool = False
+    strict: bool = False
+    timeout_s: float | None = None
+    keep_only: bool = False
 
 
 def plan_tests(

@@ -13,6 +13,7 @@ import os
 import pickle
 import signal
 import sys
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -30,6 +31,10 @@ _ours: list[Connection] = []
 
 class WorkerDiedError(Exception):
     """A worker ended without an answer; the text says by what signal or status."""
+
+
+class TooLateError(WorkerDiedError):
+    """A worker was ended because its task took too long; the text says how long it had."""
 
 
 class RemoteTraceback(Exception):
@@ -94,6 +99,7 @@ class Worker:
         """Start a worker that does ``task``; it has all that this process has imported and made so far."""
         self._task = task
         self._waiting: list[Any] = []
+        self._too_late = ""
         self.connection: Connection | None = None
         if FORKS:
             self._fork()
@@ -134,7 +140,8 @@ class Worker:
         try:
             packed = self.connection.recv()
         except (EOFError, ConnectionResetError):
-            raise WorkerDiedError(self._end()) from None
+            ended = self._end()
+            raise (TooLateError(self._too_late) if self._too_late else WorkerDiedError(ended)) from None
         done, value, where = self._answers.get(packed)
         if done:
             return value
@@ -145,6 +152,12 @@ class Worker:
     def dead(self) -> bool:
         """Whether the worker has ended."""
         return self.connection is not None and self.connection.closed
+
+    def end_late(self, seconds: float) -> None:
+        """End the worker because its task had ``seconds`` and did not get done; its answer says so."""
+        self._too_late = f"it took longer than {seconds:g} s"
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGKILL)
 
     def _end(self) -> str:
         """Wait for the end of the worker and say how it ended."""
@@ -215,18 +228,21 @@ def each(
     jobs: int,
     meanwhile: Callable[[], object] | None = None,
     one_first: bool = False,
+    timeout_s: float | None = None,
 ) -> Iterator[tuple[int, Callable[[], Any]]]:
     """Number and answer of ``task(0)`` … ``task(count - 1)``, ``jobs`` at a time, as they are done.
 
     The answer is a call that gives the value or raises what the task raised; WorkerDiedError where its process died:
     the others go on in a new one. ``meanwhile`` is done here once the workers have begun. With ``one_first`` a single
     worker begins, and the others after its first value: they find what it has left on disk, such as compiled kernels.
+    A task that takes longer than ``timeout_s`` is ended with its process: TooLateError. Threads cannot be ended.
     """
     if not FORKS:
         yield from _each_in_threads(task, count, jobs, meanwhile)
         return
     left = deque(range(count))
     busy: dict[Any, tuple[Worker, deque[int]]] = {}
+    begun: dict[Any, float] = {}
 
     def go_on(worker: Worker, asked: deque[int]) -> None:
         # as many as there are workers are kept back, so that none waits while another has two
@@ -235,6 +251,7 @@ def each(
             worker.ask(asked[-1])
         if asked:
             busy[worker.connection] = (worker, asked)
+            begun[worker.connection] = time.monotonic()
         else:
             worker.close()
 
@@ -244,7 +261,7 @@ def each(
         if meanwhile is not None:
             meanwhile()
         while busy:
-            for line in wait(list(busy)):
+            for line in _ready(busy, begun, timeout_s):
                 worker, asked = busy.pop(line)
                 number, (done, answer) = asked.popleft(), _kept(worker)
                 if worker.dead:
@@ -259,6 +276,21 @@ def each(
     finally:
         for worker, _ in busy.values():
             worker.close()
+
+
+def _ready(busy: dict[Any, tuple[Worker, deque[int]]], begun: dict[Any, float], timeout_s: float | None) -> list[Any]:
+    """Lines of those ``busy`` workers that have something to say; whose task has ``begun`` too long ago is ended."""
+    if timeout_s is None:
+        return wait(list(busy))
+    while True:
+        now = time.monotonic()
+        for line in busy:
+            if begun[line] + timeout_s <= now:
+                busy[line][0].end_late(timeout_s)
+        next_end = min((begun[line] + timeout_s - now for line in busy if begun[line] + timeout_s > now), default=None)
+        ready = wait(list(busy), next_end)
+        if ready:
+            return ready
 
 
 def _kept(worker: Worker) -> tuple[bool, Callable[[], Any]]:
