@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
-from crankorder.orders.angle_errors import ERROR
+from crankorder.orders.true_angle import ERROR
 
 OF_ROUNDING = float(np.sqrt(12.0))
 """Sideband over carrier, per order and standard error [rev] of the angle: the first harmonic of a rounding error."""

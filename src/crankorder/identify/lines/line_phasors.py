@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.lines.close_pair import SIDE_BINS, unaliased
 from crankorder.identify.lines.zoom import SWEPT_RATIO, Zoomed, zoomed
-from crankorder.orders.common_frames import common_frames
+from crankorder.orders.like_speed import common_frames
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from crankorder.identify.lines.lengths import longer_frames
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.swept_company import company_of, settled
 from crankorder.identify.said import UNRESOLVED
-from crankorder.orders.common_frames import reframed
+from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
 from crankorder.settings import Settings
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_widths, interval
 from crankorder.identify.said import UNRESOLVED
-from crankorder.orders.track_rows import OrderRows, TrackReader
-from crankorder.orders.tracks import all_tracked, track_order
+from crankorder.orders.track_rows import OrderRows, TrackReader, all_tracked, track_order
 from crankorder.settings import OrderSettings
 
 Floats = NDArray[np.float64]
