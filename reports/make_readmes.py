@@ -36,6 +36,14 @@ UNITS = (
     ("_pa", "Pa"),
     ("_bytes", "bytes"),
     ("_samples", "samples"),
+    ("_rad", "rad"),
+    ("_revs", "rev"),
+    ("_sigmas", "standard errors"),
+    ("_share", "share"),
+    ("_chance", "share"),
+    ("_cycles", "cycles"),
+    ("_speeds", "speeds"),
+    ("_frames", "frames"),
     ("_bins", "bins"),
     ("_teeth", "teeth"),
     ("_orders", "orders"),
@@ -63,6 +71,14 @@ def settings_of(text: str) -> list[tuple[str, str, str]]:
     return [(match["key"], match["value"], match["reason"] or "") for match in matches if match]
 
 
+def method_tables(text: str) -> Iterator[tuple[str, str, list[tuple[str, str, str]]]]:
+    """Name, title (its comment) and settings of each table of a method's TOML ``text``."""
+    for part in re.split(r"^(?=\[)", text, flags=re.MULTILINE)[1:]:
+        head, _, rest = part.partition("\n")
+        name, _, title = head.partition("]")
+        yield name.removeprefix("["), title.strip(" #"), settings_of(rest)
+
+
 def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """Markdown table with the cells of ``header`` and ``rows``; bars and line ends in a cell are escaped."""
     lines = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows]
@@ -73,19 +89,28 @@ def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 def render_pipeline_readme(root: Path = ROOT) -> str:
     """Text of ``pipeline/README.md``: every setting by stage, then what is shipped, read from the tree at ``root``."""
     folder = root / "pipeline"
-    stages = sorted(folder.glob("[0-9]-*.toml"))
+    files = sorted(folder.glob("[0-9]-*.toml"))
+    stages = [path for path in files if path.stem.count("-") == 1]
     parts = [
         MARKER,
         "# Pipeline: what is done, in order, and every number that shapes a result",
         f"`{' → '.join(path.stem.partition('-')[2] for path in stages)}`",
         "One file per stage is the one home of each default. A recipe names only the settings in which it differs; "
         "an unknown name or a value out of range is refused. Units are part of the name.",
+        "The numbers of a method, which no recipe changes, stand in files of their own: a table per module. "
+        "They were chosen together, on data with a known answer.",
     ]
     for path in stages:
         text = path.read_text(encoding="utf-8")
         parts += [f"## {path.stem.replace('-', '. ', 1)}", _heading_comment(text)]
         rows = ((f"`{key}`", f"`{value}`", unit_of(key), reason) for key, value, reason in settings_of(text))
         parts += [table(("setting", "value", "unit", "reason"), rows)]
+    for path in (path for path in files if path not in stages):
+        text = path.read_text(encoding="utf-8")
+        parts += [f"## {path.stem.replace('-', '. ', 1).replace('-', ': ')}", _heading_comment(text)]
+        for name, title, settings in method_tables(text):
+            rows = ((f"`{key}`", f"`{value}`", unit_of(key), reason) for key, value, reason in settings)
+            parts += [f"### {name}", title, table(("number", "value", "unit", "reason"), rows)]
     for kind, what in (
         ("recipes", "An analysis: the settings that differ."),
         ("engines", "Engine data; a manifest names one. [Every key](engines/README.md)."),

@@ -1,6 +1,7 @@
 """Frozen settings per stage, filled from ``pipeline/*.toml`` and a recipe; unknown keys are refused.
 
-The TOML files are the one home of every default and of its reason; the classes state type and range only.
+The TOML files are the one home of every default and of its reason; the classes state type and range only. What a recipe
+may change stands in ``N-stage.toml``; what belongs to a method, in a table per module of ``N-stage-room.toml``.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import tomllib
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self, dataclass_transform
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -199,12 +200,66 @@ class Settings(StageSettings):
 
 
 @cache
+def _tables(file: str) -> dict[str, dict[str, Any]]:
+    return tomllib.loads(files("crankorder.pipeline").joinpath(file).read_text(encoding="utf-8"))
+
+
+_NUMBER_KINDS: dict[str, tuple[type, int | None]] = {
+    "int": (int, 1),
+    "float": (float, 1),
+    "tuple[float, float]": (float, 2),
+    "tuple[int, int]": (int, 2),
+    "tuple[float, ...]": (float, None),
+    "tuple[int, ...]": (int, None),
+}
+"""What a number of a method may be: the type of its items, and how many there are (None: any number)."""
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+class MethodNumbers:
+    """Numbers of one module's method that decide what is reported: a ``table`` of a ``file`` of ``pipeline/``.
+
+    A subclass beside the method states name and type of each (``int``, ``float`` or a tuple of them); value, unit and
+    reason stand in the file. No recipe changes them: they were chosen together, on data with a known answer.
+    """
+
+    home: ClassVar[tuple[str, str]]
+
+    def __init_subclass__(cls, *, file: str, table: str) -> None:
+        cls.home = (file, table)
+
+    @classmethod
+    def load(cls) -> Self:
+        """The numbers of the shipped file. Raises RequestError that names file and key of the first that is wrong."""
+        file, table = cls.home
+        given, asked = _tables(file).get(table, {}), cls.__annotations__
+        made = cls.__new__(cls)
+        for key in (*asked, *(key for key in given if key not in asked)):
+            fault = (
+                "" if key in asked and key in given else "number that no module reads" if key in given else "no number"
+            )
+            value = tuple(given[key]) if isinstance(given.get(key), list) else given.get(key)
+            if not fault and not _is_number(value, str(asked[key])):
+                fault = f"no {asked[key]}"
+            if fault:
+                raise RequestError(fault, file=file, place=f"{table}.{key}", found=given.get(key))
+            made.__dict__[key] = value
+        return made
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{name} stands in {self.home[0]}: it is not set")
+
+
+def _is_number(value: object, kind: str) -> bool:
+    item, count = _NUMBER_KINDS[kind]
+    items = value if isinstance(value, tuple) else (value,)
+    is_whole = isinstance(value, tuple) == kind.startswith("tuple") and len(items) == (count or len(items))
+    return is_whole and all(type(one) is item for one in items)
+
+
+@cache
 def _defaults() -> dict[str, dict[str, Any]]:
-    root = files("crankorder.pipeline")
-    merged: dict[str, dict[str, Any]] = {}
-    for name in Settings.file_of.values():
-        merged |= tomllib.loads(root.joinpath(name).read_text(encoding="utf-8"))
-    return merged
+    return {stage: table for file in Settings.file_of.values() for stage, table in _tables(file).items()}
 
 
 def shipped(kind: str) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import tomllib
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from crankorder import settings
+from crankorder.errors import RequestError
 from crankorder.settings import Settings, load_settings, shipped
 
 STAGES = tuple(Settings.file_of)
@@ -43,8 +46,8 @@ def test_each_generated_readme_is_up_to_date(readmes: ModuleType) -> None:
 
 
 def test_every_stage_has_one_file_and_every_file_is_a_stage(project_root: Path) -> None:
-    # the stages' files are numbered in flow order; a catalogue such as bearings.toml is not
-    files = sorted(path.name for path in (project_root / "pipeline").glob("[0-9]*.toml"))
+    # the stages' files are numbered in flow order; a catalogue such as bearings.toml is not, numbers of methods follow
+    files = sorted(path.name for path in (project_root / "pipeline").glob("[0-9]*.toml") if path.name.count("-") == 1)
     assert files == list(Settings.file_of.values())
     assert set(STAGES) == set(Settings.model_fields)
 
@@ -71,6 +74,73 @@ def test_file_and_class_of_a_stage_name_the_same_settings(stage: str, project_ro
 def test_the_file_is_the_only_home_of_a_default(stage: str) -> None:
     with_default = [name for name, field in _fields(stage).items() if not field.is_required()]
     assert not with_default, f"defaults belong into {Settings.file_of[stage]}: {', '.join(with_default)}"
+
+
+def _readers(package_files: list) -> dict[tuple[str, str], tuple[str, set[str]]]:
+    """Module and names of the numbers of each class of a method's numbers, by file and table."""
+    found = {}
+    for source in package_files:
+        for node in source.tree.body:
+            if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "MethodNumbers" for base in node.bases):
+                home = {word.arg: ast.literal_eval(word.value) for word in node.keywords}
+                names = {ast.unparse(line.target) for line in node.body if isinstance(line, ast.AnnAssign)}
+                found[home["file"], home["table"]] = (source.text, names)
+    return found
+
+
+def test_each_table_of_a_methods_numbers_has_a_reader_and_each_number_a_reason_and_a_use(
+    project_root: Path, readmes: ModuleType, package_files: list
+) -> None:
+    readers, tables = _readers(package_files), {}
+    for path in (project_root / "pipeline").glob("[0-9]-*-*.toml"):
+        text = path.read_text(encoding="utf-8")
+        for table, title, numbers in readmes.method_tables(text):
+            assert title, f"{path.name}: what is [{table}] about?"
+            assert [key for key, _, _ in numbers] == list(tomllib.loads(text)[table]), f"{path.name}: one number a line"
+            without = [key for key, _, reason in numbers if len(reason) < 5]
+            assert not without, f"{path.name}: no reason: {', '.join(without)}"
+            tables[path.name, table] = {key for key, _, _ in numbers}
+    assert tables == {home: names for home, (_, names) in readers.items()}
+    everything = "".join(source.text for source in package_files)
+    unused = [
+        f"{file}: {table}.{key}"
+        for (file, table), (text, names) in readers.items()
+        for key in sorted(names)
+        if f"NUMBERS.{key}" not in text and f"{table.upper()}.{key}" not in everything
+    ]
+    assert not unused, "no use:\n" + "\n".join(unused)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("[zoom]\nshare = 0.5", "no number"),
+        ("[zoom]\nshare = 0.5\nends = [1.0, 2.0]\nother = 1", "number that no module reads"),
+        ("[zoom]\nshare = 1\nends = [1.0, 2.0]", "no float"),
+        ("[zoom]\nshare = 0.5\nends = [1.0]", "no tuple"),
+    ],
+)
+def test_numbers_of_a_method_are_refused_where_they_are_not_what_the_module_states(
+    text: str, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Numbers(settings.MethodNumbers, file="5-identify-test.toml", table="zoom"):
+        share: float
+        ends: tuple[float, float]
+
+    monkeypatch.setattr(settings, "_tables", lambda _: tomllib.loads(text))
+    with pytest.raises(RequestError, match=rf"(?s){fault}.*5-identify-test.toml|5-identify-test.toml.*{fault}"):
+        Numbers.load()
+
+
+def test_numbers_of_a_method_cannot_be_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Numbers(settings.MethodNumbers, file="5-identify-test.toml", table="zoom"):
+        ends: tuple[float, float]
+
+    monkeypatch.setattr(settings, "_tables", lambda _: {"zoom": {"ends": [1.0, 2.0]}})
+    made = Numbers.load()
+    assert made.ends == (1.0, 2.0)
+    with pytest.raises(AttributeError, match="ends"):
+        made.ends = (1.0, 3.0)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("recipe", sorted(shipped("recipes")) or [None])

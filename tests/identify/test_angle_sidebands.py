@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.angle_sidebands import sideband_of
+from crankorder.identify.lines.agreed_orders import sideband_of
 
 REVS = 32
 

@@ -13,7 +13,7 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
-from crankorder.identify.lines.speed_proof import NO_PULSES
+from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.settings import load_settings

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
+from crankorder.identify.lines.followed_orders import numbered_as_followed, with_followed
 
 
 def _order(number: float, error: float, lock="undecided") -> AgreedOrder:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.kept_phase import keeps_its_phase
+from crankorder.identify.lines.line_evidence import keeps_its_phase
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings

@@ -13,7 +13,8 @@ import xarray as xr
 from crankorder.engine.motor import Motor
 from crankorder.identify.explain import explained
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.lines.speed_proof import NO_PULSES, STATED_SPEED_ERROR
+from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.motor_speed import SpeedRead, explained_at, speed_read, with_speed_read
 from crankorder.identify.said import LIKE_UNBALANCE
 from crankorder.identify.sources import Sources
@@ -31,7 +32,7 @@ STATED = with_flags(
 def at_speed(hertz: float, rpm: float, size: float = 1.0) -> AgreedOrder:
     """A line at ``hertz`` of a recording for which ``rpm`` was stated."""
     order = 60.0 * hertz / rpm
-    made: AgreedOrder = agreed(order, lock="undecided", error=STATED_SPEED_ERROR * order)
+    made: AgreedOrder = agreed(order, lock="undecided", error=ORDER_LOCK.stated_speed_error * order)
     one = dataclasses.replace(
         made.lines[0],
         seen=np.array([0]),
@@ -69,7 +70,7 @@ def test_the_lines_of_the_shaft_tell_its_speed_whatever_was_stated(seed: int) ->
     motor, true, stated, orders = drawn(seed)
     found = read(motor, *orders)
     assert found is not None and found.rpm == pytest.approx(true, rel=1e-4)
-    assert found.agrees == (abs(true / stated - 1.0) < 2.0 * STATED_SPEED_ERROR)
+    assert found.agrees == (abs(true / stated - 1.0) < 2.0 * ORDER_LOCK.stated_speed_error)
 
 
 @pytest.mark.parametrize("seed", range(24))

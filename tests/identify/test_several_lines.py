@@ -10,7 +10,7 @@ from crankorder.identify.known_lines import held_recordings
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.several_lines import several_lines
+from crankorder.identify.lines.several_orders import several_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.line_frames import PER_REV, angle_of, frames_of, wave

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.lines.speed_proof import proves_speed, speed_source
+from crankorder.identify.lines.order_lock import proves_speed, speed_source
 from crankorder.quantities import with_flags
 
 ERROR = 3e-6

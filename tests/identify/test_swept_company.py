@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.swept_company import company_of
+from crankorder.identify.lines.swept_orders import company_of
 from crankorder.orders.frames import order_frames
 from crankorder.orders.like_speed import reframed
 from crankorder.settings import load_settings

@@ -9,7 +9,7 @@ import pytest
 
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.swept_phase import course_of
+from crankorder.identify.lines.zoom import course_of
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings

@@ -22,7 +22,8 @@ from crankorder.identify.energy_maps import (
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.cfar import highest_of_three, noise_level
-from crankorder.identify.lines.line_evidence import STEADY_KURTOSIS, log_chance_of_kurtosis
+from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
+from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
 from crankorder.settings import IdentifySettings
 
 Floats = NDArray[np.float64]
@@ -243,7 +244,7 @@ def _lines_alone(made: EnergyMap, owner: NDArray[np.int64], surface: Floats, set
     level = np.array([noise_level(max(1.0, float(n)), len(SKIRT_BINS), chance) for n in made.averages])[:, None]
     skirts = 1.0 / np.mean([1.0 / (1.0 + (away / least) ** 2) for away in SKIRT_BINS], axis=0)
     with np.errstate(invalid="ignore"):
-        sharp = (made.energy > level * skirts * _beside(made.energy)) & (made.kurtosis < STEADY_KURTOSIS)
+        sharp = (made.energy > level * skirts * _beside(made.energy)) & (made.kurtosis < LINE_EVIDENCE.steady_kurtosis)
         stands = (made.energy > level * surface) & (sharp | _steady(made, least, chance)) & (owner < 0)
     stands &= highest_of_three(made.energy) & (surface > 0.0) & (made.averages >= 2.0)[:, None]
     cells = np.arange(len(made.axis))
@@ -263,7 +264,7 @@ def _steady(made: EnergyMap, least: Floats, chance: float) -> NDArray[np.bool_]:
     assert made.kurtosis is not None
     frames = np.maximum(made.averages[:, None] * -np.expm1(-2.0 * np.pi * least), 2.0)
     told = log_chance_of_kurtosis(np.nan_to_num(made.kurtosis, nan=1.0), frames) < np.log(chance)
-    return np.asarray(told & (made.kurtosis < STEADY_KURTOSIS))
+    return np.asarray(told & (made.kurtosis < LINE_EVIDENCE.steady_kurtosis))
 
 
 def _beside(energy: Floats) -> Floats:

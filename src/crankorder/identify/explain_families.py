@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.lines.speed_proof import NO_PULSES
+from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import IF_WRONG
 from crankorder.identify.sidebands import MESH_RATIO, meshes, other_shafts, sidebands
 

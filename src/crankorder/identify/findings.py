@@ -21,10 +21,9 @@ from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerd
 from crankorder.identify.known_lines import Held
 from crankorder.identify.levels import level_records
 from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.followed_numbers import numbered_as_followed, with_followed
+from crankorder.identify.lines.followed_orders import numbered_as_followed, with_followed, with_track_rows
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.track_lines import with_track_rows
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged

@@ -13,7 +13,8 @@ from crankorder.identify.explain import Causes
 from crankorder.identify.explain_families import BY_ITSELF
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.mains import mains_words
 from crankorder.identify.motor_speed import RATED, SpeedRead
 from crankorder.identify.motors import MotorFound, MotorSpeed
@@ -166,5 +167,5 @@ def _agrees(agreed: AgreedOrder) -> bool:
         return False
     if agreed.lock == "locked":
         return abs(agreed.order - nearest) < 1e-6
-    reach = min(Z95 * agreed.order_error, Z95 * STATED_SPEED_ERROR * nearest)
+    reach = min(Z95 * agreed.order_error, Z95 * ORDER_LOCK.stated_speed_error * nearest)
     return agreed.lock == "undecided" and nearest <= MOST_TURNS and abs(agreed.order - nearest) <= reach

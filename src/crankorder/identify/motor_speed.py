@@ -13,7 +13,8 @@ from crankorder.engine.motor import Motor
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, Lock, ModalFit
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.said import ALIKE_SPEEDS, SPEAK_FOR
 from crankorder.settings import IdentifySettings
 
@@ -58,7 +59,7 @@ class SpeedRead:
     @property
     def agrees(self) -> bool:
         """Whether it is the stated speed as well as one that is stated tells it."""
-        return abs(self.ratio - 1.0) <= Z95 * STATED_SPEED_ERROR
+        return abs(self.ratio - 1.0) <= Z95 * ORDER_LOCK.stated_speed_error
 
     @property
     def words(self) -> str:

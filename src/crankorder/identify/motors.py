@@ -23,7 +23,8 @@ from crankorder.identify.known_lines import (
     sightings,
 )
 from crankorder.identify.lines.line_phasors import recordings_of
-from crankorder.identify.lines.speed_proof import STATED_SPEED_ERROR, speed_source
+from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.mains import ALONE, mains_words
 from crankorder.settings import IdentifySettings
 
@@ -221,7 +222,7 @@ def _supply(motor: Motor, held: Held, settings: IdentifySettings) -> tuple[float
 def _speed(motor: Motor, held: Held, supply_hz: float, supply_half_hz: float, stated: bool) -> MotorSpeed:
     synchronous = motor.synchronous_rpm(supply_hz)
     slip = 1.0 - held.rpm * motor.shaft_ratio / synchronous
-    unsure = Z95 * STATED_SPEED_ERROR if stated else 0.0
+    unsure = Z95 * ORDER_LOCK.stated_speed_error if stated else 0.0
     slip_half = float(np.hypot(supply_half_hz / supply_hz, unsure))
     return MotorSpeed(held.rpm, synchronous, slip, slip_half, 2.0 * slip * supply_hz)
 

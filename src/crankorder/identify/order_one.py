@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.growth import LARGEST_DEVIATING, LEAST_RANGE, Growth, growth
+from crankorder.identify.lines.growth import NUMBERS as GROWTH
+from crankorder.identify.lines.growth import Growth, growth
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
 
 UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
@@ -42,7 +43,7 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> tuple[st
     if grown is None:
         return LIKE_UNBALANCE, f"{ONE_SPEED}{_between_few(line, least, modes)}"
     low, high = grown.ci95
-    if len(grown.deviating_rpm) > LARGEST_DEVIATING * np.count_nonzero(line.amplitude > 0.0):
+    if len(grown.deviating_rpm) > GROWTH.largest_deviating_share * np.count_nonzero(line.amplitude > 0.0):
         return LIKE_UNBALANCE, "no power of the speed describes how it grows"
     grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
     would = f"which alone would with {least:g} or more"
@@ -89,7 +90,7 @@ def _between_few(line: OrderLine, least: float, modes: Sequence[Mode]) -> str:
     """That even two or three speeds contradict an unbalance, within the intervals at the slowest and the fastest."""
     known = (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(line.speed_rpm)
     rpm, amplitude, error = line.speed_rpm[known], line.amplitude[known], line.amplitude_error[known]
-    if len(rpm) < 2 or rpm.max() < LEAST_RANGE * rpm.min():
+    if len(rpm) < 2 or rpm.max() < GROWTH.least_range * rpm.min():
         return ""
     slow, fast = int(np.argmin(rpm)), int(np.argmax(rpm))
     error = Z95 * error

@@ -8,7 +8,7 @@ from dataclasses import replace
 from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.known_lines import APART_CYCLES, LOBE_BINS, Held
-from crankorder.identify.lines.several_lines import several_lines
+from crankorder.identify.lines.several_orders import several_lines
 from crankorder.identify.modal.tones import NEAR_BINS
 
 

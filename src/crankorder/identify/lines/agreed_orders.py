@@ -12,44 +12,42 @@ from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.angle_sidebands import sideband_of
-from crankorder.identify.lines.lengths import longest_frame
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
-from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, SWELLS
-from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, revs_to_decide, sure_half_width
+from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
+from crankorder.identify.lines.order_lines import SWELLS
+from crankorder.identify.lines.order_lock import (
+    NO_PULSES,
+    lock_of,
+    nearest_multiple,
+    proves_speed,
+    revs_to_decide,
+    speed_source,
+    sure_half_width,
+)
+from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
 from crankorder.identify.lines.several_orders import FREEDOM, SOLVED, close_lines, lines_at
-from crankorder.identify.lines.speed_proof import (
-    NO_PULSES,
-    PROVEN_SPEED_ERROR,
-    STATED_SPEED_ERROR,
-    proves_speed,
-    speed_source,
-)
-from crankorder.identify.lines.swept_company import NEAREST_BINS
-from crankorder.identify.lines.swept_phase import Course
-from crankorder.identify.lines.zoom import Zoomed
+from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
+from crankorder.identify.lines.swept_orders import longest_frame
+from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.identify.mains import nearest_multiple as nearest_mains
 from crankorder.identify.said import ALIKE_SPEEDS, UNRESOLVED
-from crankorder.settings import IdentifySettings
+from crankorder.orders.true_angle import ERROR
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-SAME_ORDER = 0.125
-"""Lines of different channels that are closer than this are one order of the shaft."""
 
-WANDER_RATIO = 10.0
-"""A line that changes slowly by so many times its fast noise swells and fades: noise does by chance once in 1e6."""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="agreed_orders"):
+    same_order: float
+    wander_ratio: float
+    unparted_cycles: float
+    most_mode_turns: float
+    beats_of_a_pair: float
 
-UNPARTED_CYCLES = 0.75
-"""Two lines that a recording does not part beat less than so often on each side of what they seem to be."""
 
-MOST_MODE_TURNS = 4.0
-"""Turns of the phase that modes make over a whole run-up: eight of them, crossed one way."""
+NUMBERS = _Numbers.load()
 
 IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
 """What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
-
-BEATS_OF_A_PAIR = 3.0
-"""Two lines that a recording holds fewer beats of are read as one that swells."""
 
 UNPARTED = "too short to part a locked line from another beside it, which together would look like this"
 """What is said of a line that would slip, if it is one."""
@@ -82,7 +80,7 @@ class _Test:
     @property
     def reach(self) -> float:
         """Distance [orders] within which a line hides another one."""
-        return min(NEIGHBOUR_ORDERS, NEIGHBOUR_BINS * self.resolution)
+        return min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * self.resolution)
 
     def bin_near(self, order: float) -> int:
         """Bin nearest to ``order``, of those that there are."""
@@ -112,7 +110,7 @@ class _Number:
         """Whether nothing but a slip makes the phase run away from that of ``multiple``."""
         if not self.swept:
             return True
-        if abs(self.order - multiple) * self.parted_rev > MOST_MODE_TURNS:
+        if abs(self.order - multiple) * self.parted_rev > NUMBERS.most_mode_turns:
             return True
         return any(course is not None and course.slips_from(multiple - at) for at, course in self.swept)
 
@@ -206,7 +204,7 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
     groups: list[list[OrderLine]] = []
     for line in sorted(lines, key=lambda item: item.order):
         channels = {other.channel for other in groups[-1]} if groups else set()
-        if groups and line.order - groups[-1][0].order < SAME_ORDER and line.channel not in channels:
+        if groups and line.order - groups[-1][0].order < NUMBERS.same_order and line.channel not in channels:
             groups[-1].append(line)
         else:
             groups.append([line])
@@ -280,7 +278,7 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
         text = "two lines within a quarter order, told apart by their beat"
         return [_Unnamed(first, firsts, text), _Unnamed(second, seconds, text)]
     known = [z.wander for z in seen.values() if np.isfinite(z.wander)]
-    swells = bool(known) and float(np.median(known)) > WANDER_RATIO
+    swells = bool(known) and float(np.median(known)) > NUMBERS.wander_ratio
     if not known and _may_be_two(group):
         first, swells = _unparted(first, test), True
     text = SWELLS if swells else ""
@@ -317,7 +315,7 @@ def _may_be_two(group: list[OrderLine]) -> bool:
 def _unparted(number: _Number, test: _Test) -> _Number:
     """``number`` of what may be two lines: either may be the order, at most so far away as a recording leaves open."""
     spans = [float(np.ptp(item.centre_rev)) for item in test.recordings if len(item.centre_rev) > 1]
-    wider = UNPARTED_CYCLES / max(spans) if spans else 0.5 * test.resolution
+    wider = NUMBERS.unparted_cycles / max(spans) if spans else 0.5 * test.resolution
     return replace(number, error=float(np.hypot(number.error, wider)))
 
 
@@ -387,10 +385,10 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     order, error = number.order, number.error
     reasons = [found.reservation] if found.reservation else []
     if not test.speed_is_sure:
-        error = float(np.hypot(error, STATED_SPEED_ERROR * order))
+        error = float(np.hypot(error, ORDER_LOCK.stated_speed_error * order))
         reasons.append(NO_PULSES)
     elif not test.by_pulses:
-        error = float(np.hypot(error, PROVEN_SPEED_ERROR * order))
+        error = float(np.hypot(error, ORDER_LOCK.proven_speed_error * order))
     by_phase = number.by_phase and test.speed_is_sure
     lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
     needed = None
@@ -429,8 +427,8 @@ def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
         return False
     spans = [float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings if len(item.centre_rev)]
     if found.number.swept:
-        return off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < NEAREST_BINS
-    return SWELLS in found.reservation and off * max(spans, default=0.0) < BEATS_OF_A_PAIR
+        return off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < SWEPT_ORDERS.nearest_bins
+    return SWELLS in found.reservation and off * max(spans, default=0.0) < NUMBERS.beats_of_a_pair
 
 
 def _unless_sideband(one: AgreedOrder, test: _Test, frames: Sequence[xr.Dataset]) -> AgreedOrder:
@@ -509,3 +507,41 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
             )
         )
     return lines or group
+
+
+OF_ROUNDING = float(np.sqrt(12.0))
+"""Sideband over carrier, per order and standard error [rev] of the angle: the first harmonic of a rounding error."""
+
+Array = NDArray[np.float64]
+
+
+def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Sequence[xr.Dataset]) -> float | None:
+    """Order whose sidebands all ``lines`` (one order, by channel) may be, at every speed at which they are seen.
+
+    An edge that is rounded to the samples of a recording errs by up to half of one, in a pattern that beats with the
+    samples: it turns the phase of order n by n times the error of the angle, and leaves lines at orders that are none.
+    ``order_map`` (OrderMap) says how large the others are, ``frames`` (OrderFrames) how well the angle is known. None
+    where one of the lines is larger than that.
+    """
+    error = _errors(order_map["speed"].values, float(order_map.attrs.get("speed_bin_rpm", 25.0)), frames)
+    axis, names = order_map["order"].values, order_map["channel"].values.tolist()
+    carrier = 0.0
+    for line in lines:
+        size = np.nan_to_num(order_map["amplitude"].values[names.index(line.channel)])
+        turned = size[line.seen] * axis
+        if not (line.amplitude <= OF_ROUNDING * error[line.seen] * turned.max(axis=1)).all():
+            return None
+        carrier = float(axis[int(turned[line.strongest].argmax())])
+    return carrier if lines else None
+
+
+def _errors(speed_rpm: Array, width_rpm: float, frames: Sequence[xr.Dataset]) -> Array:
+    """Standard error [rev] of the crank angle (speeds,) in the recordings that ran at each speed; the largest."""
+    made = np.zeros(len(speed_rpm))
+    for item in frames:
+        speed = item["speed"].values
+        if not len(speed) or not np.isfinite(speed).any():
+            continue
+        ran = (speed_rpm >= np.nanmin(speed) - width_rpm) & (speed_rpm <= np.nanmax(speed) + width_rpm)
+        made = np.where(ran | ~np.isfinite(speed_rpm), np.maximum(made, float(item.attrs.get(ERROR, 0.0))), made)
+    return made

@@ -10,19 +10,19 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import gammaincc, gammainccinv, gammaincinv
 
-from crankorder.settings import IdentifySettings, OrderSettings
+from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
-BY_PHASE_CHANCE = 0.01
-"""Chance with which frames of noise at one speed agree in phase as well as a line hidden in energy must."""
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="cfar"):
+    by_phase_chance: float
+    near_bins: int
+    hump_sigmas: float
+
+
+NUMBERS = _Numbers.load()
 
 LOBE_BINS = 2
 """A line between two bins fills so many on each side: they take no part in its own floor."""
-
-NEAR_BINS = 6
-"""Nearest bins of a floor that tell whether it stands higher there than over all of its bins."""
-
-HUMP_SIGMAS = 3.0
-"""Standard deviations by which the nearest bins must lie above all bins to be taken for the floor."""
 
 ALIKE = (1.0, 4.0 / 9.0, 1.0 / 36.0)
 """Correlation of the powers of noise in Hann bins 0, 1 and 2 apart."""
@@ -99,8 +99,8 @@ def reference_bins(order: Floats, *, line_step: float, guard_bins: int, n_bins: 
 
 
 def _nearest(bins: NDArray[np.int64]) -> NDArray[np.int64]:
-    first = max(0, (bins.shape[1] - NEAR_BINS) // 2)
-    return bins[:, first : first + NEAR_BINS]
+    first = max(0, (bins.shape[1] - NUMBERS.near_bins) // 2)
+    return bins[:, first : first + NUMBERS.near_bins]
 
 
 def independent_bins(bins: NDArray[np.int64]) -> float:
@@ -130,7 +130,7 @@ def noise_floor(
     few = independent_bins(_nearest(bins))
     sigma = np.sqrt(np.pi / 2.0 / n * (1.0 / few - 1.0 / max(independent_bins(bins), few + 1e-9)))
     with np.errstate(invalid="ignore", divide="ignore"):
-        narrowed = np.log(near / wide) > HUMP_SIGMAS * sigma
+        narrowed = np.log(near / wide) > NUMBERS.hump_sigmas * sigma
     if level is not None:
         narrowed &= ~level
     return np.where(narrowed, near, wide), narrowed
@@ -185,9 +185,9 @@ def _stands_by_phase(order_map: xr.Dataset) -> NDArray[np.bool_]:
     """Where a line locked to the shaft may stand on the slope of a resonance, whose energy beside it is higher.
 
     Its coherent amplitude is the highest of three, and frames of noise agree so well in phase only once in
-    1 / BY_PHASE_CHANCE (Goodman 1957); that it is locked is proven over all speeds. Nowhere in a map without phases.
+    1 / ``by_phase_chance`` (Goodman 1957); its lock is proven over all speeds. In a map without phases: nowhere.
     """
-    return np.asarray(_log_chance_of_phase(order_map) < np.log(BY_PHASE_CHANCE))
+    return np.asarray(_log_chance_of_phase(order_map) < np.log(NUMBERS.by_phase_chance))
 
 
 def _by_phase_alone(order_map: xr.Dataset, false_alarm_probability: float) -> Floats:

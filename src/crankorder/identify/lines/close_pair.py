@@ -8,6 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.orders.intervals import frame_correlation
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="close_pair"):
+    slow_waves: int
+    side_bins: int
+
+
+NUMBERS = _Numbers.load()
 
 STEPS = 12
 """Gauss-Newton steps: a start within half a cycle of the recording needs six."""
@@ -17,12 +26,6 @@ SETTLED = 1e-9
 
 LONGEST_STEP = 0.25
 """Cycles over the recording by which a step moves a line at most."""
-
-SLOW_WAVES = 4
-"""Waves on each side of a line whose power says whether the noise stands higher beside it than over the bin."""
-
-SIDE_BINS = 2
-"""Bins on each side whose share of a line tells how far it is from the bin beyond what its turn tells."""
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -127,9 +130,9 @@ def _with_errors(basis: Complex, slopes: Complex, data: Complex, turn: Floats, a
 def _louder(left: Complex, turn: Floats, at: float) -> float:
     """Power of slow waves about a line ``at`` in what is ``left`` (frames, channels) over that of all; 1 at least."""
     n = len(turn)
-    if n < 4 * SLOW_WAVES:
+    if n < 4 * NUMBERS.slow_waves:
         return 1.0
-    near = np.array([k for k in range(-SLOW_WAVES, SLOW_WAVES + 1) if k]) / float(np.ptp(turn)) + at
+    near = np.array([k for k in range(-NUMBERS.slow_waves, NUMBERS.slow_waves + 1) if k]) / float(np.ptp(turn)) + at
     waves = np.exp(-2j * np.pi * np.outer(near, turn))
     slow = np.square(np.abs(waves @ left)).mean(axis=0) / n
     return float(max(1.0, np.median(slow / np.maximum(np.square(np.abs(left)).mean(axis=0), 1e-300))))
@@ -145,13 +148,13 @@ def unaliased(
 
     Parameters
     ----------
-    phasors : (channels, bins, frames) in SIDE_BINS bins on each side of that of the lines and in itself
+    phasors : (channels, bins, frames) in ``side_bins`` bins on each side of that of the lines and in itself
     turn : (frames,), rev, crank angle of the middle of each frame from that of the recording
     offsets : orders from the bin, of the first line and the second
     resolution : orders, from bin to bin
     hop_rev : rev, from frame to frame
     """
-    places = np.arange(phasors.shape[1]) - SIDE_BINS
+    places = np.arange(phasors.shape[1]) - NUMBERS.side_bins
     back = phasors * np.exp(2j * np.pi * resolution * np.outer(places, turn))
     basis = np.exp(2j * np.pi * np.outer(turn, offsets))
     share = np.abs(np.einsum("f,cbf->cb", np.linalg.pinv(basis)[1], back))

@@ -1,4 +1,4 @@
-"""How an order line grows with speed, how large it becomes, and where it is seen."""
+"""How an order line grows with speed or changes while it is measured, how large it becomes, and where it is seen."""
 
 from __future__ import annotations
 
@@ -8,55 +8,136 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import gammaincc, stdtr
+from scipy.special import fdtri, gammaincc, stdtr
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, known_freedom
-from crankorder.identify.lines.changing import WIDER
+from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, half_widths, known_freedom
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="growth"):
+    changing_ratio: float
+    changing_chance: float
+    changing_over_noise: float
+    fewest_speeds: int
+    least_range: float
+    law_tolerance: float
+    fit_chance: float
+    steady_exponent: float
+    least_exponent: float
+    steady_precision: float
+    deviating_sigmas: float
+    law_scatter: float
+    largest_deviating_share: float
+    simultaneous_chance: float
+
+
+NUMBERS = _Numbers.load()
+
+Floats = NDArray[np.float64]
+
+
+def remark_on(amplitude: Floats, error: Floats, freedom: Floats, ends: Floats) -> str:
+    """What is said of a line whose amplitude changes at the speed at which it is largest; empty where it is steady.
+
+    Parameters
+    ----------
+    amplitude : (speeds,), means over the recordings
+    error : (speeds,), their standard errors
+    freedom : (speeds,), degrees of freedom of these
+    ends : (speeds, 2), of the 95 % intervals over all values that were held
+    """
+    at = int(np.argmax(amplitude))
+    low, high = (float(end) for end in ends[at])
+    reach = float(half_widths(freedom[at : at + 1])[0] * error[at])
+    sides = float(amplitude[at]) - low, high - float(amplitude[at])
+    if (
+        not np.isfinite(high)
+        or not np.isfinite(reach)
+        or max(sides) <= NUMBERS.changing_ratio * reach
+        or min(sides) <= 0.0
+    ):
+        return ""
+    if sides[1] > (1.0 + NUMBERS.changing_ratio) * sides[0]:  # the factor by which recordings differ
+        return ""
+    return f"its amplitude changes within the recording, {low:.3g} to {high:.3g}"
+
+
+@dataclass(frozen=True)
+class HeldSizes:
+    """What the frames of a line that is not locked held at one speed: ``means`` of each recording's amplitudes.
+
+    ``ends`` are the least and the largest amplitude where these surely change within a recording, else None.
+    """
+
+    means: tuple[float, ...]
+    ends: tuple[float, float] | None
+
+
+def held_sizes(phasors: list[NDArray[np.complex128]], *, noise: float, worth: float) -> HeldSizes:
+    """Amplitudes of a line that is not locked, by recording.
+
+    Parameters
+    ----------
+    phasors : (frames,) of each recording at one speed
+    noise : noise power of a frame
+    worth : independent bins that it is told from
+    """
+    sizes = [np.abs(one[np.isfinite(one.real)]) for one in phasors]
+    sizes = [one for one in sizes if len(one) > 1]
+    means = tuple(float(np.sqrt(max(float(np.square(one).mean()) - noise, 0.0))) for one in sizes)
+    freedom = float(sum(len(one) - 1 for one in sizes))
+    if freedom < 2.0 or not noise > 0.0:
+        return HeldSizes(means, None)
+    scatter = sum(float(np.square(one - one.mean()).sum()) for one in sizes) / freedom
+    surely = float(fdtri(freedom, 2.0 * worth * (freedom + 1.0), 1.0 - NUMBERS.changing_chance))
+    if 2.0 * scatter < noise * max(surely, NUMBERS.changing_over_noise):
+        return HeldSizes(means, None)
+    every = np.concatenate(sizes)
+    return HeldSizes(means, (float(every.min()), float(every.max())))
+
+
+def between_of(held: HeldSizes, amplitude: float, error: float) -> tuple[float, float]:
+    """Standard error of the mean ``amplitude`` and its degrees of freedom: of the frames or of the recordings.
+
+    Whichever errs more; ``held`` is what the recordings held, ``error`` that of the frames, with endless freedom.
+    """
+    count = len(held.means)
+    if count < 2 or not np.mean(held.means) > 0.0:
+        return error, np.inf
+    share = float(np.std(held.means, ddof=1) / np.mean(held.means) / np.sqrt(count))
+    wider = half_width(count - 1.0) * share * amplitude > half_width(np.inf) * error
+    return (share * amplitude, count - 1.0) if wider else (error, np.inf)
+
+
+def ends_of(held: list[HeldSizes], amplitude: Floats, error: Floats, freedom: Floats, *, loss: float) -> Floats:
+    """Ends (speeds, 2) of the 95 % intervals of amplitudes, over all values held.
+
+    Parameters
+    ----------
+    held : of each speed
+    amplitude : (speeds,)
+    error : (speeds,), standard errors, with as many degrees of ``freedom``
+    freedom : (speeds,)
+    loss : share of the line that its bin shows, by which amplitudes are larger than those of frames
+    """
+    reach = half_widths(freedom) * error
+    several = np.isfinite(freedom)  # recordings differ by a factor
+    low = np.where(several, amplitude / (1.0 + reach / amplitude), np.maximum(amplitude - reach, 0.0))
+    ends = np.stack([low, amplitude + reach], axis=1)
+    for row, one in enumerate(held):
+        if one.ends is not None:
+            ends[row] = min(ends[row, 0], one.ends[0] / loss), max(ends[row, 1], one.ends[1] / loss)
+    return ends
+
 
 SpeedLaw = Literal["grows with speed^n", "falls with speed^n", "keeps its size", "follows no power law"]
-
-FEWEST_SPEEDS = 4
-"""Speeds below which no law is told from two numbers."""
-
-LEAST_RANGE = 1.1
-"""Fastest over slowest speed below which they are one: a square law moves an amplitude by 20 % over this, and so does
-a natural frequency nearby, a load, or a sensor that grows warm."""
-
-LAW_TOLERANCE = 0.005
-"""No machine follows a law, and no sensor a scale, better than by this share of the amplitude."""
-
-FIT_CHANCE = 0.001
-"""A law whose residuals would be as large with less than this chance does not fit."""
-
-STEADY_EXPONENT = 0.25
-"""Whatever keeps its size has an exponent below this, whose interval holds 0 …"""
-
-LEAST_EXPONENT = 0.1
-"""An exponent whose whole interval is below this changes no amplitude by more than 20 % over speeds of 1 to 6."""
-
-STEADY_PRECISION = 0.5
-"""… and has a half width below this: a law that is not known is not steady."""
 
 TUNING = 4.685
 """Tukey's biweight: 95 % efficient where all errors are normal (Huber and Ronchetti 2009, 4.8)."""
 
-DEVIATES = 4.0
-"""Standard deviations from which the amplitude at a speed deviates from the law that the others follow."""
-
-LAW_SCATTER = 0.1
-"""Amplitudes that grow follow a power law well enough to be of use where they leave it by less than this share."""
-
-LARGEST_DEVIATING = 0.34
-"""Share of speeds that may deviate from a law that is said to hold at the others."""
-
 LOW_SHARE = 1.8
 """Of the chance outside the interval so many halves lie below it: little is left above, where one error is added."""
-
-SIMULTANEOUS = 0.001
-"""Chance given to the simultaneous interval within which the conditional one is taken."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +196,7 @@ def growth(line: OrderLine) -> Growth | None:
     """
     known = (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(line.speed_rpm)
     speed, amplitude = line.speed_rpm[known], line.amplitude[known]
-    if len(speed) < FEWEST_SPEEDS or not speed.max() >= LEAST_RANGE * speed.min():
+    if len(speed) < NUMBERS.fewest_speeds or not speed.max() >= NUMBERS.least_range * speed.min():
         return None
     x, y = np.log(speed / np.exp(np.log(speed).mean())), np.log(amplitude)
     shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth[known])
@@ -123,22 +204,27 @@ def growth(line: OrderLine) -> Growth | None:
     coefficient, weight = _robust_line(x, y, error)
     residual = y - coefficient[0] - coefficient[1] * x
     core_scale = np.hypot(error, _excess(residual, error, weight > 0.0))
-    deviating = np.abs(residual) > DEVIATES * core_scale
+    deviating = np.abs(residual) > NUMBERS.deviating_sigmas * core_scale
     kept = ~deviating
-    if np.count_nonzero(kept) < FEWEST_SPEEDS or not np.ptp(x[kept]) > 0.0:
+    if np.count_nonzero(kept) < NUMBERS.fewest_speeds or not np.ptp(x[kept]) > 0.0:
         kept = np.ones(len(x), dtype=np.bool_)
     exponent, exponent_error, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
     freedom = _freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
-    few_deviate = bool(np.count_nonzero(~kept) <= LARGEST_DEVIATING * len(x))
+    few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
     half = half_width(freedom) * exponent_error
-    law = _law(exponent, half, fits=few_deviate and chance >= FIT_CHANCE, near=few_deviate and excess < LAW_SCATTER)
+    law = _law(
+        exponent,
+        half,
+        fits=few_deviate and chance >= NUMBERS.fit_chance,
+        near=few_deviate and excess < NUMBERS.law_scatter,
+    )
     return Growth(exponent, exponent_error, freedom, law, chance, excess, tuple(speed[~kept].tolist()))
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
     """What amplitudes do that ``fits`` an exponent with the interval's ``half`` width exactly, or is ``near`` it."""
-    if abs(exponent) <= half or abs(exponent) + half <= LEAST_EXPONENT:
-        steady = fits and abs(exponent) < STEADY_EXPONENT and half < STEADY_PRECISION
+    if abs(exponent) <= half or abs(exponent) + half <= NUMBERS.least_exponent:
+        steady = fits and abs(exponent) < NUMBERS.steady_exponent and half < NUMBERS.steady_precision
         return "keeps its size" if steady else "follows no power law"
     if not fits and not near:
         return "follows no power law"
@@ -159,7 +245,7 @@ def _log_errors(relative: Floats, freedom: Floats) -> Floats:
     """Standard deviations of log amplitudes whose errors are themselves known with ``freedom`` only."""
     held = np.clip(np.nan_to_num(freedom, nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
     widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
-    return np.hypot(relative * widened, LAW_TOLERANCE)
+    return np.hypot(relative * widened, NUMBERS.law_tolerance)
 
 
 def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
@@ -231,8 +317,8 @@ def largest(line: OrderLine) -> Largest:
     freedom = known_freedom(float(line.degrees_of_freedom[at]))
     others, count = _independent_of(at, known, line.worth)
     cut = (float(np.max(others)) - seen) / one if len(others) else -np.inf
-    wide = half_width(freedom, level=1.0 - SIMULTANEOUS / count)
-    share = 0.5 * (0.05 - SIMULTANEOUS) / (1.0 - SIMULTANEOUS)
+    wide = half_width(freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
+    share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
     below, above = (_not_surprising(cut, wide, freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
@@ -266,7 +352,7 @@ def _independent_of(at: int, amplitude: Floats, worth: Floats | None) -> tuple[F
 
 def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
     """Whether ``ends`` of an interval about ``seen`` are farther than the ``reach`` of its noise."""
-    return max(seen - ends[0], ends[1] - seen) > WIDER * reach
+    return max(seen - ends[0], ends[1] - seen) > NUMBERS.changing_ratio * reach
 
 
 def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> float:
@@ -287,7 +373,7 @@ def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> fl
 def mean_level(line: OrderLine) -> MeanLevel:
     """Mean amplitude of ``line`` over the speeds seen, each by its error and the scatter beyond, with its interval."""
     shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth)
-    amplitude, error = line.amplitude, np.hypot(shared * line.amplitude_error, LAW_TOLERANCE * line.amplitude)
+    amplitude, error = line.amplitude, np.hypot(shared * line.amplitude_error, NUMBERS.law_tolerance * line.amplitude)
     known = np.isfinite(error)
     amplitude, error = amplitude[known], error[known]
     if len(amplitude) < 2:

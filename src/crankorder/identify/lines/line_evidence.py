@@ -11,30 +11,22 @@ from scipy.special import gammaincc, gammaln
 
 from crankorder.identify.found import Evidence
 from crankorder.identify.lines.zoom import Zoomed
+from crankorder.settings import MethodNumbers
 
-STEADY_KURTOSIS = -0.4
-"""A line 4 dB over the noise in its own bin has this spectral kurtosis; noise alone has 0."""
 
-STEADY_SIGMAS = 5.0
-"""Standard deviations by which the spectral kurtosis must lie below that of noise."""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="line_evidence"):
+    steady_kurtosis: float
+    steady_sigmas: float
+    least_damping: float
+    followed_speeds: int
+    followed_bins: float
+    followed_sigmas: float
+    standing_ratio: float
+    provable_frames: float
+    least_frames: float
 
-LEAST_DAMPING = 1e-4
-"""No structure rings with a smaller damping ratio: what is steadier at one speed than such a resonance is a line."""
 
-FOLLOWED_SPEEDS = 8
-"""A line that is neither locked nor steady must be seen at so many speeds …"""
-
-FOLLOWED_BINS = 20.0
-"""… between which a line of fixed frequency would have moved by so many bins …"""
-
-FOLLOWED_SIGMAS = 6.0
-"""… and stand so many standard deviations of the noise above the orders beside it."""
-
-STANDING_RATIO = 100.0
-"""A line that cannot be proven must stand 20 dB over its floor."""
-
-PROVABLE_FRAMES = 8.0
-"""With so many independent frames beyond the first, a lock can be proven and must be."""
+NUMBERS = _Numbers.load()
 
 OVERLAP_ALIKE = 0.25
 """Length of the mean step of noise in frames that overlap by a half and so share a sixth, with what chance adds."""
@@ -74,7 +66,7 @@ def _stands_out(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, se
     ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its reservation rather than
     kept back: a resonance that noise excites could be as high, but seldom on an order of the cycle at every speed.
     """
-    high = float(np.median(ratio[seen, peak])) > STANDING_RATIO and len(seen) == order_map.sizes["speed"]
+    high = float(np.median(ratio[seen, peak])) > NUMBERS.standing_ratio and len(seen) == order_map.sizes["speed"]
     return high and is_unprovable(order_map, peak)
 
 
@@ -83,7 +75,7 @@ def is_unprovable(order_map: xr.Dataset, peak: int) -> bool:
     axis, step = order_map["order"].values, 1.0 / int(order_map.attrs["revs_per_cycle"])
     off = abs(axis[peak] - step * round(axis[peak] / step)) / (axis[1] - axis[0])
     provable = float(np.maximum(order_map["n_independent"].values - 1.0, 0.0).sum())
-    return bool(off < 0.5 and provable < PROVABLE_FRAMES)
+    return bool(off < 0.5 and provable < NUMBERS.provable_frames)
 
 
 def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
@@ -94,7 +86,7 @@ def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen:
     """
     axis, speed = order_map["order"].values, order_map["speed"].values
     moved = axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) / (axis[1] - axis[0])
-    if len(seen) < FOLLOWED_SPEEDS or moved < FOLLOWED_BINS:
+    if len(seen) < NUMBERS.followed_speeds or moved < NUMBERS.followed_bins:
         return False
     span = slice(int(seen[0]), int(seen[-1]) + 1)
     height = np.log(np.maximum(ratio[span], 1e-3)).mean(axis=0)
@@ -105,7 +97,7 @@ def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen:
     frames = float(order_map["n_frames"].values[span].sum())
     independent = frames * min(1.0, 2.0 * (1.0 - float(order_map.attrs["overlap"])))
     scatter = np.pi / np.sqrt(6.0 * independent)
-    return bool(height[peak] - height[beside].mean() > FOLLOWED_SIGMAS * scatter)
+    return bool(height[peak] - height[beside].mean() > NUMBERS.followed_sigmas * scatter)
 
 
 def _is_locked(
@@ -140,7 +132,7 @@ def is_steady(
     if not known.any():
         return False
     mean = float(np.average(kurtosis[known], weights=frames[known]))
-    if mean < -STEADY_SIGMAS * 2.0 / float(np.sqrt(frames[known].sum())) and mean < STEADY_KURTOSIS:
+    if mean < -NUMBERS.steady_sigmas * 2.0 / float(np.sqrt(frames[known].sum())) and mean < NUMBERS.steady_kurtosis:
         return True
     evidence = -log_chance_of_kurtosis(kurtosis[known], frames[known]).sum()
     if gammaincc(np.count_nonzero(known), evidence) >= false_alarm_probability:
@@ -176,7 +168,7 @@ def _steadier_than_a_resonance(
     """
     hop = float(order_map.attrs["revs_per_frame"]) * (1.0 - float(order_map.attrs["overlap"]))
     turned = float(order_map["order"].values[peak]) * hop * max(float(order_map["n_frames"].values[at]) - 1.0, 0.0)
-    forgotten = 2.0 * np.pi * LEAST_DAMPING * turned
+    forgotten = 2.0 * np.pi * NUMBERS.least_damping * turned
     return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < false_alarm_probability)
 
 
@@ -208,3 +200,105 @@ def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) 
         trials = np.log(max(line.frames, 2.0))
         evidence += max(0.0, 0.5 * line.dof * float(np.log1p(line.snr / line.dof)) - float(trials))
     return len(found) > 0 and bool(gammaincc(len(found), evidence) < false_alarm_probability)
+
+
+Complex = NDArray[np.complex128]
+
+Floats = NDArray[np.float64]
+
+REFINEMENTS = 3
+"""Steps of least squares from the best of them to where the part across the axis is least."""
+
+TRIALS_PER_SPAN = 8
+"""Trial distances from the bin in which a line turns once over the recording."""
+
+
+def keeps_its_phase(
+    recordings: Sequence[tuple[Complex, Floats, float]],
+    *,
+    order: float,
+    worth: float,
+    slips: bool,
+    false_alarm_probability: float,
+) -> bool:
+    """Whether a line keeps its phase in ``recordings`` as noise would only with ``false_alarm_probability``.
+
+    Parameters
+    ----------
+    recordings : of each the phasors (frames,) of one bin, the middles of its frames [rev] and the hop between them
+    order : of the bin
+    worth : independent frames that each is worth, 0…1
+    slips : whether it may turn away from its bin evenly; otherwise it is locked to the shaft
+    """
+    evidence = 0.0
+    for phasors, centre, hop_rev in recordings:
+        turn, offset, trials = centre - centre.mean(), 0.0, 1
+        if slips:
+            offset, trials = best_offset(phasors, turn, hop_rev=hop_rev)
+        forgotten = 2.0 * np.pi * NUMBERS.least_damping * order * float(np.ptp(turn))
+        chance = log_chance_of_phase(phasors, turn, offset=offset, forgotten=forgotten, worth=worth, fitted=int(slips))
+        evidence -= min(0.0, chance + float(np.log(trials)))
+    return len(recordings) > 0 and bool(gammaincc(len(recordings), evidence) < false_alarm_probability)
+
+
+def log_chance_of_phase(
+    phasors: Complex, turn: Floats, *, offset: float, forgotten: float, worth: float, fitted: int = 0
+) -> float:
+    """Logarithm of the chance (at most) that noise keeps one phase over the frames as well as ``phasors`` do.
+
+    A line whose amplitude changes stays on one axis of the complex plane, whatever the amplitude does. Of noise, and of
+    a resonance that it excites, the part across any axis is as large as the part along it on average: of n independent
+    frames the smaller share is below s with a chance of (4 s (1 - s))^((n - 1) / 2) (Mauchly 1940). Frames of a
+    resonance remember each other, which leaves fewer: the part across tells how many, for a change of amplitude does
+    not touch it. A line whose phase creeps by little seems to remember all; but even the least damped resonance walks
+    across the axis at random: that its share stays below s has a chance of exp(-sqrt(K / (2 s))) at most, where it
+    forgets itself with K over the recording and may stand high by chance. What excludes noise better of both counts.
+    A blow that rings in few frames lies on one axis for nothing: only as many frames count as share the power.
+
+    Parameters
+    ----------
+    phasors : (frames,), of one bin in one recording
+    turn : (frames,), rev, middle of each frame
+    offset : orders, distance of the line from its bin
+    forgotten : K of the least damped resonance
+    worth : independent frames of one of ``phasors``, 0…1
+    fitted : how many of these the distance that was fitted takes
+    """
+    power = np.square(np.abs(phasors))
+    filled = float(power.sum() ** 2 / max(len(power) * float(np.square(power).sum()), 1e-300))
+    n, forgotten = worth * filled * len(phasors) - fitted, filled * forgotten
+    if n < NUMBERS.least_frames:
+        return 0.0
+    steady = phasors * np.exp(-2j * np.pi * offset * turn)
+    axis = np.exp(0.5j * np.angle(np.square(steady).sum()))
+    across = (steady * axis.conj()).imag
+    share = float(np.square(across).sum() / max(float(power.sum()), 1e-300))
+    spread = np.log(max(4.0 * share * (1.0 - share), 1e-300))
+    memory = float(across[1:] @ across[:-1]) / max(float(across @ across), 1e-300)
+    memory = float(np.sqrt(np.clip(memory**2 - 1.0 / len(across), 0.0, 1.0)))
+    by_memory = 0.5 * max(0.0, n * (1.0 - memory) / (1.0 + memory) - 1.0) * spread
+    walked = max(0.5 * (n - 1.0) * spread, -float(np.sqrt(forgotten / (2.0 * max(share, 1e-12)))))
+    return float(min(by_memory, walked))
+
+
+def best_offset(phasors: Complex, turn: Floats, *, hop_rev: float) -> tuple[float, int]:
+    """Distance from the bin [orders] at which ``phasors`` (frames,) at ``turn`` [rev] keep to one axis best.
+
+    And how many distances were tried; it is told up to half the reciprocal of ``hop_rev`` on each side.
+    """
+    reach = 0.5 / hop_rev
+    count = 2 * int(np.ceil(TRIALS_PER_SPAN * reach * max(float(np.ptp(turn)), hop_rev))) + 1
+    trial = np.linspace(-reach, reach, count)
+    wave = np.exp(-2j * np.pi * np.outer(turn, trial))
+    kept = np.abs(np.square(phasors) @ np.square(wave))
+    # a phase that alternates from frame to frame is the same on one axis: the longer mean is the line
+    mean = np.abs(phasors @ wave)
+    offset = float(trial[int(np.argmax(kept * (1.0 + mean / max(float(np.abs(phasors).sum()), 1e-300))))])
+    for _ in range(REFINEMENTS):
+        steady = phasors * np.exp(-2j * np.pi * offset * turn)
+        steady = steady * np.exp(-0.5j * np.angle(np.square(steady).sum()))
+        along, weight = steady.real, np.square(steady.real)
+        apart = turn - float(weight @ turn) / max(float(weight.sum()), 1e-300)
+        spread = max(float(weight @ np.square(apart)), 1e-300)
+        offset += float((along * apart) @ steady.imag) / spread / (2.0 * np.pi)
+    return offset, count

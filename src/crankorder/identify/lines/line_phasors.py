@@ -9,14 +9,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.lines.close_pair import SIDE_BINS, unaliased
-from crankorder.identify.lines.zoom import SWEPT_RATIO, Zoomed, zoomed
+from crankorder.identify.lines.close_pair import NUMBERS as CLOSE_PAIR
+from crankorder.identify.lines.close_pair import unaliased
+from crankorder.identify.lines.zoom import NUMBERS as ZOOM
+from crankorder.identify.lines.zoom import Zoomed, zoomed
 from crankorder.orders.like_speed import common_frames
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="line_phasors"):
+    noise_bins: tuple[int, int]
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
-
-NOISE_BINS = (3, 5)
-"""Bins on each side of a line, from and to, whose median is the noise of a frame."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,7 @@ def zooms(
 
 def _unaliased(line: Zoomed, item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
     """``line`` with its second one where the bins beside say that it is."""
-    bins = np.arange(at - SIDE_BINS, at + SIDE_BINS + 1)
+    bins = np.arange(at - CLOSE_PAIR.side_bins, at + CLOSE_PAIR.side_bins + 1)
     if line.second is None or bins[0] < 1 or bins[-1] >= item.spectrum.shape[2]:
         return line
     frames = np.isin(item.centre_rev, centre_rev)
@@ -121,7 +128,7 @@ def _unaliased(line: Zoomed, item: Recording, channels: list[int], at: int, cent
 
 def is_swept(speed_rpm: Floats) -> bool:
     """Whether frames at ``speed_rpm`` (frames,) are those of a run-up or coast-down; False where speed is not known."""
-    return bool(len(speed_rpm) > 1 and speed_rpm.max() > SWEPT_RATIO * speed_rpm.min())
+    return bool(len(speed_rpm) > 1 and speed_rpm.max() > ZOOM.swept_ratio * speed_rpm.min())
 
 
 def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
@@ -136,7 +143,13 @@ def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
 def _noise_beside(item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
     """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
     n_orders = item.spectrum.shape[2]
-    beside = [at + k for k in (*range(-NOISE_BINS[1], -NOISE_BINS[0] + 1), *range(NOISE_BINS[0], NOISE_BINS[1] + 1))]
+    beside = [
+        at + k
+        for k in (
+            *range(-NUMBERS.noise_bins[1], -NUMBERS.noise_bins[0] + 1),
+            *range(NUMBERS.noise_bins[0], NUMBERS.noise_bins[1] + 1),
+        )
+    ]
     bins = [k for k in beside if 1 < k < n_orders]
     frames = np.isin(item.centre_rev, centre_rev)
     power = np.square(np.abs(item.spectrum[channels][:, frames][:, :, bins].astype(np.complex128)))

@@ -11,32 +11,23 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
-from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
-from crankorder.identify.lines.speed_proof import proves_speed, speed_source
-from crankorder.identify.modal.order_blocks import blocks_of
+from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
+from crankorder.identify.modal.order_blocks import SAME_ORDER, blocks_of
 from crankorder.identify.modal.order_force import smooth_shapes
 from crankorder.identify.modal.order_responses import Block
+from crankorder.settings import MethodNumbers
 
-FORCE_TURN = 0.2
-"""Standard deviation [rad] of the first smooth term by which forces and what is far from modes turn the phase …"""
 
-SMOOTHER = 0.5
-"""… and of each further term over that of the one before …"""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="lock_through_modes"):
+    force_turn_rad: float
+    smoother_ratio: float
+    force_terms: int
+    far_turn_rad: float
+    most_left_share: float
+    fewest_free: int
 
-FORCE_TERMS = 3
-"""… of so many terms at least."""
 
-FAR_TURN = 1.0
-"""A fit that must be bent by more than this [rad] to allow for a slip is not near enough to tell."""
-
-SAME_ORDER = 1e-3
-"""Share of an order within which a response is that of the order."""
-
-MOST_LEFT = 0.05
-"""Share of an order's power that a fit may leave beyond the noise: 0.2 rad of phase …"""
-
-FEWEST_FREE = 4
-"""Degrees of freedom without which nothing is told."""
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -212,8 +203,10 @@ def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Array, Array]:
     across = 1j * first / size
     rows, left = np.zeros((count, 2 * n_linear)), np.zeros(count)
     for k in range(count):
-        rows[k, 1 + k], rows[k, n_linear + 1 + k] = np.array([across.real, across.imag]) / (FORCE_TURN * size)
-        left[k] = -(complex(response.smooth[1 + k]) * across.conjugate()).real / (FORCE_TURN * size)
+        rows[k, 1 + k], rows[k, n_linear + 1 + k] = np.array([across.real, across.imag]) / (
+            NUMBERS.force_turn_rad * size
+        )
+        left[k] = -(complex(response.smooth[1 + k]) * across.conjugate()).real / (NUMBERS.force_turn_rad * size)
     return rows, left
 
 
@@ -225,14 +218,14 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
     fitted = smooth @ response.smooth + modes @ response.residue
     weight = one.weight[0]
     by_f, by_zeta = (slope * response.residue for slope in one.modal_slopes(hz, damping))
-    shapes = smooth_shapes(one.speed_rpm, one.span_rpm, max(len(response.law), FORCE_TERMS))[:, 1:]
+    shapes = smooth_shapes(one.speed_rpm, one.span_rpm, max(len(response.law), NUMBERS.force_terms))[:, 1:]
     laws = np.zeros(shapes.shape[1], dtype=complex)
     laws[: len(response.law)] = response.law
     grown = fitted[:, None] * shapes
     shared = [grown * 1j, grown, by_f[:, response.reached], by_zeta[:, response.reached]]
     reached = [modal.modes[number] for number in response.reached]
     spread = [
-        FORCE_TURN * SMOOTHER ** np.arange(len(laws)),
+        NUMBERS.force_turn_rad * NUMBERS.smoother_ratio ** np.arange(len(laws)),
         np.full(len(laws), 10.0),
         np.array([mode.frequency_error_hz / mode.frequency_hz for mode in reached]),
         np.array([mode.damping_error / mode.damping_ratio for mode in reached]),
@@ -291,10 +284,10 @@ def _solved(part: _Part) -> _Left | None:
     found, left = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
     free = len(part.left) - matrix.shape[1]
     bent = np.abs(found[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
-    if free < FEWEST_FREE or bent > FAR_TURN or not scale[0] > 0.0:
+    if free < NUMBERS.fewest_free or bent > NUMBERS.far_turn_rad or not scale[0] > 0.0:
         return None
     beyond = max(0.0, float(np.square(left[: len(part.left)]).sum()) - free) / float(np.square(part.seen).sum())
-    if beyond > MOST_LEFT:
+    if beyond > NUMBERS.most_left_share:
         return None
     worse = max(1.0, float(left @ left) / free)
     error = np.hypot(np.sqrt(inverse[0, 0] * worse), np.sqrt(beyond) * np.linalg.norm(part.seen) / scale[0])

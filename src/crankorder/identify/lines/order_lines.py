@@ -12,25 +12,34 @@ from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
-from crankorder.identify.lines.changing import HeldSizes, between_of, ends_of, held_sizes, remark_on
-from crankorder.identify.lines.kept_phase import keeps_its_phase
-from crankorder.identify.lines.line_evidence import UNPROVEN, evidence_of, has_moved, is_unprovable, keeps_one_order
+from crankorder.identify.lines.growth import HeldSizes, between_of, ends_of, held_sizes, remark_on
+from crankorder.identify.lines.line_evidence import (
+    UNPROVEN,
+    evidence_of,
+    has_moved,
+    is_unprovable,
+    keeps_its_phase,
+    keeps_one_order,
+)
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.identify.said import UNRESOLVED
-from crankorder.settings import IdentifySettings, OrderSettings
+from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
-NEIGHBOUR_ORDERS = 0.25
-"""Within this of a stronger line nothing is called a line of its own: that is where the stronger one's skirts lie."""
 
-NEIGHBOUR_BINS = 8
-"""… or within so many bins, where frames are so long that these are fewer orders: skirts are as wide as bins."""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="order_lines"):
+    neighbour_orders: float
+    neighbour_bins: int
+    swept_bins: float
+    least_bins: float
+    swelling_ratio: float
+    left_ratio: float
+    bins_beside: int
+    weak_chance: float
+    fixed_share: float
 
-SWEPT_BINS = 0.15
-"""Standard error, in bins, that a change of amplitude within the frames of a run-up leaves in the place of a line."""
 
-LEAST_BINS = 0.01
-"""Standard error, in bins, that other lines' skirts and the slope of the noise leave in the place of any line."""
+NUMBERS = _Numbers.load()
 
 ANYWHERE_BINS = float(np.sqrt(1.0 / 12.0))
 """Standard deviation, in bins, of the place of a line that may lie anywhere within one."""
@@ -38,21 +47,6 @@ ANYWHERE_BINS = float(np.sqrt(1.0 / 12.0))
 SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
-
-SWELLING_RATIO = 400.0
-"""A line that swells and fades must stand 26 dB over its floor: then a resonance would leave more than noise …"""
-
-LEFT_RATIO = 2.0
-"""… beside its slow waves, at most so many times the floor."""
-
-BINS_BESIDE = 4
-"""Bins by which a line of fixed frequency has left its own at the speeds beside, in slow sweeps some speeds away."""
-
-WEAK_CHANCE = 1e-3
-"""Chance of noise at a speed below which a line that all speeds together show is seen there."""
-
-FIXED_SHARE = 0.5
-"""A line of few speeds whose frequency stands out at this share of the speeds beside is one of fixed frequency."""
 
 Floats = NDArray[np.float64]
 
@@ -123,12 +117,14 @@ def _stronger(
     """
     if len(search.speed) < 2 or not _is_swept(search):
         return []  # at speeds that are held the rules tell lines
-    refused = [one for one in refused if one[0] < len(search.axis) - NEIGHBOUR_BINS]  # there skirts of others end
+    refused = [
+        one for one in refused if one[0] < len(search.axis) - NUMBERS.neighbour_bins
+    ]  # there skirts of others end
     largest = max((float(line.amplitude.max()) for line in named), default=0.0)
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
     made = []
     for peak, seen in refused:
-        far = float(search.ratio[channel, seen, peak].max()) > SWELLING_RATIO
+        far = float(search.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
             line = _line(search, channel, peak, seen, UNPROVEN, UNRESOLVED)
             # two lines in one bin may be nothing, or twice what it holds
@@ -185,9 +181,9 @@ def _seen_together(search: _Search, channel: int, peak: int) -> NDArray[np.int64
     cells = search.excess.shape[0] * search.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
-    if not shown or _joined_chance(least) > WEAK_CHANCE:
+    if not shown or _joined_chance(least) > NUMBERS.weak_chance:
         return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(chances < WEAK_CHANCE)
+    return np.flatnonzero(chances < NUMBERS.weak_chance)
 
 
 def _joined_chance(chances: Floats) -> float:
@@ -244,12 +240,12 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: NDArray[np.int
 def _leaves_noise(line: Zoomed, floor: float) -> bool:
     """Whether ``line`` and its second one leave no more of a frame than the ``floor``: a resonance that noise excites
     leaves far more."""
-    return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < LEFT_RATIO * floor)
+    return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor)
 
 
 def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
     """Whether the frames hold nothing but slow waves and the noise of the floor, and the line stands far over that."""
-    if float(np.median(search.ratio[channel, seen, peak])) < SWELLING_RATIO:
+    if float(np.median(search.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
         return False
     floor = float(np.median(search.floor[channel, seen, peak]))
     width = float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
@@ -262,7 +258,7 @@ def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.in
         ).values()
     ]
     known = [value for value in left if np.isfinite(value)]
-    return len(known) > 0 and float(np.median(known)) < LEFT_RATIO * floor
+    return len(known) > 0 and float(np.median(known)) < NUMBERS.left_ratio * floor
 
 
 def _beyond_chance(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
@@ -291,15 +287,15 @@ def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: NDArray
         nearest = min(seen.tolist(), key=lambda k: abs(k - s))
         at = round(axis[peak] * speed[nearest] / speed[s] / (axis[1] - axis[0]))
         away = abs(at - peak)
-        if away > 1 and (away <= BINS_BESIDE or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
+        if away > 1 and (away <= NUMBERS.bins_beside or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
             found.append(bool((search.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
-    return len(found) > 0 and float(np.mean(found)) >= FIXED_SHARE
+    return len(found) > 0 and float(np.mean(found)) >= NUMBERS.fixed_share
 
 
 def _peaks(excess: Floats, axis: Floats) -> NDArray[np.int64]:
     """Bins that are above the level at a speed or more and the largest within a quarter order, or 8 bins if fewer."""
     score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
-    reach = min(NEIGHBOUR_BINS, max(1, round(NEIGHBOUR_ORDERS / (axis[1] - axis[0]))))
+    reach = min(NUMBERS.neighbour_bins, max(1, round(NUMBERS.neighbour_orders / (axis[1] - axis[0]))))
     padded = np.pad(score, reach, constant_values=-1.0)
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
     return np.flatnonzero((score > 0.0) & (score >= highest))
@@ -328,7 +324,8 @@ def _line(
     return OrderLine(
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
-        order_error=resolution * float(np.hypot(distance_error, SWEPT_BINS if _is_swept(search) else LEAST_BINS)),
+        order_error=resolution
+        * float(np.hypot(distance_error, NUMBERS.swept_bins if _is_swept(search) else NUMBERS.least_bins)),
         seen=seen,
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,

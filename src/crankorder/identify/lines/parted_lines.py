@@ -10,15 +10,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.swept_phase import STRETCHES, SURE_SIGMAS, Course, course_of
-from crankorder.identify.lines.zoom import SWEPT_TURNS
+from crankorder.identify.lines.zoom import NUMBERS as ZOOM
+from crankorder.identify.lines.zoom import Course, course_of
+from crankorder.settings import MethodNumbers
 
-UNREAD_SHARE = 0.15
-"""Standard error of a number whose phase is lost in noise, as a share of the distance to the other line: frames place
-lines, and those that they would move by half of that distance are none."""
 
-CLEAR = 3.0
-"""Standard errors by which a row must stand out to be one of the line."""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="parted_lines"):
+    unread_share: float
+    clear_sigmas: float
+
+
+NUMBERS = _Numbers.load()
 
 SURE_FREEDOM = 1e6
 """Degrees of freedom of a number that a course tells: its errors are bounds."""
@@ -119,14 +121,14 @@ def _chain(item: xr.Dataset, near: float, reach: float) -> list[int]:
 def _read(item: xr.Dataset, place: int, nearest: float) -> Followed:
     """The order number ``place`` of ``item``, which is ``nearest`` orders from the next line."""
     order, course = float(item["order"].values[place]), _course(item, place)
-    unread = (UNREAD_SHARE * nearest) ** 2
+    unread = (NUMBERS.unread_share * nearest) ** 2
     if course is None:
         return Followed(item, place, order, unread, by_phase=False, course=None)
     span = float(np.ptp(item["crank_angle"].values))
     bandwidth = float(np.median(item["bandwidth_hz"].values[place] * 60.0 / item["speed"].values))
-    variance = (course.half / SURE_SIGMAS) ** 2
-    if bandwidth * span < STRETCHES:
-        variance, course = variance + (SWEPT_TURNS / span) ** 2, replace(course, slopes=np.zeros(0))
+    variance = (course.half / ZOOM.sure_sigmas) ** 2
+    if bandwidth * span < ZOOM.stretches:
+        variance, course = variance + (ZOOM.swept_turns_rev / span) ** 2, replace(course, slopes=np.zeros(0))
     if variance > unread:
         return Followed(item, place, order, unread, by_phase=False, course=None)
     told = course if len(course.slopes) else None
@@ -156,7 +158,7 @@ def lines_of(
     for line in lines:
         rows = [_rows(item, line.channel) for item in followed]
         speed, size, error, freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
-        clear = np.flatnonzero(size > CLEAR * error)
+        clear = np.flatnonzero(size > NUMBERS.clear_sigmas * error)
         if not len(clear):
             continue
         apart = np.abs(speed_rpm[:, None] - speed[clear])

@@ -11,28 +11,258 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import LOBE_BINS, Held, held_recordings
+from crankorder.identify.known_lines import (
+    APART_CYCLES,
+    LOBE_BINS,
+    SEEN_SIGMAS,
+    Held,
+    Place,
+    bins_of,
+    data_of,
+    held_recordings,
+    noise_beside,
+    waves_of,
+)
 from crankorder.identify.lines.line_phasors import Recording
-from crankorder.identify.lines.order_lines import NEIGHBOUR_BINS, NEIGHBOUR_ORDERS, ONE_SPEED
-from crankorder.identify.lines.several_lines import STANDS_OVER, SolvedLine, leave_noise, several_lines
+from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
+from crankorder.identify.lines.order_lines import ONE_SPEED
 from crankorder.identify.mains import ALONE
+from crankorder.settings import MethodNumbers
 
-LEVEL_BINS = 16
-"""Bins on both sides of one whose median is the level that it stands over."""
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="several_orders"):
+    most_lines: int
+    least_cycles: float
+    wander_cycles: float
+    smallest_share: float
+    unsteady_share: float
+    beside_bins: int
+    left_ratio: float
+    left_share: float
+    stands_over_ratio: float
+    level_bins: int
+    same_sigmas: float
+    alike_share: float
+
+
+NUMBERS = _Numbers.load()
+
+PADDED = 4
+"""Trial places per reciprocal length of the recording: a line between two of them loses 10 % at most."""
+
+STEPS = 15
+"""Gauss-Newton steps: a start within a quarter of a cycle of the recording needs five."""
+
+SETTLED = 1e-6
+"""Cycles over the recording by which a step moves lines that are found."""
+
+LONGEST_STEP = 0.25
+"""Cycles over the recording by which a step moves a line at most."""
+
+Floats = NDArray[np.float64]
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedLine:
+    """A line at ``order`` (at the mean speed) with its standard ``error``; peak ``amplitude`` and ``amplitude_error``.
+
+    Both are (channels,); the latter is the standard error along one axis.
+    """
+
+    order: float
+    error: float
+    amplitude: Floats
+    amplitude_error: Floats
+
+    @property
+    def sigmas(self) -> float:
+        """Amplitude over its error in the channel that shows it best."""
+        return float(np.max(self.amplitude / np.maximum(self.amplitude_error, 1e-300)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Lines at ``places`` in data: amplitudes (lines, channels), what is ``left``, and the normal matrix of places."""
+
+    places: tuple[Place, ...]
+    amplitude: Complex
+    left: Complex
+    normal: Floats
+    waves: Complex
+
+    @property
+    def power(self) -> float:
+        return float(np.square(np.abs(self.left)).sum())
+
+
+def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -> list[SolvedLine]:
+    """Lines of ``held`` between the orders ``low`` and ``high``, lowest first; none where they do not leave noise.
+
+    One after the other, the strongest first, each time all of them solved together by least squares over frames and
+    bins, until nothing that is left stands over the noise beside it. Where something is left that no farther line is,
+    within a beat of one that was found or after as many as there may be, that is no set of steady lines, or the
+    recording does not part them: nothing is told. Lines that stand ``beyond`` orders farther off at most take part.
+    """
+    bins = bins_of(held, np.array([low, high]))
+    if not len(bins) or len(held.turn) < 8:
+        return []
+    data = data_of(held, bins)
+    weight = 1.0 / np.maximum(np.square(np.abs(data)).mean(axis=0), 1e-300)
+    waves = np.zeros((len(data), 0), dtype=np.complex128)
+    fit = _Fit((), np.zeros((0, data.shape[1]), dtype=np.complex128), data, np.zeros((0, 0)), waves)
+    while len(fit.places) < NUMBERS.most_lines:
+        start = _strongest(held, bins, fit.left, low - beyond, high + beyond)
+        if start is None:
+            return []
+        found = _joined(held, bins, data, weight, fit, start)
+        lines = _told(held, bins, found)
+        new, size = lines[-1], np.array([float((one.amplitude * np.sqrt(weight)).max()) for one in lines])
+        away = np.abs([one.order - new.order for one in lines[:-1]]) * held.span_rev
+        beside = size[:-1][away < APART_CYCLES].max(initial=0.0)
+        if new.sigmas <= SEEN_SIGMAS or size[-1] < max(
+            NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside
+        ):
+            rest = NUMBERS.unsteady_share if beside and new.sigmas > SEEN_SIGMAS else 0.0
+            return _if_noise(held, bins, fit, _told(held, bins, fit, rest))
+        orders = np.sort([one.order for one in lines])
+        if len(orders) > 1 and np.diff(orders).min() * held.span_rev < APART_CYCLES:
+            return []
+        fit = found
+    return []
+
+
+def leave_noise(held: Held, low: float, high: float, orders: Sequence[float]) -> bool:
+    """Whether lines at ``orders`` of ``held`` are all that stands between the orders ``low`` and ``high``."""
+    bins = bins_of(held, np.array([low, high]))
+    if not len(bins) or not len(orders):
+        return False
+    data, waves = data_of(held, bins), waves_of(held, bins, [(0.0, order) for order in orders])
+    amplitude = np.linalg.lstsq(waves, data, rcond=None)[0]
+    return _is_noise(held, bins, data - waves @ amplitude, np.abs(amplitude))
+
+
+def _if_noise(held: Held, bins: NDArray[np.int64], fit: _Fit, lines: list[SolvedLine]) -> list[SolvedLine]:
+    """``lines`` of ``fit``, lowest first, where they leave noise in ``bins``; else none."""
+    if not lines or not _is_noise(held, bins, fit.left, np.array([one.amplitude for one in lines])):
+        return []
+    return sorted(lines, key=lambda one: one.order)
+
+
+def _is_noise(held: Held, bins: NDArray[np.int64], left: Complex, told: Floats) -> bool:
+    """Whether lines of the amplitudes ``told`` (lines, channels) have ``left`` no more than stands beyond the ``bins``.
+
+    Of the channels in which one of them stands out; False where none does.
+    """
+    power = np.square(np.abs(held.spectrum)).mean(axis=1)
+    wide = np.arange(
+        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
+    )
+    floor = np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300)
+    largest = np.square(told).max(axis=0)
+    shown = largest > NUMBERS.stands_over_ratio * floor
+    over = np.square(np.abs(left)).reshape(len(held.turn), len(bins), -1).mean(axis=0).max(axis=0) / floor
+    return bool(shown.any() and (over < NUMBERS.left_ratio + NUMBERS.left_share**2 * largest / floor)[shown].all())
+
+
+def _strongest(held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float) -> float | None:
+    """Order between ``low`` and ``high`` at which a line would take most of what is ``left``."""
+    hop = float(np.median(np.diff(held.turn)))
+    slot = np.rint((held.turn - held.turn[0]) / hop).astype(np.int64)
+    n = PADDED * (int(slot[-1]) + 1)
+    n += n % 2
+    phasors = np.zeros((n, len(bins), left.shape[1]), dtype=np.complex128)
+    phasors[slot] = left.reshape(len(held.turn), len(bins), -1)
+    spectrum = np.fft.fft(phasors, axis=0)
+    trial = np.arange(np.ceil(low * n * hop), np.floor(high * n * hop) + 1.0) / (n * hop)
+    if len(trial) < 3:
+        return None
+    total = np.zeros((len(trial), left.shape[1]), dtype=np.complex128)
+    gain = np.zeros(len(trial))
+    for number, at in enumerate(held.axis[bins]):
+        away = (trial - at) * held.revs
+        pole = np.abs(np.abs(away) - 1.0) < 1e-6
+        shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
+        index = np.rint((trial - at) * n * hop).astype(np.int64) % n
+        phase = np.exp(-2j * np.pi * (trial - at) * held.turn[0])
+        total += (shape * phase)[:, None] * spectrum[index, number]
+        gain += shape**2
+    power = np.square(np.abs(total)) / np.maximum(gain, 1e-12)[:, None]
+    score = (power / np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-300)).sum(axis=1)
+    return float(trial[int(np.argmax(score))])
+
+
+def _joined(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, fit: _Fit, order: float) -> _Fit:
+    """``fit`` with one line more near ``order``, all solved together; as an order or a fixed frequency, what fits."""
+    kinds: list[Place] = [(0.0, order)]
+    apart = held.time_s * held.rpm / 60.0 - (held.turn - held.turn[0])
+    if order * float(np.ptp(apart)) > NUMBERS.wander_cycles:
+        kinds.append((order * held.rpm / 60.0, 0.0))
+    made = [_solved(held, bins, data, weight, (*fit.places, kind)) for kind in kinds]
+    return min(made, key=lambda one: one.power)
+
+
+def _solved(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, places: tuple[Place, ...]) -> _Fit:
+    """Least squares of lines near ``places``: amplitudes follow linearly from these (Golub and Pereyra 1973)."""
+    span = held.span_rev
+    for step in range(STEPS + 1):
+        waves = waves_of(held, bins, places)
+        inverse = np.linalg.pinv(waves)
+        amplitude = inverse @ data
+        left = data - waves @ amplitude
+        slopes = (waves_of(held, bins, _moved(held, places, np.full(len(places), 1e-3 / span))) - waves) * (1e3 * span)
+        change = slopes.T[:, :, None] * amplitude[:, None, :]
+        taken = np.einsum("ln,knc->klc", inverse, change)
+        change = change - np.einsum("nl,klc->knc", waves, taken)
+        scaled = (change * np.sqrt(weight)).reshape(len(places), -1)
+        normal = (scaled.conj() @ scaled.T).real
+        fit = _Fit(places, amplitude, left, normal, waves)
+        if step == STEPS:
+            break
+        score = (scaled.conj() @ (left * np.sqrt(weight)).ravel()).real
+        moves = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(places)), score)
+        if np.abs(moves).max() * span < SETTLED:
+            break
+        places = _moved(held, places, np.clip(moves, -LONGEST_STEP / span, LONGEST_STEP / span))
+    return fit
+
+
+def _moved(held: Held, places: tuple[Place, ...], orders: Floats) -> tuple[Place, ...]:
+    """``places``, each moved by so many ``orders``."""
+    return tuple(
+        (hertz + by * held.rpm / 60.0, turns) if hertz else (0.0, turns + by)
+        for (hertz, turns), by in zip(places, orders.tolist(), strict=True)
+    )
+
+
+def _told(held: Held, bins: NDArray[np.int64], fit: _Fit, rest: float = 0.0) -> list[SolvedLine]:
+    """The lines of ``fit`` with their errors, by the noise beside each and by what its neighbours take of it.
+
+    ``rest`` is the share of a line that is left beside it.
+    """
+    if not fit.places:
+        return []
+    orders = np.array([held.order_of(place) for place in fit.places])
+    by_size = np.diag(np.linalg.pinv((fit.waves.conj().T @ fit.waves).real))
+    by_size = np.sqrt(np.maximum(by_size * np.square(np.abs(fit.waves)).sum(axis=0), 1.0))
+    by_place = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)) * np.diag(fit.normal), 1.0))
+    made = []
+    for number, place in enumerate(fit.places):
+        alone = noise_beside(held, bins, place, fit.left, orders, median=True)
+        size = np.abs(fit.amplitude[number])
+        sigmas = float(np.max(size / np.maximum(alone, 1e-300)))
+        cycles = np.sqrt(6.0) / (np.pi * sigmas) * float(by_place[number])
+        error = float(np.hypot(cycles, max(NUMBERS.least_cycles, 0.5 * rest))) / held.span_rev
+        made.append(SolvedLine(float(orders[number]), error, size, alone * float(by_size[number])))
+    return made
+
 
 FREEDOM = 40.0
 """Degrees of freedom of an error that some 24 places beside a line tell."""
 
-SIGMAS = 3.0
-"""Standard errors within which two lines lie at one distance, or are of one size …"""
-
-ALIKE = 0.3
-"""… or shares of the larger: what changes the size changes the angle a little, which takes from one side."""
-
 SOLVED = "lines within a quarter order, solved together"
 """Words, after their number, of lines that were told apart so."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +300,7 @@ def close_lines(
     held = max(held_recordings(recordings, axis, names), key=lambda one: one.span_rev, default=None)
     if held is None:
         return []
-    reach = min(NEIGHBOUR_ORDERS, NEIGHBOUR_BINS * float(axis[1] - axis[0]))
+    reach = min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * float(axis[1] - axis[0]))
     found = []
     of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in range(1, ALONE + 1)]
     for peak in _peaks(order_map, reach):
@@ -80,13 +310,13 @@ def close_lines(
         orders = told(low, high)
         if leave_noise(held, low, high, orders):
             continue
-        inside = _solved(held, low, high)
+        inside = _solved_channels(held, low, high)
         if len(inside) > max(len(orders), 1) and not _is_modulated(inside):
             found.append(CloseLines(low, high, held.span_rev, tuple(inside)))
     return found
 
 
-def _solved(held: Held, low: float, high: float) -> list[SolvedLine]:
+def _solved_channels(held: Held, low: float, high: float) -> list[SolvedLine]:
     """Lines of ``held`` from ``low`` to ``high``; those beyond that reach into it take part."""
     beyond = LOBE_BINS / held.revs
     if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
@@ -103,7 +333,7 @@ def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
         mirrored = [
             other
             for other in rest
-            if abs(other.order - strongest.order + away) < SIGMAS * np.hypot(one.error, other.error)
+            if abs(other.order - strongest.order + away) < NUMBERS.same_sigmas * np.hypot(one.error, other.error)
             and _are_alike(one, other)
         ]
         if not mirrored:
@@ -113,9 +343,12 @@ def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
 
 def _are_alike(one: SolvedLine, other: SolvedLine) -> bool:
     """Whether both are of one size in all channels, as far as their errors and a changing speed tell."""
-    room = SIGMAS * np.hypot(one.amplitude_error, other.amplitude_error)
+    room = NUMBERS.same_sigmas * np.hypot(one.amplitude_error, other.amplitude_error)
     return bool(
-        (np.abs(one.amplitude - other.amplitude) <= room + ALIKE * np.maximum(one.amplitude, other.amplitude)).all()
+        (
+            np.abs(one.amplitude - other.amplitude)
+            <= room + NUMBERS.alike_share * np.maximum(one.amplitude, other.amplitude)
+        ).all()
     )
 
 
@@ -123,12 +356,12 @@ def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
     """Bins that stand far over the level about them in a channel and are the largest within ``reach`` orders."""
     power = np.square(np.nan_to_num(order_map["amplitude"].values[:, 0].astype(np.float64)))
     bins = max(1, round(reach / float(order_map["order"].values[1] - order_map["order"].values[0])))
-    wide = np.pad(power, ((0, 0), (LEVEL_BINS, LEVEL_BINS)), mode="reflect")
-    level = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * LEVEL_BINS + 1, axis=1), axis=2)
+    wide = np.pad(power, ((0, 0), (NUMBERS.level_bins, NUMBERS.level_bins)), mode="reflect")
+    level = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * NUMBERS.level_bins + 1, axis=1), axis=2)
     over = (power / np.maximum(level, 1e-300)).max(axis=0)
     padded = np.pad(over, bins, constant_values=-1.0)
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * bins + 1).max(axis=1)
-    return [int(at) for at in np.flatnonzero((over >= highest) & (over > STANDS_OVER))]
+    return [int(at) for at in np.flatnonzero((over >= highest) & (over > NUMBERS.stands_over_ratio))]
 
 
 def lines_at(close: CloseLines, one: SolvedLine, order_map: xr.Dataset) -> list[OrderLine]:

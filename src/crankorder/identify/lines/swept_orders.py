@@ -2,24 +2,162 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.lengths import longer_frames
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.swept_company import company_of, settled
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
-from crankorder.settings import Settings
+from crankorder.orders.track_rows import hann_lobe
+from crankorder.settings import MethodNumbers, Settings
 
-MOST_FOLLOWED = 20
-"""Orders that are followed jointly; the strongest, for the cost grows faster than their number."""
 
-SAME_BINS = 0.5
-"""A line within so many bins of a multiple of the cycle's frequency is taken to be it: in a sweep a bin tells
-no better, and the two together could not be told apart."""
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="swept_orders"):
+    longest_revs: int
+    fewest_lengths: int
+    reach_bins: int
+    nearest_bins: float
+    step_bins: float
+    least_gain: float
+    fewest_frames: int
+    most_followed: int
+    same_bins: float
+
+
+NUMBERS = _Numbers.load()
+
+
+def longer_frames(revs: float, span_rev: float) -> list[float]:
+    """Lengths [rev] from ``revs`` on, each twice the one before, that a recording of ``span_rev`` holds."""
+    made = [revs]
+    while 2.0 * made[-1] <= NUMBERS.longest_revs and span_rev >= NUMBERS.fewest_lengths * 2.0 * made[-1]:
+        made.append(2.0 * made[-1])
+    return made
+
+
+def longest_frame(revs: float, span_rev: float) -> float:
+    """The last of :func:`longer_frames`, of ``revs`` and ``span_rev``."""
+    return longer_frames(revs, span_rev)[-1]
+
+
+SETTLING_STEPS = 3
+"""Rounds in which numbers of close lines settle: each leaves a tenth of what the one before left."""
+
+TRIAL_SPEEDS = 64
+"""Speeds at which a ringing mode may have been met."""
+
+LARGEST_MOVE = 0.5
+"""Share of the distance of two lines by which a number moves at most."""
+
+WIDTH_BINS = 0.01
+"""Step by which the shape of a line that swells or bends is differenced."""
+
+Array = NDArray[np.float64]
+
+
+def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -> float:
+    """Order of a line close to ``order`` in the OrderFrames ``frames`` of a sweep; NaN where there is none.
+
+    Each frame is solved for the line, whose amplitude may run as a parabola, those of ``others`` (orders) in reach, and
+    one more at every distance in turn; it is there where it lowers what the median frame leaves of the bins in reach by
+    more than ``least_gain``.
+    """
+    revs = float(frames.attrs["revs_per_frame"])
+    place = order * revs
+    used = _bins_about(place, frames)
+    turned = _turned(frames, used)
+    seen = turned.reshape(-1, len(used))
+    seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
+    if len(seen) < NUMBERS.fewest_frames or len(used) < NUMBERS.reach_bins:
+        return float("nan")
+    near = [other * revs for other in others if 0.0 < abs(other * revs - place) < 2.0 * NUMBERS.reach_bins]
+    known = [
+        _changing_lobe(used - place),
+        *(_changing_lobe(used - other)[:2] for other in near),
+    ]
+    base = np.linalg.qr(np.concatenate(known).T)[0]
+    left = seen - (seen @ base) @ base.T
+    energy = np.maximum((np.abs(left) ** 2).sum(axis=1), np.finfo(float).tiny)
+    beside: Array = np.arange(NUMBERS.nearest_bins, NUMBERS.reach_bins - 1.0, NUMBERS.step_bins)
+    apart = np.concatenate([-beside[::-1], beside])
+    lobes = hann_lobe(used - place - apart[:, None])
+    lobes -= (lobes @ base) @ base.T
+    lobes /= np.linalg.norm(lobes, axis=1, keepdims=True)
+    share = np.median(1.0 - np.abs(left @ lobes.T) ** 2 / energy[:, None], axis=0)
+    best = int(share.argmin())
+    return order + float(apart[best]) / revs if share[best] * NUMBERS.least_gain < 1.0 else float("nan")
+
+
+def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float] = ()) -> list[float] | None:
+    """Numbers of the close lines ``orders`` by how their phases run over the OrderFrames ``frames`` of a sweep.
+
+    Each frame is solved for all of them and those of ``others`` (orders) in reach; what most steps from frame to frame
+    turn a line by is how far it is off. None where one moves by more than LARGEST_MOVE of their distance, or keeps a
+    frequency rather than an order: then they are no two lines that keep their numbers, but one and what it rings.
+    """
+    revs = float(frames.attrs["revs_per_frame"])
+    middle, apart = float(np.mean(orders)), float(np.diff(sorted(orders)).min())
+    used = _bins_about(middle * revs, frames)
+    centre: Array = frames["crank_angle"].values + 0.5 * revs
+    turned = _turned(frames, used)
+    near = [
+        _changing_lobe(used - other * revs)[:2]
+        for other in others
+        if abs(other - middle) * revs < 2.0 * NUMBERS.reach_bins
+    ]
+    numbers: Array = np.array(orders, dtype=np.float64)
+    for _ in range(SETTLING_STEPS):
+        lobes = np.concatenate([hann_lobe(used - numbers[:, None] * revs), *near])
+        phasors = turned @ np.linalg.pinv(lobes)[:, : len(numbers)]
+        steady = phasors * np.exp(-2j * np.pi * (np.outer(centre, numbers) % 1.0))
+        steps = np.nansum(steady[:, 1:] * steady[:, :-1].conj(), axis=0)
+        numbers = numbers + _usual_turn(steps) / float(np.median(np.diff(centre)))
+    moved = np.abs(numbers - np.asarray(orders)).max()
+    rings = any(_keeps_frequency(step, number, frames) for step, number in zip(steps.T, numbers, strict=True))
+    return None if rings or moved > LARGEST_MOVE * apart else numbers.tolist()
+
+
+def _keeps_frequency(steps: NDArray[np.complex128], order: float, frames: xr.Dataset) -> bool:
+    """Whether ``steps`` (frames - 1,) from frame to frame turn as those of one frequency near ``order``, rather than as
+    those of one order: a lightly damped mode rings on at its own."""
+    speed = frames["speed"].values
+    between, hop = 0.5 * (speed[1:] + speed[:-1]), np.diff(frames["crank_angle"].values)
+    unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+    met: Array = np.linspace(speed.min(), speed.max(), TRIAL_SPEEDS)
+    turns = np.outer(order * met, hop / between)
+    return bool(np.abs(np.exp(-2j * np.pi * turns) @ unit).max() >= np.abs(unit.sum()))
+
+
+def _usual_turn(steps: NDArray[np.complex128]) -> Array:
+    """Median turn [rev] of ``steps`` (frames - 1, lines), about their mean."""
+    unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+    mean = np.exp(1j * np.angle(unit.sum(axis=0)))
+    return np.asarray((np.angle(mean) + np.median(np.angle(unit / mean), axis=0)) / (2.0 * np.pi))
+
+
+def _bins_about(place: float, frames: xr.Dataset) -> Array:
+    """Numbers of the bins in reach of ``place`` (in bins)."""
+    first, last = round(place) - NUMBERS.reach_bins, round(place) + NUMBERS.reach_bins + 1
+    return np.arange(max(1, first), min(frames.sizes["order"], last), dtype=np.float64)
+
+
+def _turned(frames: xr.Dataset, used: Array) -> NDArray[np.complex128]:
+    """Spectra (channels, frames, bins) in the bins ``used``, phases counted from the middle of each frame."""
+    revs = float(frames.attrs["revs_per_frame"])
+    centre = frames["crank_angle"].values + 0.5 * revs
+    turn = np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
+    return np.asarray(frames["spectrum"].values[:, :, used.astype(int)] * turn)
+
+
+def _changing_lobe(off_bins: Array) -> Array:
+    """Lobe (3, bins) of a line that is steady, that grows, and that bends."""
+    before, here, after = (hann_lobe(off_bins + side * WIDTH_BINS) for side in (-1.0, 0.0, 1.0))
+    return np.array([here, after - before, before + after - 2.0 * here])
 
 
 def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
@@ -54,14 +192,14 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
                 placed = [_on_multiple(number, cycle, step) for number in numbers]
                 kept.remove((order, level))
                 kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]
-    strongest = sorted(kept, key=lambda one: -one[1])[:MOST_FOLLOWED]
+    strongest = sorted(kept, key=lambda one: -one[1])[: NUMBERS.most_followed]
     return sorted(order for order, _ in strongest)
 
 
 def _on_multiple(order: float, cycle: int, step: float) -> float:
     """``order``, or the multiple of 1 / ``cycle`` that bins of ``step`` orders do not tell from it."""
     multiple = round(order * cycle) / cycle
-    return multiple if abs(order - multiple) < SAME_BINS * step else order
+    return multiple if abs(order - multiple) < NUMBERS.same_bins * step else order
 
 
 def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:

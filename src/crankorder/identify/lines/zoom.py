@@ -1,4 +1,4 @@
-"""The order of a line, from the phase by which it runs ahead of its bin from frame to frame."""
+"""The order of a line, from the phase by which it runs ahead of its bin; in a run-up modes turn it too."""
 
 from __future__ import annotations
 
@@ -10,56 +10,44 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from crankorder.identify.lines.close_pair import solved_pair
-from crankorder.identify.lines.swept_phase import SURE_SIGMAS, Course, course_of
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="zoom"):
+    seen_squared: float
+    beating_squared: float
+    noise_degrees: int
+    swept_ratio: float
+    swept_turn_rev: float
+    swept_turns_rev: float
+    most_drift_turn_rev: float
+    turn_per_drift: float
+    second_chance: float
+    second_ratio: float
+    second_cycles: float
+    wander_degrees: int
+    wander_share: float
+    swept_second_ratio: float
+    same_halves_share: float
+    mirrored_share: float
+    stretches: int
+    densest_share: float
+    mode_tails_rev: float
+    largest_scatter_rev: float
+    fewest_steps: int
+    sure_sigmas: float
+    least_turns_rev: float
+    even_share: float
+    one_way_share: float
+
+
+NUMBERS = _Numbers.load()
 
 GRID_PER_SPAN = 4
 """Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
 
-SEEN_SQUARED = 40.0
-"""Square of a line's amplitude over its noise, along one axis, from which its phase is followed."""
-
-BEATING_SQUARED = 4.0
-"""The same of a line whose beat with a second one still counts as its noise."""
-
-NOISE_DEGREES = 6
-"""Slow polynomials over the frames, whose power is the noise near the line."""
-
-SWEPT_RATIO = 1.02
-"""Fastest over slowest frame from which the phase of the structure's response may turn under way …"""
-
-SWEPT_TURN, SWEPT_TURNS = 0.25, 1.0
-"""… by this standard error, in revolutions of phase over the whole recording: a mode turns it by half of one; several
-add up to the second, where a line stands alone and cannot be seen part by part."""
-
-DRIFT_TURN, DRIFT_TURNS = 0.25, 40.0
-"""Standard error of the turn [rev] where a speed that is held drifts: so many times the drift, as a share, up to the
-first; that of the lightest mode, damped by 0.2 %, on which the line may stand."""
-
-SECOND_CHANCE = 1e-6
-"""Chance that noise shows a second line beside the first."""
-
-SECOND_RATIO = 0.03
-"""A second line has at least this share of the first one's amplitude: less may be its skirts."""
-
-SECOND_CYCLES = 1.5
-"""Two lines are told apart where they beat so often within the recording."""
-
-WANDER_DEGREES = 3
-"""Polynomials over the frames that tell a line that swells and fades once …"""
-
-WANDER_SHARE = 0.02
-"""… by at least this share of its amplitude (root mean square)."""
-
-SWEPT_SECOND_RATIO = 0.15
-"""In a run-up, whose lines have skirts of their own, a second line has at least this share of the first one's."""
-
-SAME_HALVES = 0.5
-"""Largest difference of a second line between both halves of the recording, over its amplitude."""
-
-MIRRORED = 0.5
-"""An equal line on the other side, of this share of the second's amplitude, makes both a modulation of the first."""
-
 Complex = NDArray[np.complex128]
+
 Floats = NDArray[np.float64]
 
 
@@ -160,17 +148,17 @@ def zoomed(
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
     found = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
     line = _followed(phasors, frames, found)
-    second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > BEATING_SQUARED else None
+    second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > NUMBERS.beating_squared else None
     if second is not None:
         others = phasors - _waves(second, turn)
         line = _followed(others, frames, line.offset)
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
-        if second.snr < SEEN_SQUARED:
+        if second.snr < NUMBERS.seen_squared:
             second = None
         elif not swept:
             line, second = _solved_together(phasors, frames, line, second)
     course = course_of(given, turn, noise) if swept and noise is not None and second is None else None
-    if line.snr < SEEN_SQUARED and course is None:
+    if line.snr < NUMBERS.seen_squared and course is None:
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
     beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
@@ -182,9 +170,9 @@ def zoomed(
 def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
     """``line`` of a run-up with the order that its ``course`` tells between the modes that it crosses."""
     if course is None:
-        several = 0.0 if line.second is not None else (SWEPT_TURNS / line.span_rev) ** 2
+        several = 0.0 if line.second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
         return replace(line, swept=True, variance=line.variance + several)
-    variance = (course.half / SURE_SIGMAS) ** 2
+    variance = (course.half / NUMBERS.sure_sigmas) ** 2
     return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
 
@@ -194,14 +182,14 @@ def left_of_slow_waves(phasors: Complex, turn: Floats, *, hop_rev: float) -> flo
     ``turn`` (frames,) is the crank angle of each in rev from the middle, ``hop_rev`` that from frame to frame. Lines so
     close that they beat less than twice in the recording leave the noise, a resonance that noise excites far more.
     """
-    if len(turn) < 2 * (NOISE_DEGREES + 1):
+    if len(turn) < 2 * (NUMBERS.noise_degrees + 1):
         return np.nan
     trial = _trials(float(np.ptp(turn)), hop_rev, None)
     best = trial[int(np.argmax(np.abs(phasors @ np.exp(-2j * np.pi * np.outer(turn, trial)))))]
-    rows = _polynomials(turn, NOISE_DEGREES)
+    rows = _polynomials(turn, NUMBERS.noise_degrees)
     slow = rows @ (phasors * np.exp(-2j * np.pi * best * turn))
     left = float(np.square(np.abs(phasors)).sum() - np.square(np.abs(slow)).sum())
-    return left / (len(turn) - NOISE_DEGREES - 1)
+    return left / (len(turn) - NUMBERS.noise_degrees - 1)
 
 
 def _at_zero(line: Zoomed, middle: float) -> Complex:
@@ -227,7 +215,7 @@ def _followed(phasors: Complex, frames: Frames, offset: float) -> Zoomed:
     not taken for that of several.
     """
     turn = frames.turn
-    degrees = min(len(turn) - 1, NOISE_DEGREES + min(len(turn) // 16, NOISE_DEGREES))
+    degrees = min(len(turn) - 1, NUMBERS.noise_degrees + min(len(turn) // 16, NUMBERS.noise_degrees))
     rows = _polynomials(turn, degrees)
     slope, steady_from = float(rows[1] @ turn), 2 if frames.swept and degrees > 1 else 1
     level = frames.noise_of(rows, offset)
@@ -244,7 +232,11 @@ def _followed(phasors: Complex, frames: Frames, offset: float) -> Zoomed:
     dof = max(1.0, len(kept) - len(phasors) + 1.0)  # the weights of the channels were fitted to the same waves
     power = float(kept @ kept) / dof
     variance = power * level[1] ** 2 / (2.0 * np.pi * slope) ** 2
-    unknown = SWEPT_TURN if frames.swept else min(DRIFT_TURN, DRIFT_TURNS * frames.drift)
+    unknown = (
+        NUMBERS.swept_turn_rev
+        if frames.swept
+        else min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * frames.drift)
+    )
     variance += (unknown / float(np.ptp(turn))) ** 2
     snr = len(turn) / max(power * level[0] ** 2, 1e-24)
     error = level[0] * np.sqrt(held / len(kept) / len(turn))
@@ -278,22 +270,24 @@ def _second(phasors: Complex, frames: Frames, line: Zoomed, hop_rev: float) -> Z
         return None
     left = phasors - _waves(line, turn)
     trial = _trials(span, hop_rev, None)
-    trial = trial[np.abs(trial - line.offset) >= SECOND_CYCLES / span]
+    trial = trial[np.abs(trial - line.offset) >= NUMBERS.second_cycles / span]
     if len(trial) < 8:
         return None
     power = np.square(np.abs(left @ np.exp(-2j * np.pi * np.outer(turn, trial))))
     score = (power / np.maximum(np.median(power, axis=1, keepdims=True), 1e-300)).sum(axis=0)
     n = float(len(phasors))
-    level = n * gammainccinv(n, SECOND_CHANCE / len(turn)) / gammainccinv(n, 0.5)
+    level = n * gammainccinv(n, NUMBERS.second_chance / len(turn)) / gammainccinv(n, 0.5)
     best = int(np.argmax(score))
     if score[best] < level:
         return None
     found = _refined_pair(phasors, frames, line, float(trial[best]))
-    large = np.abs(found.amplitude) > (SWEPT_SECOND_RATIO if frames.swept else SECOND_RATIO) * np.abs(line.amplitude)
-    if not large.any() or abs(found.offset - line.offset) < SECOND_CYCLES / span:
+    large = np.abs(found.amplitude) > (NUMBERS.swept_second_ratio if frames.swept else NUMBERS.second_ratio) * np.abs(
+        line.amplitude
+    )
+    if not large.any() or abs(found.offset - line.offset) < NUMBERS.second_cycles / span:
         return None
     mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - found.offset) * turn)).mean(axis=1))
-    if np.linalg.norm(mirror) > MIRRORED * np.linalg.norm(found.amplitude):
+    if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(found.amplitude):
         return None
     return found if _in_both_halves(phasors, turn, line, found) else None
 
@@ -319,7 +313,7 @@ def _solved_together(phasors: Complex, frames: Frames, line: Zoomed, second: Zoo
     pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
     if pair is None:
         return line, second
-    drift = (min(DRIFT_TURN, DRIFT_TURNS * frames.drift) / line.span_rev) ** 2
+    drift = (min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * frames.drift) / line.span_rev) ** 2
     made = []
     for k, one in enumerate((line, second)):
         snr = float(np.max(np.square(np.abs(pair.amplitude[:, k]) / np.maximum(pair.error[:, k], 1e-300))))
@@ -342,20 +336,86 @@ def _in_both_halves(phasors: Complex, turn: Floats, line: Zoomed, second: Zoomed
     waves = np.exp(2j * np.pi * np.outer(turn, [line.offset, second.offset]))
     halves = [np.linalg.lstsq(waves[part], phasors[:, part].T, rcond=None)[0][1] for part in (turn < 0, turn >= 0)]
     apart = np.linalg.norm(halves[0] - halves[1])
-    return bool(apart < SAME_HALVES * (np.linalg.norm(halves[0]) + np.linalg.norm(halves[1])))
+    return bool(apart < NUMBERS.same_halves_share * (np.linalg.norm(halves[0]) + np.linalg.norm(halves[1])))
 
 
 def _wander(phasors: Complex, turn: Floats, line: Zoomed) -> float:
     """Power of slow waves over that of all faster ones, in what is left of the frames without ``line``; by channel.
 
-    The median over channels; NaN for few frames, or where what is left is less than WANDER_SHARE of the line.
+    The median over channels; NaN for few frames, or where what is left is less than ``wander_share`` of the line.
     """
-    if len(turn) < 4 * WANDER_DEGREES:
+    if len(turn) < 4 * NUMBERS.wander_degrees:
         return np.nan
     left = (phasors - _waves(line, turn)) * np.exp(-2j * np.pi * line.offset * turn)
-    rows = _polynomials(turn, WANDER_DEGREES)[1:]
+    rows = _polynomials(turn, NUMBERS.wander_degrees)[1:]
     slow = np.square(np.abs(left @ rows.T)).sum(axis=1)
     fast = np.maximum(np.square(np.abs(left)).sum(axis=1) - slow, 1e-30)
-    ratio = slow / WANDER_DEGREES / (fast / (len(turn) - WANDER_DEGREES - 1))
-    large = slow / len(turn) > (WANDER_SHARE * np.abs(line.amplitude)) ** 2
+    ratio = slow / NUMBERS.wander_degrees / (fast / (len(turn) - NUMBERS.wander_degrees - 1))
+    large = slow / len(turn) > (NUMBERS.wander_share * np.abs(line.amplitude)) ** 2
     return float(np.median(np.where(large, ratio, 0.0)))
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the phase of a line runs over a recording: at ``offset`` orders from its bin, surely within ``half`` orders.
+
+    ``slopes`` (stretches,) are those of its stretches, each known within ``reach``; they cover ``span_rev``.
+    ``alike`` is the length of the mean of the unit phasors of its ``steps`` from frame to frame: 1 where all are alike.
+    """
+
+    offset: float
+    half: float
+    slopes: Floats
+    reach: float
+    span_rev: float
+    alike: float
+    steps: int
+
+    def slips_from(self, offset: float) -> bool:
+        """Whether the phase runs away from that of a line ``offset`` orders from the bin as modes cannot make it."""
+        slope = self.slopes - offset
+        mean = self.offset - offset
+        if abs(mean) * self.span_rev < NUMBERS.least_turns_rev or self.half > NUMBERS.even_share * abs(mean):
+            return False
+        return float(np.mean(slope * np.sign(mean) > self.reach)) >= NUMBERS.one_way_share
+
+
+def course_of(phasors: Complex, turn: Floats, noise: Floats) -> Course | None:
+    """How the phase of the line in ``phasors`` runs over a run-up; None where too few frames show it.
+
+    Its turn per revolution is that at which most stretches of the run-up agree: a mode adds up to half a turn where it
+    is crossed, several add up, but between them a locked line stands still. A slip turns all stretches alike.
+
+    Parameters
+    ----------
+    phasors : (channels, frames), complex amplitudes in one bin whose phase is that from crank angle 0
+    turn : (frames,), rev, crank angle of the middle of each frame
+    noise : (channels, frames), noise power of each
+    """
+    scaled = phasors / np.sqrt(np.maximum(noise, 1e-300))
+    product = (scaled[:, 1:] * scaled[:, :-1].conj()).sum(axis=0)
+    power = np.square(np.abs(scaled)).sum(axis=0)
+    size = np.maximum(np.abs(product), 1e-300)
+    scatter = np.sqrt(0.5 * (power[1:] + power[:-1]) + len(phasors)) / size / (2.0 * np.pi)
+    step, hop = np.angle(product) / (2.0 * np.pi), np.diff(turn)
+    kept = scatter < NUMBERS.largest_scatter_rev
+    if np.count_nonzero(kept) < NUMBERS.fewest_steps:
+        return None
+    step, hop, scatter = step[kept], hop[kept], scatter[kept]
+    width = max(1, len(step) // NUMBERS.stretches)
+    path = np.concatenate([[0.0], np.cumsum(step)])
+    along = np.concatenate([[0.0], np.cumsum(hop)])
+    length = along[width:] - along[:-width]
+    slopes = (path[width:] - path[:-width]) / length
+    noise_of_slope = float(np.sqrt(2.0) * np.median(scatter)) / float(np.median(length))
+    ordered, count = np.sort(slopes), max(2, int(np.ceil(NUMBERS.densest_share * len(slopes))))
+    spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    first = int(np.argmin(spans))
+    offset = float(np.median(ordered[first : first + count]))
+    tails = NUMBERS.mode_tails_rev / float(np.median(length))
+    independent = max(1.0, count / width)
+    alike = float(np.abs(np.exp(2j * np.pi * step).mean()))
+    half = 0.5 * float(spans[first]) + NUMBERS.sure_sigmas * noise_of_slope / float(np.sqrt(independent)) + tails
+    return Course(
+        offset, half, slopes, NUMBERS.sure_sigmas * noise_of_slope + tails, float(along[-1]), alike, len(step)
+    )

@@ -1,0 +1,197 @@
+"""Orders of a test with what was followed of them: their numbers, and the rows of their tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.intervals import half_width, half_widths, interval
+from crankorder.identify.lines.agreed_orders import IN_SWEEP
+from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
+from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
+from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
+from crankorder.identify.said import UNRESOLVED
+from crankorder.orders.track_rows import OrderRows, TrackReader, all_tracked, track_order
+from crankorder.settings import MethodNumbers, OrderSettings
+
+
+class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orders"):
+    same_order: float
+    clear_sigmas: float
+    clear_rows: int
+
+
+NUMBERS = _Numbers.load()
+
+ONLY_FOLLOWED = "seen along the sweep only, where it was followed: no frame of the map holds it for long"
+"""What is said of an order that the map does not show."""
+
+
+def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset]) -> tuple[AgreedOrder, ...]:
+    """``orders`` of which an undecided one has the number under which it was followed, where its interval holds that.
+
+    A fast sweep turns the phase of a line by its modes in so few revolutions that its number is known to a percent
+    only; the tracks of ``followed`` (RecordingTracks) stand at a multiple of the cycle's then, or at what long frames
+    tell. A number that another of the orders has already is left to that; errors grow by what a number moves.
+    """
+    tracks: list[NDArray[np.float64]] = [item["order"].values for item in followed if item.attrs.get("swept", 0)]
+    if not tracks:
+        return tuple(orders)
+    numbers = np.unique(np.concatenate(tracks))
+    taken = [
+        number for number in numbers if any(abs(one.order - number) <= NUMBERS.same_order * number for one in orders)
+    ]
+    made = []
+    for one in orders:
+        number = float(numbers[np.abs(numbers - one.order).argmin()]) if len(numbers) else np.inf
+        off = abs(number - one.order)
+        within = NUMBERS.same_order * number < off <= sure_half_width(one.order_error, one.degrees_of_freedom)
+        if one.lock == "undecided" and within and number not in taken:
+            taken.append(number)
+            error = max(one.order_error, off / half_width(one.degrees_of_freedom))
+            one = replace(one, order=number, order_error=error)
+        made.append(one)
+    return tuple(sorted(made, key=lambda item: item.order))
+
+
+def with_followed(
+    orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset], order_map: xr.Dataset
+) -> tuple[AgreedOrder, ...]:
+    """``orders`` and, undecided, those multiples of the cycle's that tracks of ``followed`` (RecordingTracks) show.
+
+    A fast sweep lets an order stand out for a moment only, as where it meets a mode: too few speeds of the OrderMap
+    ``order_map`` hold it, but the frames of its recording told that it is worth following.
+    """
+    cycle = int(order_map.attrs["revs_per_cycle"])
+    found = list(orders)
+    axis = order_map["order"].values
+    if len(axis) < 2:
+        return tuple(orders)
+    apart = 0.5 * float(axis[1] - axis[0])
+    for item in followed:
+        for place in standing_out(item):
+            number = float(item["order"].values[place])
+            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
+            if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > NUMBERS.same_order * number:
+                continue
+            clear = _clear_rows(item, place)
+            if clear.any():
+                span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
+                error = min(apart, AGREED_ORDERS.most_mode_turns / span) / half_width(np.inf)
+                lines = _lines_along(item, place, clear, error, order_map)
+                why = f"{ONLY_FOLLOWED}; {IN_SWEEP}"
+                found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, why))
+    return tuple(sorted(found, key=lambda one: one.order))
+
+
+def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
+    """Rows (channel, frame) in which the order at ``place`` of the tracks ``item`` stands out, of channels that do."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
+    clear = np.nan_to_num(level) > NUMBERS.clear_sigmas
+    return np.asarray(clear & (np.count_nonzero(clear, axis=1) >= NUMBERS.clear_rows)[:, None])
+
+
+def _lines_along(
+    item: xr.Dataset, place: int, clear: NDArray[np.bool_], error: float, order_map: xr.Dataset
+) -> tuple[OrderLine, ...]:
+    """Lines of the order at ``place`` of the tracks ``item``, in rows of the map, of channels where it is ``clear``."""
+    number, none = float(item["order"].values[place]), np.zeros(0)
+    stand_ins = []
+    for channel, name in enumerate(item["channel"].values.tolist()):
+        rows = np.flatnonzero(clear[channel])
+        if len(rows):
+            amplitude, noise = (item[key].values[channel, place, rows] for key in ("amplitude", "standard_error"))
+            level = 20.0 * np.log10(float((np.abs(amplitude) / noise).max()))
+            seen = np.zeros(0, dtype=np.int64)
+            line = OrderLine(name, number, error, seen, none, none, none, none, none, "follows the speed", level)
+            stand_ins.append(line)
+    track = Followed(item, place, number, error**2, by_phase=False, course=None)
+    speeds = order_map["speed"].values
+    return tuple(lines_of(stand_ins, [track], speed_rpm=speeds, order=number, order_error=error))
+
+
+Floats = NDArray[np.float64]
+
+
+def with_track_rows(
+    orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings
+) -> tuple[AgreedOrder, ...]:
+    """``orders`` whose lines hold the amplitudes, phases and intervals of the rows of their tracks, as ``reader`` has
+    them for all orders of the test and those that ``settings`` ask for.
+
+    At held speeds these are the rows at which a line was seen; of a sweep, those that surely hold something of it.
+    Where the scatter within or between recordings makes a line's own interval wider, that stays.
+    """
+    cycle = int(reader.order_map.attrs["revs_per_cycle"])
+    numbers = [track_number(one, revs_per_cycle=cycle) for one in orders]
+    tracked = all_tracked(numbers, settings)
+    names = reader.order_map["channel"].values.tolist()
+    made = []
+    for agreed, number in zip(orders, numbers, strict=True):
+        rows = reader.rows(number, [other for other in tracked if other != number])
+        worth = reader.worth(number)
+        lines = tuple(_read(line, rows, names.index(line.channel), worth, reader) for line in agreed.lines)
+        made.append(replace(agreed, lines=lines))
+    return tuple(made)
+
+
+def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
+    """The number at which the track of ``agreed`` stands (``revs_per_cycle`` 1 or 2: what it may be locked to)."""
+    ends = interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom)
+    return track_order(agreed.order, ends, agreed.lock, revs_per_cycle=revs_per_cycle)
+
+
+def _read(line: OrderLine, rows: OrderRows, channel: int, worth: Floats, reader: TrackReader) -> OrderLine:
+    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none."""
+    if line.reservation == UNRESOLVED:
+        return line
+    amplitude, error = rows.amplitude[channel], rows.standard_error[channel]
+    known = np.isfinite(amplitude) & np.isfinite(error) & (amplitude > 0.0)
+    held = len(reader.map_rpm)
+    chosen = known & (rows.amplitude_low[channel] > 0.0)
+    chosen[:held] = known[:held] & np.isin(np.arange(held), line.seen)
+    at = np.flatnonzero(chosen)
+    if not len(at):
+        return line
+    ends = np.stack([rows.amplitude_low[channel, at], rows.amplitude_high[channel, at]], axis=1)
+    made = replace(
+        line,
+        seen=reader.nearest_row_of_map(at),
+        speed_rpm=reader.speed_rpm[at],
+        amplitude=amplitude[at],
+        amplitude_error=error[at],
+        degrees_of_freedom=rows.degrees_of_freedom[channel, at].astype(np.float64),
+        phase_deg=rows.phase[channel, at],
+        ends=ends,
+        phase_ci95_deg=rows.phase_ci95[channel, at],
+        worth=worth[at],
+    )
+    return _as_wide(made, line, at < held)
+
+
+def _as_wide(made: OrderLine, line: OrderLine, is_held: NDArray[np.bool_]) -> OrderLine:
+    """``made`` with the intervals of ``line``, as shares of the amplitude, at held speeds at which these are wider."""
+    place = {int(row): number for number, row in enumerate(line.seen)}
+    error, freedom = made.amplitude_error.copy(), made.degrees_of_freedom.copy()
+    ends = np.zeros((0, 2)) if made.ends is None else made.ends.copy()
+    own_reach = half_widths(line.degrees_of_freedom) * line.amplitude_error
+    own = np.stack([np.maximum(line.amplitude - own_reach, 0.0), line.amplitude + own_reach], axis=1)
+    own = own if line.ends is None else line.ends
+    reach = half_widths(freedom) * error
+    for number in np.flatnonzero(is_held).tolist():
+        before = place[int(made.seen[number])]
+        size = float(line.amplitude[before])
+        if not size > 0.0 or not np.isfinite(line.amplitude_error[before]):
+            continue
+        scale = float(made.amplitude[number]) / size
+        ends[number, 0] = min(ends[number, 0], scale * float(own[before, 0]))
+        ends[number, 1] = max(ends[number, 1], scale * float(own[before, 1]))
+        if scale * own_reach[before] > reach[number]:
+            error[number], freedom[number] = scale * line.amplitude_error[before], line.degrees_of_freedom[before]
+    return replace(made, amplitude_error=error, degrees_of_freedom=freedom, ends=ends)
