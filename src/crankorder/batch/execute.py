@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ import xarray as xr
 from crankorder.batch.changed_gains import without_changed_gains
 from crankorder.batch.frame_store import FrameStore, settings_of_recordings
 from crankorder.batch.index import publish_index
-from crankorder.batch.lean import load_kernels
 from crankorder.batch.locks import locked
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import CampaignPlan, RunOptions
@@ -120,6 +120,31 @@ def run_test(
         outcome.internal.append(error)
         outcome.status, outcome.findings = "failed", None
     return outcome
+
+
+def _load_kernels() -> bool:
+    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker.
+
+    True where a kernel had to be compiled for it: then this is the first run, and the others must be compiled too.
+    """
+    from crankorder.ingest import channel_faults
+    from crankorder.settings import load_settings
+    from crankorder.shaft import pulses
+
+    before = _compiled(pulses) + _compiled(channel_faults)
+    trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
+    channel_faults.survey(trace, size=16)
+    shaft = load_settings().shaft
+    pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
+    return _compiled(pulses) + _compiled(channel_faults) > before
+
+
+def _compiled(module: ModuleType) -> int:
+    """How many kernels of ``module`` were not found compiled."""
+    from numba.core.dispatcher import Dispatcher
+
+    kernels = [kernel for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+    return sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
 
 
 def _finish(
@@ -229,7 +254,7 @@ def _analyse(
         return made, False
 
     # where kernels are yet to be compiled, one worker does it, not all at once
-    first = load_kernels()
+    first = _load_kernels()
     made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
     for count, (number, made) in enumerate(made_in_turn, start=1):
         _collect(made, wanted[number], hashes[wanted[number]], results, outcome)
