@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import SPARE, Block
 from crankorder.identify.modal.passage import Passage, passage_of
-from crankorder.orders.phase_marks import WHOLE, one_mark, phases_compare
+from crankorder.orders.between_recordings import WHOLE, one_mark, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 
 ON_BIN = 1e-3
