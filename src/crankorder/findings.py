@@ -6,7 +6,8 @@ Every estimate ``x`` has ``x_ci95``; None stands for not known. Units stand in t
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Iterable, Mapping
 from typing import ClassVar, Literal
 
 from crankorder.records import Document, Ends, Interval, Record, record, said
@@ -196,7 +197,7 @@ class BearingFinding(Record):
 
     name: str = said("name of the bearing")
     line: str = said("BPFO, BPFI, BSF, FTF or N*fs")
-    order: float | None = said("order found")
+    order: float = said("order found")
     order_ci95: Interval | None = said(default=None)
     order_expected: float = said("order from the geometry")
     slip_percent: float | None = said(
@@ -221,6 +222,12 @@ class BearingFinding(Record):
     )
     verdict: str = said("what it means, in words")
     evidence: str = said("why it is taken for this line", default="")
+
+    @property
+    def order_half(self) -> float:
+        """Half width of the 95 % interval of the order; infinite where it is not known."""
+        low, high = self.order_ci95 or (None, None)
+        return math.inf if low is None or high is None else 0.5 * abs(high - low)
 
     def omitted(self) -> Collection[str]:
         """Only an envelope tells how fast a shaft turns."""
@@ -404,6 +411,36 @@ class Balance(Record):
 
 
 @record
+class Influence(Record):
+    """What a unit of the added mass does to a channel at a speed."""
+
+    channel: str = said("name of the channel")
+    speed_rpm: float = said("speed")
+    response_per_unit: float = said("change of amplitude per unit of the added mass")
+    phase_deg: float = said("its phase")
+
+
+@record
+class TrialBalance(Balance):
+    """Residual unbalance as a known mass tells it that was added between two tests: before, and with it."""
+
+    residual_after_gmm: float | None = said("rotating unbalance with the mass", default=None, left_out=True)
+    residual_after_gmm_ci95: Interval | None = said(default=None, left_out=True)
+    angle_after_deg: float | None = said("its angle", default=None)
+    angle_after_deg_ci95: Interval | None = said(default=None)
+    along_after_g: float | None = said("residual along the cylinder with the mass", default=None, left_out=True)
+    along_after_g_ci95: Interval | None = said(default=None, left_out=True)
+    radius_mm: float | None = said(
+        "radius at which the mass was added; null of masses at several, and on a piston", default=None
+    )
+    influence: tuple[Influence, ...] = said("what a unit of the mass does, by channel and speed", default=())
+
+    def omitted(self) -> Collection[str]:
+        """A mass on a piston tells no angle."""
+        return () if self.residual_after_gmm is not None else ("angle_after_deg", "angle_after_deg_ci95")
+
+
+@record
 class Quality(Record):
     """A remark on a recording."""
 
@@ -459,13 +496,17 @@ class Findings(Record):
         "natural frequencies, those that move with the speed (whirl) too, mains, other tones"
     )
     crossings: tuple[CrossingFinding, ...] = said("speeds at which an order meets a natural frequency")
-    speeds_to_avoid: tuple[AvoidedSpeed, ...] = said("speeds to avoid, the worst first", default=())
+    speeds_to_avoid: tuple[AvoidedSpeed, ...] | None = said(
+        "speeds to avoid, the worst first", default=None, left_out=True
+    )
     free_bands: tuple[FreeBand, ...] = said(
         "speed ranges in which the data exclude that any order found is amplified by more than a stated factor",
         default=(),
     )
-    open_bands: tuple[OpenBand, ...] = said(
-        "speed ranges that are neither free nor to be avoided: what the data leave open there", default=()
+    open_bands: tuple[OpenBand, ...] | None = said(
+        "speed ranges that are neither free nor to be avoided: what the data leave open there",
+        default=None,
+        left_out=True,
     )
     bearings: tuple[BearingFinding, ...] = said("bearing lines found")
     motor: Motor | None = said(
@@ -506,10 +547,13 @@ class Findings(Record):
 
 _NOT_SOUGHT = (
     "speed_doubt",
-    "speeds_to_avoid",
     "free_bands",
-    "open_bands",
     "energy",
     "levels",
     "looked_for",
 )
+
+
+def quality_of(flags: Iterable[Mapping[str, object]]) -> tuple[Quality, ...]:
+    """Remarks from the ``flags`` that datasets carry in their attributes."""
+    return tuple(Quality.from_dict(flag) for flag in flags)

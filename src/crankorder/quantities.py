@@ -70,7 +70,6 @@ RecordingLevels = NewType("RecordingLevels", xr.Dataset)
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 
-Findings = NewType("Findings", dict[str, Any])
 """What the test says: orders, modes, crossings, bearings, lines, each with a 95 % interval and evidence."""
 
 Truth = NewType("Truth", dict[str, Any])

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
+from crankorder.findings import Energy, EnergyShares
 from crankorder.identify.energy_maps import (
     LINE_BINS,
     EnergyLines,
@@ -58,8 +59,8 @@ def energy_shares(
     causes: Causes,
     *,
     settings: IdentifySettings,
-) -> dict[str, Any]:
-    """Shares of the energy of the whole recorded band, as ``energy`` and ``unexplained_energy_fraction`` of findings.
+) -> tuple[Energy, float]:
+    """Shares of the energy of the whole recorded band, and the fraction of it that nothing explains.
 
     Of each channel, as fractions of its mean square (``total``, in ``unit``) over all speeds alike, without the mean:
     ``orders`` and ``tones`` whose cause is known, ``modes_and_floor``, ``unexplained``; they add up to 1.
@@ -72,7 +73,7 @@ def energy_shares(
     line has amplitude² / 2, or all that stands over the surface in its own cells if that is clearly more, and never
     more than these hold; where it was not seen, what stands there on the mean of those speeds.
 
-    ``unexplained_energy_fraction`` is the mean over the channels of unexplained / (orders + tones + unexplained):
+    The fraction is the mean over the channels of unexplained / (orders + tones + unexplained):
     of the energy that is not broadband, the share without a known cause; in a channel without any line, of all its
     energy, for one cell by chance is no headline. 0 means that every line and every cell of the
     map is accounted for. ``cells_judged`` says whether there was a fitted surface to judge the cells by; without
@@ -96,18 +97,14 @@ def energy_shares(
     else:
         judged, parts = False, [_looked_at(*by_order(order_map, orders, causes), None, settings)]
     names, units = order_map["channel"].values.tolist(), order_map["unit"].values.tolist()
-    channels = [
-        {"channel": name, "unit": f"({unit})²"} | _shares([_channel(number, part) for part in parts])
+    channels = tuple(
+        _shares(name, unit, [_channel(number, part) for part in parts])
         for number, (name, unit) in enumerate(zip(names, units, strict=True))
-    ]
+    )
     shares = [_fraction(record) for record in channels]
     decided = [share for share in shares if share is not None]
-    return {
-        "unexplained_energy_fraction": float(np.mean(decided)) if decided else 0.0,
-        "cells_judged": judged,
-        "band_hz": band_end_hz(campbell, order_map),
-        "channels": channels,
-    }
+    made_of = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
+    return made_of, float(np.mean(decided)) if decided else 0.0
 
 
 @dataclass(frozen=True)
@@ -137,11 +134,14 @@ def _looked_at(made: EnergyMap, lines: EnergyLines, modal: ModalFit | None, sett
     return _LookedAt(made, lines, owner, surface, unexplained)
 
 
-def _fraction(record: dict[str, Any]) -> float | None:
-    lines = record["orders"] + record["tones"] + record["unexplained_lines"]
+def _fraction(record: EnergyShares) -> float | None:
+    """Share of what is not broadband that nothing explains; of all where there is no line; None where nothing is."""
+    told = record.orders, record.tones, record.unexplained_lines, record.unexplained_cells, record.unexplained
+    orders, tones, loose, cells, unexplained = (share or 0.0 for share in told)
+    lines = orders + tones + loose
     if lines > 0.0:
-        return float(record["unexplained"] / (lines + record["unexplained_cells"]))
-    return float(record["unexplained"]) if record["unexplained"] > 0.0 else None
+        return float(unexplained / (lines + cells))
+    return float(unexplained) if unexplained > 0.0 else None
 
 
 def _owners(axis: Floats, lines: EnergyLines) -> NDArray[np.int64]:
@@ -337,14 +337,16 @@ def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:
     return np.asarray((at <= last) & (counts > 0.5))
 
 
-def _shares(parts: list[dict[str, float]]) -> dict[str, Any]:
-    """Shares of one channel in the sum of the ``parts`` that the maps of one band hold, and its mean square."""
+def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergyShares:
+    """Shares of a ``channel`` in the sum of the ``parts`` that the maps of one band hold, and its mean square."""
     joined = {name: sum(part[name] for part in parts) for name in parts[0]}
     total = joined.pop("total")
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
-    shares["unexplained"] = shares["unexplained_lines"] + shares["unexplained_cells"]
-    rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - shares["unexplained"])
-    return shares | {"modes_and_floor": rest if total > 0.0 else 0.0, "total": total}
+    unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
+    rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
+    floor = rest if total > 0.0 else 0.0
+    named = {"channel": channel, "unit": f"({unit})²"}
+    return EnergyShares(**named, **shares, unexplained=unexplained, modes_and_floor=floor, total=total)
 
 
 def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> Floats:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from crankorder.findings import BearingFinding
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.encoder_sidebands import OR_OWN
 from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
@@ -81,7 +81,7 @@ class Causes:
 def explained(
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     *,
     sources: Sources,
     quantity: dict[str, str],
@@ -104,7 +104,7 @@ def explained(
     ----------
     orders : the orders of the test
     modal : its modes and tones
-    bearings : records of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
+    bearings : findings of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
     sources : what is known of the machine
     quantity : quantity of each channel by its name, such as "acceleration" or "pressure"
     settings : ``order_match`` says how near to its stated order a gear's line must be
@@ -245,7 +245,7 @@ def _first_cause(
     agreed: AgreedOrder,
     line: OrderLine,
     orders: tuple[AgreedOrder, ...],
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     races: list[StruckRace],
     sources: Sources,
     quantity: str,
@@ -354,7 +354,7 @@ def _combustion(of_cycle: float | None, sources: Sources, proof: str) -> Cause |
 def _bearing(
     agreed: AgreedOrder,
     of_cycle: float | None,
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     sources: Sources,
     settings: IdentifySettings,
 ) -> Cause | None:
@@ -366,18 +366,18 @@ def _bearing(
     parts: set[int] = set()
     spare = half_width(agreed.degrees_of_freedom) * agreed.order_error
     for record in bearings:
-        locked_line = record["line"] == "N*fs"
+        locked_line = record.line == "N*fs"
         if agreed.lock == "locked" and not locked_line:
             continue  # what rolls slips: a locked line is no race's and no ball's
-        half = 0.5 * abs(record["order_ci95"][1] - record["order_ci95"][0])
-        alone = of_cycle is not None or record.get("seen_in") == "envelope"
+        half = record.order_half
+        alone = of_cycle is not None or record.seen_in == "envelope"
         for multiple in range(1, (1 if alone else MOST_HARMONICS) + 1):
             reach = float(np.hypot(multiple * half, spare)) + 1e-9
             if multiple > 1:
                 reach = min(reach, settings.order_match)
-            if abs(agreed.order - multiple * record["order"]) <= reach:
+            if abs(agreed.order - multiple * record.order) <= reach:
                 names.append(f"{record['name']} {record['line']}" + (f", harmonic {multiple}" if multiple > 1 else ""))
-                elements = next((b.rolling_elements for b in sources.bearings if b.name == record["name"]), None)
+                elements = next((b.rolling_elements for b in sources.bearings if b.name == record.name), None)
                 if locked_line and agreed.lock == "locked" and elements is not None:
                     parts.add(elements)
                 break
@@ -451,13 +451,13 @@ def _why_not(agreed: AgreedOrder, sources: Sources) -> str:
     return "turns with the cycle, and nothing that was stated makes this order"
 
 
-def _spacings(sources: Sources, bearings: list[dict[str, Any]]) -> dict[str, float]:
+def _spacings(sources: Sources, bearings: Sequence[BearingFinding]) -> dict[str, float]:
     """What may modulate a line, as names and orders: the shafts, the cycle, the cages."""
     spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
     for bearing in sources.bearings:
         if bearing.shaft_ratio not in spacings.values():
             spacings[bearing.name] = bearing.shaft_ratio
-    cages = [(record["name"], float(record["order"])) for record in bearings if record["line"] == "FTF"]
+    cages = [(record.name, record.order) for record in bearings if record.line == "FTF"]
     expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
     return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.motor import Motor
+from crankorder.findings import BearingFinding
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, Lock, ModalFit
 from crankorder.identify.intervals import Z95
@@ -199,11 +199,11 @@ def explained_at(
     read: SpeedRead | None,
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     *,
     explain: Callable[..., Causes],
 ) -> Causes:
-    """What ``explain`` says of ``orders``, ``modal`` and ``bearings`` (records) at the speed that was ``read``, if any.
+    """What ``explain`` says of ``orders``, ``modal`` and ``bearings`` at the speed that was ``read``, if any.
 
     At that speed lines of the shaft stand on whole orders, and no other line that stands on one at the stated speed:
     what the recordings hold at places that the stated speed tells is not ``known``.
@@ -231,11 +231,9 @@ def _at(read: SpeedRead, agreed: AgreedOrder) -> AgreedOrder:
     return replace(agreed, order=float(multiple), order_error=agreed.line_error, lock="undecided", lines=lines)
 
 
-def _record_at(read: SpeedRead, record: dict[str, Any]) -> dict[str, Any]:
+def _record_at(read: SpeedRead, record: BearingFinding) -> BearingFinding:
     """Record of a bearing's line with its orders at the speed that was ``read``."""
-    shaft = record.get("shaft_order")
-    made = record | {
-        "order": record["order"] / read.ratio,
-        "order_ci95": [end / read.ratio for end in record["order_ci95"]],
-    }
-    return made if shaft is None else made | {"shaft_order": shaft / read.ratio}
+    low, high = record.order_ci95 or (None, None)
+    ends = tuple(None if end is None else end / read.ratio for end in (low, high))
+    shaft = None if record.shaft_order is None else record.shaft_order / read.ratio
+    return replace(record, order=record.order / read.ratio, order_ci95=(ends[0], ends[1]), shaft_order=shaft)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.growth import NUMBERS as GROWTH
@@ -57,8 +58,8 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> tuple[st
     return "unbalance", grows
 
 
-def if_unbalance(balance: dict[str, Any], causes: Collection[tuple[str, str]]) -> tuple[dict[str, Any] | None, str]:
-    """The record ``balance`` as far as order 1 may be unbalance; None and why where it surely is none.
+def if_unbalance(balance: Balance, causes: Collection[tuple[str, str]]) -> tuple[Balance | None, str]:
+    """The ``balance`` as far as order 1 may be unbalance; None and why where it surely is none.
 
     ``causes``: text and evidence of every line of the test.
     """
@@ -68,7 +69,7 @@ def if_unbalance(balance: dict[str, Any], causes: Collection[tuple[str, str]]) -
         return None, f"order 1 is no unbalance, or not alone: {beside[0]}"
     if beside or LIKE_UNBALANCE in texts:
         told = f"{IF_UNBALANCE}, which nothing tells from a bent shaft or misalignment"
-        return balance | {"evidence": f"{balance['evidence']}; {told}"}, ""
+        return replace(balance, evidence=f"{balance.evidence}; {told}"), ""
     return balance, ""
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from crankorder.findings import BearingFinding
 from crankorder.identify.intervals import Z95
 from crankorder.identify.sources import Sources
 
@@ -67,29 +67,27 @@ class StruckRace:
 
 
 def struck_races(
-    bearings: list[dict[str, Any]], sources: Sources, lines: Sequence[tuple[float, float]]
+    bearings: Sequence[BearingFinding], sources: Sources, lines: Sequence[tuple[float, float]]
 ) -> list[StruckRace]:
-    """Races and rolling elements that ``bearings`` (their records) show, as fine as ``lines`` (order, error) tell.
+    """Races and rolling elements that ``bearings`` (their findings) show, as fine as ``lines`` (order, error) tell.
 
     The line of the vibration is the finer one; the shaft's own order is what the record of the envelope read from the
     sidebands, or the one that ``sources`` state.
     """
     made: dict[tuple[str, str], StruckRace] = {}
     ratio = {bearing.name: bearing.shaft_ratio for bearing in sources.bearings}
-    for record in sorted(bearings, key=lambda one: one.get("seen_in") != "envelope"):
-        key = record["name"], record["line"]
-        if record["line"] not in STRUCK or record.get("lock") == "locked":
+    for record in sorted(bearings, key=lambda one: one.seen_in != "envelope"):
+        key = record.name, record.line
+        if record.line not in STRUCK or record.lock == "locked":
             continue
-        error = 0.5 * abs(record["order_ci95"][1] - record["order_ci95"][0]) / Z95
-        old, shaft = made.get(key), record.get("shaft_order")
+        error = record.order_half / Z95
+        old, shaft = made.get(key), record.shaft_order
         if old is None:
-            title = "2 x BSF" if record["line"] == "BSF" else record["line"]
-            stated = float(ratio.get(record["name"], 1.0))
-            made[key] = StruckRace(key[0], title, record["order"], error, shaft or stated, STATED_ERROR * stated)
-        elif error < old.order_error and abs(record["order"] - old.order) <= SIGMAS * math.hypot(
-            error, old.order_error
-        ):
-            made[key] = replace(old, order=record["order"], order_error=error)
+            title = "2 x BSF" if record.line == "BSF" else record.line
+            stated = float(ratio.get(record.name, 1.0))
+            made[key] = StruckRace(key[0], title, record.order, error, shaft or stated, STATED_ERROR * stated)
+        elif error < old.order_error and abs(record.order - old.order) <= SIGMAS * math.hypot(error, old.order_error):
+            made[key] = replace(old, order=record.order, order_error=error)
     return [_refined(race, lines) for race in made.values()]
 
 

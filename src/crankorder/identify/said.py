@@ -1,8 +1,5 @@
 """What findings say that pages read again: apart from what finds it, so that pages are written without loading that."""
 
-SCHEMA_VERSION = 1
-"""Of ``findings.json``."""
-
 ALIKE_SPEEDS = 1.005
 """Fastest over slowest speed up to which a line of fixed frequency keeps its order."""
 

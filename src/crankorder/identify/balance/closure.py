@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.findings import Balance
 from crankorder.identify.balance.order_shaker import LARGEST_MISFIT, ShakerFit, modes_with_room, rows_needed, shaker_fit
 from crankorder.identify.balance.record import Split, added_words, split_record
 from crankorder.identify.balance.shaker_forces import EngineShaker, engine_shaker
@@ -34,7 +33,7 @@ LIGHTEST_KG, HEAVIEST_KG = 0.1, 1e5
 """Apparent masses that a machine on its mounts may have."""
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
 
-Closure = tuple[dict[str, Any] | None, str]
+Closure = tuple[Balance | None, str]
 
 
 class _Refused(Exception):
@@ -74,7 +73,7 @@ def closure(
     if isinstance(record, str):
         return None, record
     if added:
-        record["evidence"] += f"; {added_words(added)}"
+        record = replace(record, evidence=f"{record.evidence}; {added_words(added)}")
     return record, ""
 
 
@@ -96,7 +95,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 
 def _by_engine_orders(
     order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine
-) -> dict[str, Any]:
+) -> Balance:
     if engine.cycle == "rotor" or engine.reciprocating_mass_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
     if not modal.modes:
@@ -267,9 +266,7 @@ def _listed(orders: tuple[int, ...]) -> str:
     return ", ".join(str(order) for order in orders)
 
 
-def _record(
-    fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str, measured: MeasuredOrders
-) -> dict[str, Any]:
+def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str, measured: MeasuredOrders) -> Balance:
     split = Split(
         mass_kg=fit.mass_kg,
         covariance=fit.covariance,
@@ -293,9 +290,4 @@ def _record(
         + "; order 1 is taken to act along the cylinder alone, which the fit does not contradict"
         * (fit.axes[0] == "Z")
     )
-    return {
-        "source": "engine orders",
-        "orders_used": sorted(shaker.orders),
-        **record,
-        "evidence": evidence,
-    }
+    return replace(record, source="engine orders", orders_used=tuple(sorted(shaker.orders)), evidence=evidence)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -12,6 +11,7 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import DIRECTIONS, Z
 from crankorder.engine.transfer_paths import StatedPath
+from crankorder.findings import Balance
 from crankorder.identify.balance.record import Split, rotor_record, split_record
 from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, accelerance_of, measured_orders
@@ -33,8 +33,8 @@ class _Forces:
 
 def by_stated_paths(
     order_map: xr.Dataset, lines: Sequence[float], *, engine: Engine | None, paths: tuple[StatedPath, ...]
-) -> dict[str, Any] | str:
-    """Entries of the record ``balance`` by the stated ``paths``; or, in words, why there are none.
+) -> Balance | str:
+    """Residual unbalance by the stated ``paths``; or, in words, why there are none.
 
     ``order_map``: the OrderMap. ``lines``: orders at which lines stand. ``engine``: None or one without pistons is a
     rotor. Forces of each stated direction are fitted to all channels and speeds at which the paths hold; intervals hold
@@ -63,13 +63,12 @@ def by_stated_paths(
     split = _split(found, parts, engine if pistons else None)
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
-    return {
-        "source": "stated path",
-        "orders_used": [order for order, _ in parts],
-        **record,
-        "evidence": f"stated paths of {', '.join(used)} at {found[0].rows} speeds in their range; they miss "
-        f"{100 * found[0].missed:.0f} % of order 1; paths that are not stated are taken as none",
-    }
+    evidence = (
+        f"stated paths of {', '.join(used)} at {found[0].rows} speeds in their range; they miss "
+        f"{100 * found[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
+    )
+    orders = tuple(order for order, _ in parts)
+    return replace(record, source="stated path", orders_used=orders, evidence=evidence)
 
 
 def _forces(
