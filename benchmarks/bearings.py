@@ -29,9 +29,8 @@ from scipy.signal import hilbert
 
 from crankorder.identify.bearings.envelope_lines import line_chances, spectra_of
 from crankorder.identify.bearings.places import Place, bearing_combs, bearing_places
-from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_lines import free_of_others
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.envelope import envelope_map, recording_envelope
+from crankorder.orders.envelope_combs import free_of_others
 from crankorder.settings import load_settings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

@@ -29,7 +29,7 @@ from crankorder.batch.execute import _engine, _sources
 from crankorder.batch.plan import plan_tests
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.findings import find
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.envelope import envelope_map
 from crankorder.orders.map import order_map
 from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope
 from crankorder.shaft.knowledge import ShaftKnowledge

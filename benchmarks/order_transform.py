@@ -20,7 +20,7 @@ from scipy.signal import ShortTimeFFT
 
 from crankorder.fft.nonuniform import OrderTransform, hann_of_turns
 from crankorder.fft.resampling import cheapest_kernel, values_at
-from crankorder.orders.direct import order_frames_nufft
+from crankorder.orders.spectra import order_frames_nufft
 from crankorder.shaft.angle import time_at
 
 RATE_HZ, N_SAMPLES, SPEED_HZ = 50_000.0, 750_000, 1500.0 / 60.0

@@ -247,9 +247,6 @@ def _started(plans: list[Any], jobs: int) -> ReportingProcess:
     gc.disable()  # modules that load make no garbage, and looking for it costs a fifth of the time
     atexit.register(gc.freeze)  # nor is it worth 0.4 s to take everything apart before the process ends
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # recordings run side by side; small products run in one thread
-    from crankorder.batch.lean import leave_out_unused
-
-    leave_out_unused()
     import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before it is split off
     import xarray  # noqa: F401
 

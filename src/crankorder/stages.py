@@ -27,17 +27,16 @@ from crankorder.identify.lines.swept_orders import swept_orders
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
-from crankorder.orders.angle_errors import TAKEN
-from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.cycle_average import cycle_average, cycle_averages
+from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
-from crankorder.orders.synchronous_cycles import cycle_average, cycle_averages
-from crankorder.orders.tracks import followed_orders, order_tracks
+from crankorder.orders.track_rows import followed_orders, order_tracks
 from crankorder.orders.true_angle import (
+    TAKEN,
     Swings,
     angle_in_truth,
     frames_in_true_angle,

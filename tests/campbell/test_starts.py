@@ -7,8 +7,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.campbell.map import campbell_map
-from crankorder.campbell.starts import leading_frames
+from crankorder.campbell.map import campbell_map, leading_frames
 
 RATE_HZ, BINS = 1024, 400
 

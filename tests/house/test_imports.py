@@ -115,7 +115,7 @@ def test_a_wrong_manifest_is_refused_before_a_heavy_package_is_loaded(tmp_path: 
 def test_pages_and_pictures_load_nothing_that_finds() -> None:
     """They are written in a process beside the analysis: what it loads too is paid for twice."""
     code = (
-        "import sys; from crankorder.batch.lean import leave_out_unused; leave_out_unused()\n"
+        "import sys\n"
         "from crankorder.batch.publish import files_of_test, prepare; prepare()\n"
         "print(*(name for name in ('scipy', 'numba', 'pyfftw', 'crankorder.orders') if name in sys.modules))"
     )

@@ -11,8 +11,7 @@ from crankorder.engine.bearings import Bearing
 from crankorder.errors import RequestError
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.bearings.trend import kendall_p_value, run_amplitudes, trend
-from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.strikes import strikes
 

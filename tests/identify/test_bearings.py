@@ -12,8 +12,7 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.bearings.places import bearing_places, made_by
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.bearings.verdicts import races_words
-from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line
 from made.strikes import recording, strikes

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.lines.swept_orders import company_of
-from crankorder.orders.common_frames import reframed
 from crankorder.orders.frames import order_frames
+from crankorder.orders.like_speed import reframed
 from crankorder.settings import load_settings
 from made.swept_machines import drawn, recorded
 

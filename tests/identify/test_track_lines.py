@@ -10,7 +10,7 @@ import pytest
 from crankorder.identify.found import ModalFit, Mode, OrderResponse
 from crankorder.identify.held_peak import held_peak
 from crankorder.identify.lines.growth import largest
-from crankorder.orders.tracks import track_order
+from crankorder.orders.track_rows import track_order
 from identify.test_growth import line_of
 from machines.draw import draw_machine
 from machines.folder import write_folder

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from crankorder.errors import ManyErrors, RequestError
-from crankorder.ingest.manifest import Manifest, load_manifest
-from crankorder.ingest.toml_lines import key_lines
+from crankorder.ingest.manifest import Manifest, key_lines, load_manifest
 from crankorder.quantities import schema_of
 
 GOOD = """schema_version = 1

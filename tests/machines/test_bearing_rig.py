@@ -17,8 +17,7 @@ from scipy.signal import hilbert
 from crankorder.engine.bearings import bearing_orders
 from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.bearings.records import bearing_records
-from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from machines.bearing_rig import FAULTS, LINE_OF, BearingRig, draw_rig, recorded, samples
 

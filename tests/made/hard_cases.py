@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 
 from crankorder.fft.band import band_limited
-from crankorder.orders.direct import named_orders
 from crankorder.orders.frames import order_frames
 from crankorder.orders.least_squares import joint_orders
 from crankorder.orders.map import order_map
+from crankorder.orders.spectra import order_frames_nufft
 from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import knots_of
@@ -147,20 +147,21 @@ def two_revolutions() -> HardCase:
 
 
 def bin_edge() -> HardCase:
-    """An order half way between two bins of the map, read directly and by the joint fit."""
+    """An order half way between two bins of the map, read in frames twice as long and by the joint fit."""
     order = 5.5 + 1.0 / 32.0
     signal = total(line(order, 1.0, 0.7))
     band, angle = steady([signal], speed_rpm=1000.0, duration_s=15.0, rate_hz=2000.0)
     begin = np.ceil(angle["crank_angle"].values[0] + 0.5) + 8.0 * np.arange(27)
-    found = named_orders(
+    found = order_frames_nufft(
         band["signal"].values,
         rate_hz=2000.0,
         start_s=0.0,
         knots=knots_of(angle),
         begin_rev=begin,
-        revs=16,
-        orders=[order],
-    )[0, :, 0]
+        revs=32,
+        n_orders=round(32 * order) + 1,
+        tolerance=1e-9,
+    )[0, :, -1]
     frames = order_frames(band, angle, settings=SETTINGS)
     shown = np.abs(frames["spectrum"].values[0]).mean(axis=0)
     near = np.abs(frames["order"].values - order) < 0.5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.orders.angle_errors import (
+from crankorder.orders.true_angle import (
     ERROR,
     LINES,
     OF_ONE_REV,

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.orders.angle_swing import given_by_neighbours, in_true_angle
-from crankorder.orders.swing_evidence import Expected, Rows, _median, rows_of, swings_of
+from crankorder.orders.swing_evidence import (
+    Expected,
+    Rows,
+    _median,
+    given_by_neighbours,
+    in_true_angle,
+    rows_of,
+    swings_of,
+)
 from crankorder.settings import load_settings
 
 PER_ORDER = 8

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.orders.coherence import coherence_level, expected_coherence, unbiased_coherence
+from crankorder.orders.shapes import coherence_level, expected_coherence, unbiased_coherence
 
 
 def circular(rng: np.random.Generator, *shape: int) -> np.ndarray:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.orders.common_frames import common_frames, reframed
 from crankorder.orders.frames import order_frames
+from crankorder.orders.like_speed import common_frames, reframed
 from crankorder.orders.map import order_map
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings

@@ -7,8 +7,8 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.fft.nonuniform import folding_error
-from crankorder.orders.direct import _angle_and_slope, frame_factor, order_frames_nufft
 from crankorder.orders.frames import order_frames
+from crankorder.orders.spectra import _angle_and_slope, frame_factor, order_frames_nufft
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from made.recordings import line, run_up, shaft, steady, total

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.orders.envelope import recording_envelope
+from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, band_tree, block_spectra, envelopes_of
-from crankorder.orders.envelope_map import envelope_map
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import shaft

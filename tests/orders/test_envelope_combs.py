@@ -7,11 +7,17 @@ import pytest
 import xarray as xr
 from scipy.special import fdtrc, gammaincc
 
-from crankorder.orders.envelope import recording_envelope
-from crankorder.orders.envelope_combs import MOST_NATS, NEAR_TRIALS, Comb, comb_nats, look_nats, looked_at
-from crankorder.orders.envelope_lines import middles
-from crankorder.orders.envelope_looks import served
-from crankorder.orders.envelope_map import envelope_map
+from crankorder.orders.envelope import envelope_map, recording_envelope
+from crankorder.orders.envelope_combs import (
+    MOST_NATS,
+    NEAR_TRIALS,
+    Comb,
+    comb_nats,
+    look_nats,
+    looked_at,
+    middles,
+    served,
+)
 from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings
 from made.strikes import recording

@@ -9,7 +9,7 @@ from crankorder.errors import InputError, RequestError
 from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
-from crankorder.orders.tracks import order_tracks
+from crankorder.orders.track_rows import order_tracks
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import line, run_up, steady, total

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.orders.gain_steps import GainStep, left_out
-from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.orders.level_jumps import GainStep, RecordedLevel, left_out, level_jumps
 from crankorder.quantities import WHICH_IS_RIGHT
 
 NAMES = ("X", "Y", "Z")

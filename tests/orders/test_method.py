@@ -7,9 +7,8 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
-from crankorder.orders.by_angle import time_samples
 from crankorder.orders.frames import order_frames
-from crankorder.orders.method import frame_layout
+from crankorder.orders.method import frame_layout, time_samples
 from crankorder.orders.spectra import spectra
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings

@@ -10,8 +10,7 @@ from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.swept_tracks import swept_tracks
-from crankorder.orders.track_rows import TrackReader
-from crankorder.orders.tracks import order_tracks
+from crankorder.orders.track_rows import TrackReader, order_tracks
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from made.sweeps import ENCODERS, Course, recording_of

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.orders.synchronous_cycles import cycle_average, cycle_averages
+from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import line, named, run_up, shaft, steady, total

@@ -8,8 +8,7 @@ import pytest
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.swept_tracks import swept_tracks
-from crankorder.orders.track_rows import TrackReader
-from crankorder.orders.tracks import order_tracks
+from crankorder.orders.track_rows import TrackReader, order_tracks
 from crankorder.settings import load_settings
 from made.recordings import line, run_up, steady, total
 

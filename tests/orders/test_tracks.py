@@ -6,7 +6,7 @@ import numpy as np
 
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
-from crankorder.orders.tracks import followed_orders, order_tracks
+from crankorder.orders.track_rows import followed_orders, order_tracks
 from crankorder.quantities import flags_of, with_flags
 from crankorder.settings import load_settings
 from made.recordings import line, steady

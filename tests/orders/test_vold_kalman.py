@@ -172,7 +172,7 @@ def test_blocks_solved_at_every_sample_have_no_seam(monkeypatch: pytest.MonkeyPa
     rng = np.random.default_rng(5)
     phase, signal = run_up(9_000)[None], rng.normal(size=(1, 9_000))
     whole = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
-    monkeypatch.setattr("crankorder.orders.vold_kalman.samples.BLOCK", 2_000)
+    monkeypatch.setattr("crankorder.orders.vold_kalman.filter.BLOCK", 2_000)
     parts = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
     assert whole.method == parts.method == "samples"
     assert np.abs(whole.amplitude - parts.amplitude).max() < 1e-12

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from matplotlib.text import Text
 
-from crankorder.orders.synchronous_cycles import cycle_average, cycle_averages
+from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.report.cycle_figure import cycle_figure
 from crankorder.report.figures import png_bytes
 from crankorder.settings import load_settings

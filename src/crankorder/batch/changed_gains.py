@@ -11,8 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.gain_steps import line_sizes
-from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.orders.level_jumps import RecordedLevel, level_jumps, line_sizes
 from crankorder.quantities import OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
 from crankorder.settings import IngestSettings
 from crankorder.stages import RecordingResult

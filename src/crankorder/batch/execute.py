@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ import xarray as xr
 
 from crankorder.batch.calibrate import knowledge_of
 from crankorder.batch.changed_gains import without_changed_gains
-from crankorder.batch.lean import load_kernels
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import TestPlan
 from crankorder.batch.reporting import ReportingProcess
@@ -68,7 +68,7 @@ def run_test(
             outcome.status, outcome.kept = "done", True
             outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
             return outcome
-        first_run = load_kernels()
+        first_run = _load_kernels()
         results = _analyse(plan, hashes, jobs, outcome, progress, one_first=first_run)
         results = without_changed_gains(results, settings=plan.settings.ingest)
         clock.lap("recordings")
@@ -85,6 +85,31 @@ def run_test(
     except Exception as error:
         outcome.internal.append(error)
     return outcome
+
+
+def _load_kernels() -> bool:
+    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker.
+
+    True where a kernel had to be compiled for it: then this is the first run, and the others must be compiled too.
+    """
+    from crankorder.ingest import channel_faults
+    from crankorder.settings import load_settings
+    from crankorder.shaft import pulses
+
+    before = _compiled(pulses) + _compiled(channel_faults)
+    trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
+    channel_faults.survey(trace, size=16)
+    shaft = load_settings().shaft
+    pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
+    return _compiled(pulses) + _compiled(channel_faults) > before
+
+
+def _compiled(module: ModuleType) -> int:
+    """How many kernels of ``module`` were not found compiled."""
+    from numba.core.dispatcher import Dispatcher
+
+    kernels = [kernel for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+    return sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
 
 
 def _finish(

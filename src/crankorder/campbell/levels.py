@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.campbell.sweep import frame_speeds
+from crankorder.campbell.frames import frame_speeds
 from crankorder.fft.windows import window_named
 from crankorder.quantities import channel_coords
 from crankorder.settings import CampbellSettings, OrderSettings

@@ -9,9 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.orders.angle_errors import TAKEN
-from crankorder.orders.angle_swing import HARMONICS
-from crankorder.orders.true_angle import given_to
+from crankorder.orders.swing_evidence import HARMONICS
+from crankorder.orders.true_angle import TAKEN, given_to
 
 OF_ENCODER = "encoder eccentricity: sideband of order"
 """Begin of the words for what is left of sidebands whose cause is proved."""

@@ -5,21 +5,226 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from crankorder.ingest.channel_faults import find_copies, find_dead, find_mains_only
-from crankorder.ingest.fault import Runs, SignalFault
-from crankorder.ingest.level_steps import find_level_steps
+from crankorder.ingest.channel_faults import (
+    Floats,
+    Runs,
+    SignalFault,
+    Survey,
+    block_size,
+    find_copies,
+    find_dead,
+    find_level_steps,
+    find_mains_only,
+    find_slow_faults,
+    grouped,
+    survey,
+)
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.ingest.signal_survey import Survey, block_size, survey
-from crankorder.ingest.slow_faults import find_slow_faults
-from crankorder.ingest.smoothed_clipping import find_smoothed_clipping
-from crankorder.ingest.spikes import find_spikes
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
+
+_PIECE, _PIECES = 2048, 8
+"""Samples of a piece, and how many of the strongest pieces are looked at."""
+_ABOVE = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)
+"""Shares of the samples above the level that is tried: what a filter rings lies above the plateau."""
+_NEAR, _FAR, _WITHIN = 0.03, 0.12, 0.07
+"""Depths below the level over which the share is compared, and about the level within which a plateau lies."""
+_FEWEST_IN_ROW = 3.0
+"""Samples in a row that a plateau has on average: a lone tone at a simple share of the rate hits few levels too."""
+_FEWEST = 64
+
+
+def find_smoothed_clipping(
+    signal: FloatArray, survey: Survey, *, settings: IngestSettings, without_doubt: bool
+) -> SignalFault | None:
+    """Clipping of ``signal`` (sample,) at levels that no two samples need share; only a doubt where one side has it.
+
+    ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be
+    smaller on the plateaus than between them for it to be "bad", and the quantity one that has no plateaus of its own
+    (``without_doubt``).
+    """
+    samples = _strongest(signal, survey)
+    if samples.size < _PIECE:
+        return None
+    ordered = np.sort(samples)
+    middle = float(ordered[ordered.size // 2])
+    sides = [
+        _pile_up(ordered - middle, samples - middle, settings),
+        _pile_up(middle - ordered[::-1], middle - samples, settings),
+    ]
+    found = [side for side in sides if side is not None]
+    if not found or (len(found) < 2 and not without_doubt):
+        return None
+    levels = " and ".join(
+        f"{middle + sign * side[0]:.4g}" for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None
+    )
+    share = sum(side[1] for side in found)
+    is_sure = without_doubt and len(found) == 2 and all(side[2] < settings.quiet_plateau for side in found)
+    detail = (
+        f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
+        "the filter, so odd multiples of its lines may be made up"
+    )
+    return SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)
+
+
+def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
+    """Samples of the pieces with the largest mean square."""
+    group = _PIECE // survey.size
+    mean = float(survey.means[:: max(group // 2, 1)].mean())
+    mean = mean if math.isfinite(mean) else float(np.nanmean(survey.means))
+    power = grouped(survey.variances + np.square(survey.means - mean), group)
+    power = np.where(np.isfinite(power), power, -1.0)
+    chosen = np.sort(np.argsort(power)[-_PIECES:])
+    chosen = chosen[power[chosen] > 0.0]
+    if not chosen.size:
+        return np.empty(0)
+    return np.concatenate([signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen])
+
+
+def _pile_up(ordered: FloatArray, above: FloatArray, settings: IngestSettings) -> tuple[float, float, float] | None:
+    """Level, share of the samples, and roughness over that between the levels, of a plateau on the upper side.
+
+    ``above`` the middle (sample,), and the same ``ordered`` by size.
+    """
+    levels = ordered[(ordered.size * (1.0 - np.array(_ABOVE))).astype(np.int64)]
+    if levels[-1] <= 0.0:
+        return None
+    top = np.searchsorted(ordered, levels)
+    near = top - np.searchsorted(ordered, (1.0 - _NEAR) * levels)
+    far = top - np.searchsorted(ordered, (1.0 - _FAR) * levels)
+    exponents = np.where(
+        near >= _FEWEST, np.log(np.maximum(far, 1) / np.maximum(near, 1)) / math.log(_FAR / _NEAR), 1.0
+    )
+    best = int(np.argmin(exponents))
+    level = float(levels[best])
+    if exponents[best] > settings.plateau_exponent:
+        return None
+    inside = np.abs(above / level - 1.0) < _WITHIN
+    share = float(np.mean(inside))
+    in_row = np.count_nonzero(inside) / (1 + np.count_nonzero(inside[1:] & ~inside[:-1]))
+    if in_row < _FEWEST_IN_ROW or share < settings.max_clipped_fraction:
+        return None
+    bend = np.square(above[1:-1] - 0.5 * (above[2:] + above[:-2]))
+    flat = inside[2:] & inside[1:-1] & inside[:-2]
+    between = np.abs(above[1:-1]) < 0.7 * level
+    if np.count_nonzero(flat) < _FEWEST or np.count_nonzero(between) < _FEWEST:
+        return level, share, math.inf
+    return level, share, math.sqrt(float(bend[flat].mean()) / max(float(bend[between].mean()), 1e-300))
+
+
+_AHEAD, _OUT = 2, 12
+"""Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
+_DEGREE = 3
+_PEAKED = 9.0
+"""Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
+_BLOCK = 128
+"""Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
+_OF_STEP = 20.0
+"""A spike is so many rounding steps at least."""
+_MOST_LOOKED_AT = 20_000
+_PULSES = 5
+"""So many of one height, or one distance apart, are the pulses of a pickup."""
+
+
+def find_spikes(
+    signal: FloatArray, survey: Survey, *, settings: IngestSettings, may_pulse: bool
+) -> tuple[SignalFault, Runs, Floats] | None:
+    """The spikes of ``signal`` (sample,), their samples and, one after the other, what these would be without them.
+
+    ``survey`` and ``settings`` say where to look and what stands out. A polynomial through 20 neighbours predicts
+    the middle; the spike stands ``spike_ratio`` times further off it than any neighbour does, and above the root mean
+    square of the signal. A strike or a knock rings through the neighbours.
+    With ``may_pulse`` spikes that all look alike are taken for the signal itself.
+    """
+    places = _candidates(signal, survey)
+    if not places.size:
+        return None
+    level = math.sqrt(float(np.nanmedian(survey.variances)) + float(np.nanvar(survey.means)))
+    places, deviations, predicted = _standing_out(signal, places, level, settings)
+    if not places.size or (may_pulse and _look_like_pulses(places, deviations)):
+        return None
+    offsets = np.arange(-_AHEAD, _AHEAD + 1)
+    hit = np.abs(deviations) > 0.25 * np.abs(deviations).max(axis=1, keepdims=True)
+    samples, first = np.unique((places[:, None] + offsets)[hit], return_index=True)
+    values = predicted[hit][first]
+    edges = np.flatnonzero(np.diff(samples) > 1)
+    runs = Runs(samples[np.append(0, edges + 1)], samples[np.append(edges, samples.size - 1)] + 1)
+    height = float(np.abs(deviations).max())
+    detail = (
+        f"{runs.starts.size} spike{'s' * (runs.starts.size > 1)} of one to three samples, up to {height:.4g} "
+        f"({height / level:.3g} times the root mean square), after which nothing rings"
+    )
+    return SignalFault("spikes", "suspect", detail, runs), runs, values
+
+
+def _candidates(signal: FloatArray, survey: Survey) -> npt.NDArray[np.int64]:
+    """Samples that bend most in blocks with few large bends among small ones, each the largest of its neighbours."""
+    group = max(_BLOCK // survey.size, 1)
+    squares, fourths = grouped(survey.bend_squares, group), grouped(survey.bend_fourths, group)
+    with np.errstate(invalid="ignore", over="ignore"):
+        chosen = np.flatnonzero(fourths > _PEAKED * np.square(squares))
+    if not chosen.size or signal.size < 2 * _OUT + 1:
+        return np.empty(0, dtype=np.int64)
+    if chosen.size > _MOST_LOOKED_AT // 4:
+        sharpest = np.argsort(squares[chosen])[-_MOST_LOOKED_AT // 4 :]
+        chosen = np.sort(chosen[sharpest])
+    within = chosen[:, None] * (group * survey.size) + np.arange(group * survey.size)
+    within = np.clip(within, _OUT, signal.size - _OUT - 1)
+    bend = np.abs(signal[within] - 0.5 * (signal[within - 1] + signal[within + 1]))
+    largest = 2.5 * np.sqrt(squares[chosen])[:, None]
+    row, column = np.nonzero(bend > largest)
+    places = np.unique(within[row, column])
+    if places.size > _MOST_LOOKED_AT:
+        return np.empty(0, dtype=np.int64)  # so many are the signal
+    return np.asarray(places, dtype=np.int64)
+
+
+@cache
+def _prediction() -> tuple[Floats, Floats]:
+    """Matrices from the neighbours (20) to what they predict for the middle (5), and to what they lie off the fit."""
+    beside = np.concatenate([np.arange(-_OUT, -_AHEAD), np.arange(_AHEAD + 1, _OUT + 1)])
+    middle = np.arange(-_AHEAD, _AHEAD + 1)
+    inverse = np.linalg.pinv(np.vander(beside / _OUT, _DEGREE + 1))
+    fitted = np.vander(beside / _OUT, _DEGREE + 1) @ inverse
+    return np.vander(middle / _OUT, _DEGREE + 1) @ inverse, np.eye(beside.size) - fitted
+
+
+def _standing_out(
+    signal: FloatArray, places: npt.NDArray[np.int64], level: float, settings: IngestSettings
+) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+    """Those of ``places`` at which there is a spike: its deviations (place, 5) and what the neighbours predict."""
+    to_middle, to_rest = _prediction()
+    window = signal[places[:, None] + np.arange(-_OUT, _OUT + 1)].astype(np.float64)
+    base = window[:, :1]
+    middle = (window - base)[:, _OUT - _AHEAD : _OUT + _AHEAD + 1]
+    beside = np.delete(window - base, np.s_[_OUT - _AHEAD : _OUT + _AHEAD + 1], axis=1)
+    predicted, rest = beside @ to_middle.T, np.abs(beside @ to_rest.T).max(axis=1)
+    deviations = middle - predicted
+    steps = np.abs(np.diff(window, axis=1))
+    rounding = np.where(steps > 0.0, steps, np.inf).min(axis=1)
+    height = np.abs(deviations).max(axis=1)
+    with np.errstate(invalid="ignore"):
+        found = (height > settings.spike_ratio * rest) & (height > settings.spike_level * level)
+        # a step of the rounding is no spike, but a lone spike among equal samples has no other step than its own
+        found &= (height > _OF_STEP * rounding) | (np.count_nonzero(steps > 0.0, axis=1) <= 4) & (rest == 0.0)
+    if np.count_nonzero(found) > 1:  # the same spike seen from two of its samples counts once
+        found[1:] &= ~(found[:-1] & (np.diff(places) <= _AHEAD))
+    return places[found], deviations[found], (predicted + base)[found]
+
+
+def _look_like_pulses(places: npt.NDArray[np.int64], deviations: Floats) -> bool:
+    if places.size < _PULSES:
+        return False
+    heights = np.take_along_axis(deviations, np.abs(deviations).argmax(axis=1)[:, None], axis=1)
+    apart = np.diff(places)
+    return bool(np.std(heights) < 0.2 * abs(float(np.mean(heights))) or np.std(apart) < 0.3 * float(np.mean(apart)))
+
 
 VIBRATION = frozenset({"acceleration", "velocity", "displacement"})
 """Quantities without a level or plateaus of their own: what shows either is a fault."""

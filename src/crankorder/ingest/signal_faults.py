@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError
-from crankorder.ingest.fault import Runs, SignalFault
+from crankorder.ingest.channel_faults import Runs, SignalFault
 from crankorder.ingest.rawfile import FloatArray
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.angle_errors import UNKNOWN_DEG, errors_of_rows
 from crankorder.orders.intervals import amplitude_interval, frame_correlation, phase_interval_deg, t_quantile
+from crankorder.orders.true_angle import UNKNOWN_DEG, errors_of_rows
 
 PARTED_BEATS = 1.5
 """Lines that beat less often between the first frame and the last are not parted: each may hold all of it, or none."""

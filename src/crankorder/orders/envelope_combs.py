@@ -3,13 +3,103 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from crankorder.orders.envelope_lines import middles
+from crankorder.orders.envelope_band import Band, middles
+
+FLOOR_ORDERS = 1.0
+"""Width in orders of the pieces of a spectrum whose medians are the floor: wide against any line and its skirts."""
+
+FLOOR_WORTH = 0.4
+"""Independent powers per cell of resolution that a floor of medians is worth: of a Hann window two thirds are, and a
+median is worth 0.6 of their mean."""
+
+CYCLE_CELLS = 1.5
+"""Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
+
+LOCKED_BINS = 2.0
+"""Cells of resolution beside a multiple of the cycle's order that take no part in the choice of the band."""
+
+MAINS_HZ, MAINS_SHARE, MAINS_CELLS = (50.0, 60.0), 0.002, 1.5
+"""Multiples of the mains beat with each other in every band that holds two of them, as strikes at such a rate would:
+frequencies, by how much these wander as a share, and cells of resolution beside in which nothing is told."""
+
+LOWEST_ORDER = 0.25
+"""Order below which nothing is chosen by: slow changes of load and speed are there."""
+
+CLEAR_RATIO, WIDER_SHARE = 100.0, 0.5
+"""Power ratio from which a line is clear, and share of it that a wider band must show to be taken instead."""
+
+
+def best_band(height: NDArray[np.float64]) -> int:
+    """Band in whose envelope most stands out, by the ``height`` (bands,) of it; bands come widest first.
+
+    Of a line that stands out clearly a wider band is taken that shows it half as well: it holds more of the resonance,
+    and the amplitude then depends less on which band the noise lets win.
+    """
+    best = int(np.argmax(height))
+    if height[best] < CLEAR_RATIO:
+        return best
+    return int(np.flatnonzero(height >= WIDER_SHARE * height[best])[0])
+
+
+def free_orders(order: NDArray[np.float64], revs: int, revs_per_cycle: int) -> NDArray[np.bool_]:
+    """Which ``order`` (orders,) is no multiple of the cycle's: what strikes there is not the engine itself.
+
+    ``revs`` of a frame, whose inverse is the resolution; ``revs_per_cycle`` of the engine, one or two.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return np.asarray((beside > LOCKED_BINS / revs) & (order > LOWEST_ORDER))
+
+
+def off_mains(order: NDArray[np.float64], *, speed_hz: float, cell: float) -> NDArray[np.bool_]:
+    """Which ``order`` (orders,) is, at ``speed_hz``, none at which multiples of the mains beat; ``cell`` in orders."""
+    made = np.ones(len(order), dtype=np.bool_)
+    for mains_hz in MAINS_HZ:
+        spacing = mains_hz / speed_hz
+        beside = np.abs(order - spacing * np.maximum(np.round(order / spacing), 1.0))
+        made &= beside > MAINS_CELLS * cell + MAINS_SHARE * order
+    return made
+
+
+def free_of_others(
+    order: NDArray[np.float64], *, revs_per_cycle: int, speed_hz: float, cell: float
+) -> NDArray[np.bool_]:
+    """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
+
+    ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
+
+
+def floor_worth(step: float, cell: float) -> float:
+    """Independent bins that the floor of a spectrum is worth, with bins ``step`` apart and a resolution of ``cell``."""
+    return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
+
+
+def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_independent: float) -> NDArray[np.float64]:
+    """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
+
+    ``power`` (bands, orders) at each ``order``, of which the spacing is even, is the mean of ``n_independent`` spectra.
+    """
+    from scipy.special import gammaincinv
+
+    width = max(round(FLOOR_ORDERS / float(order[1])), 8)
+    count = max(power.shape[1] // width, 1)
+    pieces = power[:, : count * width].reshape(len(power), count, -1)
+    shape = max(n_independent, 1.0)
+    middle = middles(pieces) * shape / float(gammaincinv(shape, 0.5))
+    at = (np.arange(count) + 0.5) * pieces.shape[2]
+    bins = np.arange(power.shape[1])
+    made: NDArray[np.float64] = np.stack([np.interp(bins, at, row) for row in middle])
+    return made
+
 
 Array = NDArray[np.float64]
 
@@ -200,3 +290,156 @@ def over_skirts(ratio: Array) -> Array:
     rest = ratio.shape[1] - high.shape[1]
     made: Array = ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge")
     return made
+
+
+WIDER_EVIDENCE = 0.9
+"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
+
+_UNITS = {"ratio": "1", "level": "1", "floor": "see unit"}
+"""Units of what is kept of a spectrum: power over the skirts of other lines, that over the floor, root of the floor."""
+
+_OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
+
+
+def looks_of(
+    combs: tuple[Comb, ...], bands: tuple[Band, ...], *, order: Array, looks: NDArray[np.float32]
+) -> dict[str, Any]:
+    """Variables of a RecordingEnvelope: what each of ``bands`` shows where lines of ``combs`` may be.
+
+    ``looks`` (channel, 3, bands, looks): the power over the skirts of other lines, that over the local floor, and the
+    root of this floor; ``order`` (orders,) is that of a whole spectrum.
+    """
+    bins = looked_at(combs, step=float(order[1]), n_orders=len(order))
+    made = comb_variables(combs) | {
+        "look": (("look",), order[bins], {"units": "1", "long_name": "order of the envelope"}),
+        "look_band_low": (("speed", "band"), np.array([[band.low_hz for band in bands]]), {"units": "Hz"}),
+        "look_band_high": (("speed", "band"), np.array([[band.high_hz for band in bands]]), {"units": "Hz"}),
+    }
+    for number, (name, units) in enumerate(_UNITS.items()):
+        dims = ("channel", "speed", "band", "look")
+        made[f"look_{name}"] = (dims, looks[:, number][:, None], {"units": units})
+    return made
+
+
+def comb_variables(combs: tuple[Comb, ...]) -> dict[str, Any]:
+    """``combs`` as variables of a dataset."""
+    columns = np.array(combs, dtype=np.float64).reshape(-1, len(Comb._fields)).T
+    return {f"comb_{name}": (("comb",), column, _OF_COMB) for name, column in zip(Comb._fields, columns, strict=True)}
+
+
+def combs_in(dataset: xr.Dataset) -> tuple[Comb, ...]:
+    """Combs that ``dataset`` holds; none where it has none."""
+    if "comb_low" not in dataset:
+        return ()
+    columns = [dataset[f"comb_{name}"].values.tolist() for name in Comb._fields]
+    return tuple(Comb(*row) for row in zip(*columns, strict=True))
+
+
+def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
+    """Variables of an EnvelopeMap: for each comb its lines in the one band that serves it best in the whole test.
+
+    ``groups`` are the RecordingEnvelopes of like speed; empty where one of them was made without combs, or with
+    others. Bands of other recordings are those nearest to the bands of the first one of the most.
+    """
+    items = [item for group in groups for item in group]
+    combs = combs_in(items[0])
+    if not combs or any(not _alike(item, items[0]) for item in items):
+        return {}
+    like = max(items, key=lambda item: item.sizes["band"])
+    kept = np.stack([_averaged(group, like) for group in groups], axis=2)
+    chosen = _bands_of(kept[0], groups, combs, items[0])
+    made = comb_variables(combs) | {"look": (("look",), items[0]["look"].values, dict(items[0]["look"].attrs))}
+    for number, (name, units) in enumerate(_UNITS.items()):
+        values = np.stack([kept[number][:, :, at] for at in chosen])
+        made[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
+    for end in ("low", "high"):
+        edges = np.array([group[0][f"look_band_{end}"].values[0, _nearest(group[0], like)] for group in groups])
+        made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, {"units": "Hz"})
+    return made
+
+
+def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
+    return combs_in(item) == combs_in(other) and np.array_equal(item["look"].values, other["look"].values)
+
+
+def _nearest(item: xr.Dataset, like: xr.Dataset) -> NDArray[np.int64]:
+    """Which band of ``item`` is nearest to each of the bands of ``like``, by both ends in Hz."""
+    away = np.zeros((like.sizes["band"], item.sizes["band"]))
+    for end in ("look_band_low", "look_band_high"):
+        away += np.abs(like[end].values[0][:, None] - item[end].values[0])
+    return np.asarray(np.argmin(away, axis=1), dtype=np.int64)
+
+
+def _averaged(group: list[xr.Dataset], like: xr.Dataset) -> NDArray[np.float32]:
+    """Means (3, channel, band, look) of what is kept of the recordings of a ``group``, as often as each counts."""
+    total, made = 0.0, 0.0
+    for item in group:
+        count = np.nan_to_num(item["n_independent"].values[:, 0])[:, None, None]
+        at = _nearest(item, like)
+        made = made + count * np.nan_to_num(np.stack([item[f"look_{name}"].values[:, 0][:, at] for name in _UNITS]))
+        total = total + count
+    return np.asarray(made / np.maximum(total, 1e-9), dtype=np.float32)
+
+
+def _bands_of(
+    ratio: NDArray[np.float32], groups: list[list[xr.Dataset]], combs: tuple[Comb, ...], first: xr.Dataset
+) -> list[int]:
+    """For each comb the band of ``ratio`` (channel, speed, band, look) that serves it best: in a spectrum or in all."""
+    order = first["order"].values
+    step, bins = float(order[1]), np.round(first["look"].values / order[1]).astype(np.int64)
+    count = np.array([sum(np.nan_to_num(item["n_independent"].values[:, 0]) for item in group) for group in groups]).T
+    revs = [min(int(item["revs_per_frame"].values[0]) for item in group) for group in groups]
+    speed_hz = [float(np.mean([item["speed"].values[0] for item in group])) / 60.0 for group in groups]
+    cycle = int(first.attrs["revs_per_cycle"])
+    free = np.array(
+        [
+            free_of_others(order, revs_per_cycle=cycle, speed_hz=hz, cell=1.0 / each)
+            for hz, each in zip(speed_hz, revs, strict=True)
+        ]
+    )
+    best = np.zeros((len(combs), ratio.shape[2]))
+    several = np.log(max(count.size, 1))
+    if count.size > 1:
+        weight = count[:, :, None, None] * free[None, :, None, bins]
+        own = weight.sum(axis=(0, 1))
+        mean = (weight * ratio).sum(axis=(0, 1)) / np.maximum(own, 1e-9)
+        counts = np.zeros(len(order), dtype=np.bool_)
+        counts[bins] = own[0] >= 0.5 * count.sum()
+        worth = floor_worth(step, 1.0 / max(revs))
+        total = np.array([float(count.sum())])
+        best = served(mean[None], combs, bins, step=step, count=total, worth=worth, free=counts)[:, 0]
+    for speed in range(ratio.shape[1]):
+        worth = floor_worth(step, 1.0 / revs[speed])
+        shown = served(ratio[:, speed], combs, bins, step=step, count=count[:, speed], worth=worth, free=free[speed])
+        best = np.maximum(best, shown.max(axis=1) - several)
+    # bands come widest first, level by level: a wider one that shows it as well holds more of the resonance
+    return [int(np.flatnonzero(each >= WIDER_EVIDENCE * each.max())[0]) for each in best]
+
+
+def served(
+    ratio: NDArray[np.floating],
+    combs: tuple[Comb, ...],
+    bins: NDArray[np.int64],
+    *,
+    step: float,
+    count: Array,
+    worth: float,
+    free: NDArray[np.bool_],
+) -> Array:
+    """Nats (combs, rows, bands) of the best trial of each of ``combs`` in each of ``ratio`` (rows, bands, looks).
+
+    Parameters
+    ----------
+    ratio : power over the floor at the ``bins`` (looks,) of spectra with bins ``step`` orders apart
+    count : (rows,), independent spectra that each is the mean of
+    worth : independent bins that its floor is worth
+    free : (orders,), bins off the multiples of the cycle's order and of mains
+    """
+    nats = np.concatenate(
+        [
+            look_nats(row, bins, count=float(own), floor_worth=worth, free=free[bins])
+            for row, own in zip(ratio, count, strict=True)
+        ]
+    )
+    best = [comb_nats(nats, bins, comb, step=step, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
+    return np.array(best).reshape(len(combs), *ratio.shape[:2])

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.orders.between_recordings import phases_compare
 from crankorder.orders.least_squares_tracks import (
     Spans,
     beyond_remark,
@@ -19,11 +20,10 @@ from crankorder.orders.least_squares_tracks import (
     tracked_orders,
     tracks_in_frames,
 )
-from crankorder.orders.phase_marks import phases_compare
 from crankorder.orders.swept_tracks import swept_tracks
 from crankorder.orders.track_means import POLES, Readings, by_energy, by_phase, coherent_mean
+from crankorder.orders.vold_kalman.bandwidth import level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
-from crankorder.orders.vold_kalman.noise import level_dof, student_factor
 from crankorder.quantities import QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at

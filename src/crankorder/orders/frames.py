@@ -10,10 +10,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
-from crankorder.orders.angle_errors import stated_errors
-from crankorder.orders.by_angle import TimeSamples, is_by_angle, time_samples
-from crankorder.orders.method import METHOD_SHARE, FrameLayout, OrderMethod, frame_layout, swept_revs
+from crankorder.orders.method import (
+    METHOD_SHARE,
+    FrameLayout,
+    OrderMethod,
+    TimeSamples,
+    frame_layout,
+    is_by_angle,
+    swept_revs,
+    time_samples,
+)
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
+from crankorder.orders.true_angle import stated_errors
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of, time_at

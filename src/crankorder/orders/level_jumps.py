@@ -7,10 +7,210 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.gain_steps import gain_steps, left_out
 from crankorder.quantities import WHICH_IS_RIGHT, QualityFlag
+
+_STAYS = 0.25
+"""Share of the jump by which what does not jump may move: the other channels, and the same channel elsewhere."""
+
+_ALIKE = 0.75
+"""Share of the blocks of the spectrum that must move by the factor, each within the share of it that may stay."""
+
+_FEWEST_BLOCKS = 6
+"""Blocks of the spectrum whose floor is known: fewer are no floor that moves everywhere."""
+
+_SIGMAS = 6.0
+"""Standard deviations of how floors move elsewhere in the test that a jump must have."""
+
+_LEAST_SIGMA, _LEAST_SCALE = 0.02, 0.05
+"""Of the logarithm of a floor and of an order's amplitude: no test repeats better."""
+
+_ODDS = 100.0
+"""How much better the orders must fit the jump than none."""
+
+_MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+_OWN_SLOPE = 4
+"""Steps between recordings from which a channel's own growth with the speed is told; of fewer, that of all channels."""
+
+_HALF = 16
+"""Bins on each side of an order whose median is its floor."""
+
+_STANDS = 20.0
+"""Power of an order over its floor from which it is one whose size can be compared."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GainStep:
+    """A gain that differs between recording ``after`` - 1 and ``after``, in channel number ``channel``, by ``log``."""
+
+    channel: int
+    after: int
+    log: float
+
+
+def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float) -> list[GainStep]:
+    """Gains that the floors and orders of a test prove to have changed by ``ratio`` or more, and nothing else did.
+
+    ``speed_rpm`` (recordings,) grows; ``blocks`` (recordings, channels, blocks) is the floor of each block of the
+    spectrum, ``lines`` (recordings, channels, orders) the amplitude of each order, NaN where none stands out. Between
+    two recordings next in speed the floor of one channel must move by one factor in nearly all blocks, far beyond how
+    floors move elsewhere, while all other channels stay; and its orders, beside the same orders of the other channels,
+    must fit that factor ``_ODDS`` times better than none. One channel alone proves nothing.
+    """
+    if len(blocks) < 3 or blocks.shape[1] < 2 or blocks.shape[2] < _FEWEST_BLOCKS:
+        return []
+    moves = _moves(speed_rpm, blocks)
+    whole = _median(moves, axis=2)
+    candidates = [(int(s), int(c)) for s, c in zip(*np.nonzero(np.abs(whole) >= math.log(ratio)), strict=True)]
+    rest = np.ones(whole.shape, dtype=bool)
+    for step, channel in candidates:
+        rest[step, channel] = False
+    sigma = max(_LEAST_SIGMA, _MAD_TO_SIGMA * float(np.median(np.abs(whole[rest])))) if rest.any() else np.inf
+    moved = {step for step, _ in candidates}
+    told = {at: _told_by_orders(lines, *at, whole[at], moved) for at in candidates}
+    proven = [
+        GainStep(channel, step + 1, float(whole[step, channel]))
+        for step, channel in candidates
+        if abs(whole[step, channel]) > _SIGMAS * sigma
+        and _is_common(moves[step, channel], whole[step, channel])
+        and _others_stay(whole, step, channel)
+        and sum(told.get(at, 0.0) for at in _there_and_back(whole, step, channel)) > math.log(_ODDS)
+    ]
+    return [one for one in proven if _stays_elsewhere(whole, one, proven)]
+
+
+def line_sizes(frames: xr.Dataset | None, names: list[str]) -> dict[str, NDArray[np.float64]]:
+    """Amplitudes in ``frames`` of the cycle's orders in the channels ``names``, by name; NaN where none stands out."""
+    if frames is None or "spectrum" not in frames or frames.sizes["order"] <= 2 * _HALF:
+        return {}
+    order = frames["order"].values
+    per_order = 1.0 / float(order[1] - order[0])
+    step = 1.0 / int(frames.attrs["revs_per_cycle"])
+    at = np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64)
+    made = {}
+    for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
+        power = np.abs(spectrum) ** 2
+        known = np.isfinite(power)
+        mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(mean, _HALF, mode="reflect"), 2 * _HALF + 1)
+        stands = mean[at] > _STANDS * np.median(beside, axis=-1)[at]
+        made[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
+    return {name: made[name] for name in names if name in made}
+
+
+def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tuple[dict[int, float], bool]:
+    """Of ``n_recordings`` those in which the gain of ``channel`` is not that of most by these ``steps``, with its log.
+
+    And whether it is open which are right: then all are named. A gain that was switched for good tells nobody which of
+    its two was meant, unless one recording alone has the other.
+    """
+    level = np.zeros(n_recordings)
+    own = sorted((one for one in steps if one.channel == channel), key=lambda one: one.after)
+    for one in own:
+        level[one.after :] += one.log
+    if not own:
+        return {}, False
+    least = min(abs(one.log) for one in own)
+    alike = np.abs(level[:, None] - level) < 0.5 * least
+    count = alike.sum(axis=1)
+    most = int(np.argmax(count))
+    switched = len(own) == 1 and min(own[0].after, n_recordings - own[0].after) > 1
+    if switched or 2 * count[most] <= n_recordings:
+        return {row: float(level[row] - np.median(level)) for row in range(n_recordings)}, True
+    middle = float(np.median(level[alike[most]]))
+    return {row: float(level[row] - middle) for row in np.flatnonzero(~alike[most]).tolist()}, False
+
+
+def _moves(speed_rpm: Floats, blocks: Floats) -> Floats:
+    """Logarithm by which each floor moves from recording to recording, beyond its growth with the speed.
+
+    (steps, channels, blocks); NaN where a floor is not known.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        moves = np.diff(np.log(np.where(blocks > 0.0, blocks, np.nan)), axis=0)
+    apart = np.diff(np.log(speed_rpm))
+    known = apart > 1e-3
+    if not known.any():
+        return moves
+    slopes = _median(moves[known], axis=2) / apart[known][:, None]
+    common = float(np.nanmedian(slopes)) if np.isfinite(slopes).any() else 0.0
+    own = np.nan_to_num(_median(slopes.T, axis=1), nan=common) if known.sum() >= _OWN_SLOPE else common
+    return np.asarray(moves - (apart[:, None] * own)[..., None])
+
+
+def _is_common(moves: Floats, jump: float) -> bool:
+    """Whether nearly all blocks of a channel move by the ``jump``."""
+    known = moves[np.isfinite(moves)]
+    near = np.abs(known - jump) <= _STAYS * abs(jump)
+    return len(known) >= _FEWEST_BLOCKS and float(np.mean(near)) >= _ALIKE
+
+
+def _others_stay(whole: Floats, step: int, channel: int) -> bool:
+    others = np.delete(whole[step], channel)
+    return bool(np.isfinite(others).all() and np.abs(others).max() <= _STAYS * abs(whole[step, channel]))
+
+
+def _stays_elsewhere(whole: Floats, one: GainStep, proven: Sequence[GainStep]) -> bool:
+    """Whether the channel's floor stays between all other recordings, but for other proven jumps: none creeps."""
+    own = {other.after - 1 for other in proven if other.channel == one.channel}
+    rest = [whole[step, one.channel] for step in range(len(whole)) if step not in own]
+    return not rest or bool(np.nanmax(np.abs(rest)) <= _STAYS * abs(one.log))
+
+
+def _there_and_back(whole: Floats, step: int, channel: int) -> list[tuple[int, int]]:
+    """The ``step``, and that beside in which the floor moves back: where the gain of one recording is another."""
+    back = [
+        beside
+        for beside in (step - 1, step + 1)
+        if 0 <= beside < len(whole)
+        and abs(whole[beside, channel] + whole[step, channel]) <= _STAYS * abs(whole[step, channel])
+    ]
+    return [(step, channel), *((beside, channel) for beside in back if len(back) == 1)]
+
+
+def _told_by_orders(lines: Floats, step: int, channel: int, jump: float, moved: set[int]) -> float:
+    """Logarithm of how much better the orders of ``channel`` at a ``step`` fit the ``jump`` than none.
+
+    How orders move beside those of other channels is told by the steps without jumps (not ``moved``), and by how these
+    differ from one another; heavy tails, as of the Laplace distribution, keep one order from proving much.
+    """
+    moves = _beside_others(lines)
+    own = moves[step, channel][np.isfinite(moves[step, channel])]
+    if not own.size:
+        return 0.0
+    elsewhere = np.abs([row for number, row in enumerate(moves) if number not in moved])
+    scatter = float(np.median(np.abs(own - np.median(own))))
+    scatter = max(scatter, float(np.nanmedian(elsewhere)) if np.isfinite(elsewhere).any() else 0.0)
+    return float(np.sum(np.abs(own) - np.abs(own - jump))) / max(_LEAST_SCALE, scatter / math.log(2.0))
+
+
+def _beside_others(lines: Floats) -> Floats:
+    """Logarithm by which each order moves from recording to recording beside the median of the other channels.
+
+    (steps, channels, orders).
+    """
+    moves = np.diff(np.log(lines), axis=0)
+    made = np.full(moves.shape, np.nan)
+    for channel in range(moves.shape[1]):
+        made[:, channel] = moves[:, channel] - _median(np.delete(moves, channel, axis=1), axis=1)
+    return made
+
+
+def _median(values: Floats, *, axis: int) -> Floats:
+    """Median along ``axis`` of what is known; NaN where nothing is."""
+    ordered = np.sort(values, axis=axis)
+    count = np.count_nonzero(~np.isnan(ordered), axis=axis)
+    low = np.expand_dims(np.maximum(count - 1, 0) // 2, axis)
+    high = np.expand_dims(np.minimum(count // 2, values.shape[axis] - 1), axis)
+    both = [np.take_along_axis(ordered, at, axis=axis).squeeze(axis) for at in (low, high)]
+    return np.asarray(0.5 * (both[0] + both[1]))
+
 
 _LIKE_SPEED = 0.02
 """Speeds of two recordings are alike within this share, and each is steady within it."""

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.errors import RequestError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.between_recordings import between_recordings, wider_of
-from crankorder.orders.coherence import (
-    LEAST_FRAMES,
-    LikeSpeedFrames,
-    coherence_level,
-    like_speed_frames,
-    place_of,
-    unbiased_coherence,
-)
+from crankorder.orders.between_recordings import between_recordings, mark_of, phases_compare, wider_of
 from crankorder.orders.intervals import (
     NEAREST_BINS,
     amplitude_interval,
@@ -28,9 +22,69 @@ from crankorder.orders.intervals import (
     phase_interval_deg,
     steepest_noise_beside,
 )
-from crankorder.orders.phase_marks import mark_of, phases_compare
+from crankorder.orders.like_speed import LikeSpeedFrames, like_speed_frames
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
+
+LEAST_FRAMES = 2.0
+"""Independent frames below which a coherence says nothing: that of one frame is 1 whatever the signals."""
+
+GRID, TERMS = 257, 400
+"""Coherences for which the expected estimate is tabulated, and terms of its series: right to 1e-5."""
+
+
+def place_of(name: str, names: list[str]) -> int:
+    """Position of the channel ``name`` in ``names``. Raises RequestError where it is none of them."""
+    if name not in names:
+        raise RequestError("no such channel to refer to", found=name, allowed=", ".join(names))
+    return names.index(name)
+
+
+def coherence_level(n_frames: NDArray[np.float64], *, probability: float = 0.95) -> NDArray[np.float64]:
+    """Estimated coherence that independent signals stay below with ``probability``, before its bias is taken off.
+
+    ``n_frames`` independent ones, any shape; NaN below two. Source: Carter 1973, from Goodman's distribution: of
+    independent Gaussian signals it exceeds x with the probability (1 - x)^(n_frames - 1).
+    """
+    n = np.asarray(n_frames, dtype=np.float64)
+    enough = n >= LEAST_FRAMES
+    return np.where(enough, -np.expm1(np.log1p(-probability) / np.where(enough, n - 1.0, 1.0)), np.nan)
+
+
+def expected_coherence(coherence: NDArray[np.float64], *, n_frames: float) -> NDArray[np.float64]:
+    """Mean of the estimated magnitude-squared coherence from few frames: 1 / n_frames where the true one is 0.
+
+    ``coherence`` the true one, 0…1, any shape; ``n_frames`` independent frames, at least 2. Source: Carter, Knapp and
+    Nuttall 1973, 1 / n + (n - 1) / (n + 1) x 2F1(1, 1; n + 2; x).
+    """
+    true = np.asarray(coherence, dtype=np.float64)
+    index = np.arange(1.0, TERMS)
+    terms = np.concatenate([[1.0], np.cumprod(index / (n_frames + 1.0 + index))])
+    series = np.polynomial.polynomial.polyval(true, terms)
+    return np.asarray(1.0 / n_frames + (n_frames - 1.0) / (n_frames + 1.0) * true * series)
+
+
+def unbiased_coherence(estimate: NDArray[np.float64], *, n_frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coherence whose expected estimate is the one found: 0…1, and 0 where chance explains it; NaN below two frames.
+
+    ``estimate`` magnitude-squared, any shape; ``n_frames`` independent frames, broadcast against it.
+    """
+    found, n = np.broadcast_arrays(np.asarray(estimate, dtype=np.float64), np.asarray(n_frames, dtype=np.float64))
+    made = np.full(found.shape, np.nan)
+    for each in np.unique(n[n >= LEAST_FRAMES]):
+        here = n == each
+        made[here] = np.interp(found[here], *_expected_table(float(each)))
+    return np.where(np.isnan(found), np.nan, made)
+
+
+@lru_cache(maxsize=256)
+def _expected_table(n_frames: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Expected estimates from ``n_frames`` and the true coherences that they belong to, both growing."""
+    true = np.linspace(0.0, 1.0, GRID)
+    expected = expected_coherence(true, n_frames=n_frames)
+    expected[-1] = 1.0
+    return expected, true
+
 
 FEW_FRAMES = 2.5
 """With fewer independent frames their scatter says too little, and the bins beside help out."""

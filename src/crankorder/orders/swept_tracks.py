@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
-from crankorder.orders.angle_errors import AngleErrors, errors_along
 from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.track_means import POLES
-from crankorder.orders.vold_kalman.bandwidth import impulse_response
+from crankorder.orders.true_angle import AngleErrors, errors_along
+from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, impulse_response, level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
-from crankorder.orders.vold_kalman.noise import FRAME_BANDWIDTHS, level_dof, student_factor
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.smoothed_speed import SpeedCourse, smoothed_speed, speed_course

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
-from crankorder.orders.vold_kalman.bandwidth import noise_correlation
-from crankorder.orders.vold_kalman.noise import FRAME_BANDWIDTHS
+from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, noise_correlation
 
 POLES = 2
 """Of the Vold–Kalman filter that follows orders: 24 dB per octave beyond the band."""

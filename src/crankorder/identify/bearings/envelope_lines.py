@@ -14,9 +14,17 @@ from scipy.special import fdtrc
 
 from crankorder.identify.bearings.candidates import Ranking, ranking
 from crankorder.identify.bearings.places import Place, made_by
-from crankorder.orders.envelope_combs import TRIALS_PER_BIN, Comb, comb_nats, look_nats, looked_at, over_skirts
-from crankorder.orders.envelope_lines import floor_worth, free_of_others
-from crankorder.orders.envelope_looks import combs_in
+from crankorder.orders.envelope_combs import (
+    TRIALS_PER_BIN,
+    Comb,
+    comb_nats,
+    combs_in,
+    floor_worth,
+    free_of_others,
+    look_nats,
+    looked_at,
+    over_skirts,
+)
 
 PLACE_ERROR = (0.42, 0.40)
 """Standard error of a line's place in cells of resolution, times the root of its power ratio and of the independent

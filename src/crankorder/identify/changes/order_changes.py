@@ -14,7 +14,7 @@ from scipy.special import fdtrc, stdtr
 from crankorder.identify.changes.order_in_map import Line, line_of
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.intervals import half_width, half_widths
-from crankorder.orders.phase_marks import LOCATED, WHOLE
+from crankorder.orders.between_recordings import LOCATED, WHOLE
 
 CLEAR = 3.0
 """Standard errors above zero from which the logarithm of an amplitude has a normal error."""

@@ -32,7 +32,7 @@ from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.identify.mains import nearest_multiple as nearest_mains
 from crankorder.identify.said import ALIKE_SPEEDS, UNRESOLVED
-from crankorder.orders.angle_errors import ERROR
+from crankorder.orders.true_angle import ERROR
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 

@@ -13,7 +13,7 @@ from crankorder.identify.lines.close_pair import NUMBERS as CLOSE_PAIR
 from crankorder.identify.lines.close_pair import unaliased
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
 from crankorder.identify.lines.zoom import Zoomed, zoomed
-from crankorder.orders.common_frames import common_frames
+from crankorder.orders.like_speed import common_frames
 from crankorder.settings import MethodNumbers
 
 

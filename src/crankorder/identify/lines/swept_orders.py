@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.said import UNRESOLVED
-from crankorder.orders.common_frames import reframed
+from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import hann_lobe
 from crankorder.settings import MethodNumbers, Settings

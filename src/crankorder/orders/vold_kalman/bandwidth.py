@@ -1,11 +1,14 @@
-"""The weight of the structural equation of a Vold-Kalman filter, from its bandwidth."""
+"""Bandwidth of a Vold-Kalman filter: the weight of its structural equation, the noise it passes, the place of knots."""
 
 from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 HALF_POWER = math.sqrt(2.0) - 1.0
@@ -77,3 +80,259 @@ def _correlation_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.floa
     table = np.cos(np.pi * np.outer(grid, x)) @ power / power.sum()
     table[-1] = 0.0
     return grid, table
+
+
+FRAME_BANDWIDTHS = 4.0
+"""Length of a frame, in reciprocal bandwidths: short enough to follow a resonance that is passed."""
+
+FLANK = (1.0, 4.8)
+"""Offsets from the order, in bandwidths, between which the noise is read, on both sides: outside of the band."""
+
+LEAST_BINS = (2, 6)
+"""First bin and number of bins of a flank where the record is short against the filter's response."""
+
+WIDEST = 0.3
+"""Highest offset read, as a share of the rate of the sums."""
+
+LOWER = 0.75
+"""Share of the bins, from below, whose mean tells the level: a line that nobody tracked is above."""
+
+FEWEST_BINS = 6
+INDEPENDENT = 0.55
+"""Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
+
+_Array = NDArray[np.float64]
+
+
+def local_level(
+    sums: NDArray[np.complex128],
+    weight: _Array,
+    others: _Array,
+    *,
+    sums_per_bandwidth: float,
+    poles: int,
+    correlation: _Array,
+) -> tuple[_Array, _Array]:
+    """Variance of the white noise that would be as strong as the residual beside one order, by frame.
+
+    ``sums`` (channels, places) of the residual turned back by the order's phase, whose mean square is ``weight``
+    (places,) times that variance; ``others`` (other orders, places) their distance from this order in cycles per
+    place; ``sums_per_bandwidth`` of them in the time 1/bandwidth; ``poles`` of the filter, whose gain is missing from
+    the residual; ``correlation`` (lags,) of neighbouring sums in white noise, one at lag 0. Returns the middle of each
+    frame in places (frames,) and the variance (channels, frames), enlarged as Student's distribution asks for so few
+    bins.
+    """
+    known = weight > 1e-3 * weight.max()
+    turned = np.where(known, sums / np.sqrt(np.where(known, weight, 1.0)), 0.0)
+    length = min(sums.shape[1], max(16, round(FRAME_BANDWIDTHS * sums_per_bandwidth)))
+    starts = np.arange(0, sums.shape[1] - length + 1, max(1, length // 2))
+    window = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+    held = sliding_window_view(known * 1.0, length)[starts] @ window**2
+    bins = _flanks(length, sums_per_bandwidth)
+    spectrum = np.fft.fft(sliding_window_view(turned, length, axis=1)[:, starts] * window, axis=2)[:, :, bins]
+    power = np.abs(spectrum) ** 2 / _shape(bins / length, sums_per_bandwidth, poles, correlation)
+    free = _free_of_others(bins / length, others, starts, length, 1.0 / sums_per_bandwidth)
+    usable = held > 0.5 * held.max()
+    level = _level(power[:, usable], free[usable]) / held[usable]
+    return starts[usable] + 0.5 * (length - 1), level
+
+
+def _flanks(length: int, sums_per_bandwidth: float) -> NDArray[np.int64]:
+    """Bins of a transform of ``length`` that are beside the order, those below it negative."""
+    first = max(LEAST_BINS[0], math.ceil(FLANK[0] * length / sums_per_bandwidth))
+    last = max(first + LEAST_BINS[1], int(FLANK[1] * length / sums_per_bandwidth))
+    last = max(LEAST_BINS[0], min(last, int(WIDEST * length)))
+    one = np.arange(min(first, last), last + 1)
+    return np.concatenate([-one, one])
+
+
+def _shape(offset: _Array, sums_per_bandwidth: float, poles: int, correlation: _Array) -> _Array:
+    """Power of white noise in the sums at each offset [cycles per place], where the filter has taken its share."""
+    gain = 1.0 / (1.0 + HALF_POWER * (2.0 * offset * sums_per_bandwidth) ** (2 * poles))
+    lags = np.arange(1, len(correlation))
+    spread = correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(offset, lags)) @ correlation[1:]
+    return np.asarray(spread * (1.0 - gain) ** 2)
+
+
+def _free_of_others(
+    offset: _Array, others: _Array, starts: NDArray[np.int64], length: int, bandwidth: float
+) -> NDArray[np.bool_]:
+    """Which bins (frames, bins) hold no other tracked order, whose filter has taken the noise there."""
+    free = np.ones((len(starts), len(offset)), dtype=bool)
+    for other in others:
+        framed = sliding_window_view(other, length)[starts]
+        low, high = framed.min(axis=1)[:, None] - bandwidth, framed.max(axis=1)[:, None] + bandwidth
+        free &= (offset < low) | (offset > high)
+    free[free.sum(axis=1) < FEWEST_BINS] = True
+    return free
+
+
+def _level(power: _Array, free: NDArray[np.bool_]) -> _Array:
+    """Mean power (channels, frames) of the free bins, from the lower ones of each side: noise may slope."""
+    total = np.zeros(power.shape[:2])
+    for side in np.split(np.arange(power.shape[2]), 2):
+        ordered = np.sort(np.where(free[:, side], power[:, :, side], np.inf), axis=2)
+        count = free[:, side].sum(axis=1)
+        kept = np.maximum(1, np.floor(LOWER * count)).astype(int)
+        lower = np.where(np.arange(len(side)) < np.where(count > 0, kept, 0)[:, None], ordered, 0.0)
+        total += lower.sum(axis=2) / kept * _expected(kept, count) * count
+    count = free.sum(axis=1)
+    return np.asarray(total / count * student_factor(2.0 * INDEPENDENT * count) ** 2)
+
+
+def student_factor(dof: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What Student's t asks for at 95 % over a normal distribution, by degrees of freedom ``dof`` (any shape)."""
+    return np.asarray(1.0 + 1.21 / dof)
+
+
+def level_dof(bandwidths: float) -> float:
+    """Degrees of freedom of the level of one frame, in a record ``bandwidths`` reciprocal bandwidths long."""
+    flank = min(FRAME_BANDWIDTHS, bandwidths)
+    return 4.0 * INDEPENDENT * max(1.0 + LEAST_BINS[1], (FLANK[1] - FLANK[0]) * flank)
+
+
+def _expected(kept: NDArray[np.int64], count: NDArray[np.int64]) -> _Array:
+    """Mean of exponential powers over the mean of the ``kept`` lowest of ``count`` of them."""
+    share = np.minimum(kept / np.maximum(count, 1), 1.0 - 1e-9)
+    left = 1.0 - share
+    return np.asarray(share / (1.0 - left * (1.0 - np.log(left))))
+
+
+DEGREE = 5
+"""Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
+
+FEWEST_INTERVALS = 16
+"""However narrow the band: the envelope may still bend in a record that is shorter than the filter's response."""
+
+SPLINE_CORRELATION = np.array([15724248, 9738114, 2203488, 152637, 2036, 1]) / 15724248.0
+"""Correlation of white noise between quintic splines that are 0 … 5 knots apart: splines of degree 11 at the knots."""
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Knots half a sample before the samples ``starts`` (intervals + 1,), the last one after the end."""
+
+    starts: NDArray[np.int64]
+
+    @property
+    def middles(self) -> _Array:
+        """Middle of each interval [samples]."""
+        return np.asarray(0.5 * (self.starts[1:] + self.starts[:-1] - 1.0), dtype=np.float64)
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals between knots."""
+        return len(self.starts) - 1
+
+    @cached_property
+    def extended(self) -> _Array:
+        """Knots [samples] with the ends repeated, so that the first and last spline are one at the ends."""
+        inner = self.starts - 0.5
+        return np.concatenate([np.full(DEGREE, inner[0]), inner, np.full(DEGREE, inner[-1])])
+
+    @cached_property
+    def runs(self) -> NDArray[np.int64]:
+        """First interval of each run of intervals (runs,) between whose neighbours nothing changes."""
+        lengths = np.diff(self.starts)
+        changed = np.flatnonzero(np.diff(lengths)) + 1
+        changed = np.concatenate([[0], changed, [self.intervals]])
+        near = np.clip(changed[:, None] + np.arange(-DEGREE, DEGREE + 1), 0, self.intervals - 1)
+        return np.unique(near)
+
+
+def place_knots(spacing: _Array, n_samples: int, *, fewest: int = FEWEST_INTERVALS) -> Knots:
+    """Knots across ``n_samples`` whose distance follows ``spacing`` [samples] (points,), even across the record.
+
+    At least ``fewest`` intervals, none shorter than a sample. Where the spacing does not change, all intervals hold
+    equally many samples, or the last ones one more.
+    """
+    spacing = np.asarray(spacing, dtype=np.float64)
+    if np.all(spacing == spacing[0]):
+        step = max(1, min(int(spacing[0]), n_samples // fewest))
+        intervals = n_samples // step
+        lengths = np.full(intervals + 1, n_samples // intervals)
+        lengths[0] = 0
+        lengths[intervals + 1 - n_samples % intervals :] += 1
+        return Knots(np.cumsum(lengths))
+    rate = 1.0 / spacing
+    count = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))])
+    total = float(count[-1]) * n_samples / (len(rate) - 1)
+    intervals = min(max(round(total), fewest), n_samples)
+    place = np.interp(np.arange(intervals + 1) / intervals, count / count[-1], np.linspace(0.0, n_samples, len(count)))
+    return Knots(np.unique(np.round(place).astype(np.int64)))
+
+
+def spline_pieces(knots: _Array, at: NDArray[np.int64], degree: int) -> _Array:
+    """Powers of u in (-1, 1) (intervals, degree + 1 splines, degree + 1 powers) of B-splines in the intervals ``at``.
+
+    ``knots`` hold ``degree`` repeated ends before and after the intervals. Source: de Boor 1972, recursion.
+    """
+    left, right = knots[degree + at], knots[degree + 1 + at]
+    middle, half = 0.5 * (left + right), 0.5 * (right - left)
+    found = np.zeros((len(at), degree + 1, degree + 1))
+    found[:, degree, 0] = 1.0
+    for k in range(1, degree + 1):
+        new = np.zeros_like(found)
+        for place in range(degree - k, degree + 1):
+            # spline number at + place of degree k rises over the first and falls over the second support
+            j = at + place
+            for source, zero, one in ((place, knots[j], knots[j + k]), (place + 1, knots[j + k + 1], knots[j + 1])):
+                if source > degree:
+                    continue
+                span = np.where(one == zero, 1.0, one - zero)
+                constant = np.where(one == zero, 0.0, (middle - zero) / span)
+                slope = np.where(one == zero, 0.0, half / span)
+                new[:, place] += constant[:, None] * found[:, source]
+                new[:, place, 1:] += slope[:, None] * found[:, source, :-1]
+        found = new
+    return found
+
+
+def difference_slopes(knots: Knots, poles: int) -> _Array:
+    """Factors (poles, splines) that turn differences of coefficients on ``knots`` into those of derivatives [1/sample].
+
+    Row k, for the step from derivative k to k + 1 of ``poles``, holds one factor less than the row before it.
+    """
+    found = np.zeros((poles, knots.intervals + DEGREE))
+    for k in range(poles):
+        inner = knots.extended[k + 1 : len(knots.extended) - k - 1]
+        span = inner[DEGREE - k :] - inner[: len(inner) - DEGREE + k]
+        found[k, : len(span)] = (DEGREE - k) / span
+    return found
+
+
+def local_differences(knots: Knots, at: NDArray[np.int64], poles: int) -> _Array:
+    """Matrices (intervals, splines - poles, splines) that take coefficients on ``knots`` to those of a derivative.
+
+    ``at`` are the intervals, ``poles`` the order of the derivative.
+    """
+    found = np.broadcast_to(np.eye(DEGREE + 1), (len(at), DEGREE + 1, DEGREE + 1))
+    for k, slopes in enumerate(difference_slopes(knots, poles)):
+        found = (found[:, 1:] - found[:, :-1]) * slopes[at[:, None] + np.arange(DEGREE - k)][:, :, None]
+    return found
+
+
+def roughness(knots: Knots, at: NDArray[np.int64], poles: int) -> _Array:
+    """Quadratic forms (intervals, splines, splines) of the structural equation in the intervals ``at`` of ``knots``.
+
+    They act on the coefficients of the derivative of order ``poles``. The sum of the squared difference becomes the
+    integral of the squared derivative, less poles/12 times that of the next one (what makes a difference over one
+    sample smaller than the derivative), over all places where the difference fits into the record. In the
+    first and last interval, which it does not fill, the integral could become negative and is left as it is.
+    """
+    degree = DEGREE - poles
+    pieces = spline_pieces(knots.extended[poles : len(knots.extended) - poles], at, degree)
+    half = 0.5 * np.diff(knots.starts)[at]
+    low = np.where(at == 0, np.minimum(0.5 * poles / half, 1.0) - 1.0, -1.0)
+    high = np.where(at == knots.intervals - 1, 1.0 - np.minimum(0.5 * poles / half, 1.0), 1.0)
+    shrink = np.where((at == 0) | (at == knots.intervals - 1), 0.0, poles / 12.0)
+    slope = pieces[:, :, 1:] * np.arange(1, degree + 1) / half[:, None, None]
+    found = np.zeros((len(at), degree + 1, degree + 1))
+    for node, share in zip(*np.polynomial.legendre.leggauss(degree + 1), strict=True):
+        u = (0.5 * (low + high) + 0.5 * (high - low) * node)[:, None] ** np.arange(degree + 1)
+        part = (half * 0.5 * (high - low) * share)[:, None, None]
+        value = np.einsum("isp,ip->is", pieces, u)
+        steep = np.einsum("isp,ip->is", slope, u[:, :degree])
+        found += part * value[:, :, None] * value[:, None, :]
+        found -= part * shrink[:, None, None] * steep[:, :, None] * steep[:, None, :]
+    return found

@@ -5,22 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.orders.vold_kalman.assembly import (
-    apply_roughness,
-    assemble_gram,
-    assemble_roughness,
-    gather,
-    scatter,
-    spline_products,
-    variance_at_middles,
-)
-from crankorder.orders.vold_kalman.banded import factorise, inverse_band, product, solve
-from crankorder.orders.vold_kalman.bandwidth import structural_weight
-from crankorder.orders.vold_kalman.kernels import add_moments, evaluate
-from crankorder.orders.vold_kalman.knots import (
+from crankorder.orders.vold_kalman.banded import add_moments, evaluate, factorise, inverse_band, product, solve
+from crankorder.orders.vold_kalman.bandwidth import (
     DEGREE,
     FEWEST_INTERVALS,
     difference_slopes,
@@ -28,8 +18,207 @@ from crankorder.orders.vold_kalman.knots import (
     place_knots,
     roughness,
     spline_pieces,
+    structural_weight,
 )
-from crankorder.orders.vold_kalman.short import solve_short
+
+SPLINES = DEGREE + 1
+"""Splines in an interval, and powers of u of each: a constant, so that the loops are unrolled."""
+
+
+def spline_products(pieces: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Products of two splines in powers of u, (runs, powers, pairs): pairs (a, b) with b up to a, in rows of a.
+
+    ``pieces`` (runs, splines, powers) are the splines.
+    """
+    a, b = np.tril_indices(SPLINES)
+    found = np.zeros((len(pieces), 2 * SPLINES - 1, len(a)))
+    for q in range(SPLINES):
+        for r in range(SPLINES):
+            found[:, q + r] += pieces[:, a, q] * pieces[:, b, r]
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def assemble_gram(gram, products, kind, band):  # type: ignore[no-untyped-def]
+    """Add to ``band`` the data's weight ``gram`` (intervals, pairs of rows, powers) on ``products`` [``kind``]."""
+    n_rows, width = band.shape[1] // SPLINES, band.shape[1] - 1
+    local = np.empty(products.shape[2])
+    for i in range(gram.shape[0]):
+        pair = 0
+        for row in range(n_rows):
+            for other in range(row + 1):
+                local[:] = 0.0
+                for m in range(2 * SPLINES - 1):
+                    moment, line = gram[i, pair, m], products[kind[i], m]
+                    for ab in range(local.shape[0]):
+                        local[ab] += moment * line[ab]
+                pair += 1
+                ab = 0
+                for a in range(SPLINES):
+                    for b in range(a + 1):
+                        back = (a - b) * n_rows
+                        band[(i + a) * n_rows + row, width - back - row + other] += local[ab]
+                        if a > b and row != other:
+                            band[(i + a) * n_rows + other, width - back + row - other] += local[ab]
+                        ab += 1
+
+
+@njit(cache=True, nogil=True)
+def assemble_roughness(stiffness, kind, weight, band):  # type: ignore[no-untyped-def]
+    """Add to ``band`` the forms ``stiffness`` [``kind``] (splines, splines) times ``weight`` (intervals, orders)."""
+    n_orders = weight.shape[1]
+    n_rows, width = 2 * n_orders, band.shape[1] - 1
+    for i in range(kind.shape[0]):
+        local = stiffness[kind[i]]
+        for a in range(SPLINES):
+            for b in range(a + 1):
+                for row in range(n_rows):
+                    band[(i + a) * n_rows + row, width - (a - b) * n_rows] += local[a, b] * weight[i, row % n_orders]
+
+
+@njit(cache=True, nogil=True)
+def apply_roughness(forms, kind, weight, slopes, values, result):  # type: ignore[no-untyped-def]
+    """Add to ``result`` (columns, splines, rows) the structural equation applied to ``values`` of the same shape.
+
+    ``slopes`` (poles, splines) turn differences of coefficients into those of the derivative; in turn, so that those of
+    a constant vanish exactly. ``forms`` [``kind``] act on them, times ``weight`` (intervals, orders).
+    """
+    poles, n = slopes.shape[0], values.shape[1]
+    near = forms.shape[1]
+    for column in range(values.shape[0]):
+        for row in range(values.shape[2]):
+            steep = values[column, :, row].copy()
+            for k in range(poles):
+                for j in range(n - 1 - k):
+                    steep[j] = (steep[j + 1] - steep[j]) * slopes[k, j]
+            rough = np.zeros(n)
+            for i in range(kind.shape[0]):
+                local, r2 = forms[kind[i]], weight[i, row % weight.shape[1]]
+                for a in range(near):
+                    total = 0.0
+                    for b in range(near):
+                        total += local[a, b] * steep[i + b]
+                    rough[i + a] += r2 * total
+            for k in range(poles - 1, -1, -1):
+                above = 0.0
+                for j in range(n - 1 - k):
+                    scaled = rough[j] * slopes[k, j]
+                    rough[j] = above - scaled
+                    above = scaled
+                rough[n - 1 - k] = above
+            for j in range(n):
+                result[column, j, row] += rough[j]
+
+
+@njit(cache=True, nogil=True)
+def gather(data, pieces, kind, values):  # type: ignore[no-untyped-def]
+    """Add to ``values`` (channels, splines, rows) the moments ``data`` (intervals, channels, rows, powers).
+
+    ``pieces`` [``kind``] are the splines of each interval.
+    """
+    for i in range(data.shape[0]):
+        piece = pieces[kind[i]]
+        for c in range(data.shape[1]):
+            for a in range(SPLINES):
+                for row in range(data.shape[2]):
+                    total = 0.0
+                    for q in range(SPLINES):
+                        total += piece[a, q] * data[i, c, row, q]
+                    values[c, i + a, row] += total
+
+
+@njit(cache=True, nogil=True)
+def scatter(values, pieces, kind, found):  # type: ignore[no-untyped-def]
+    """Fill ``found`` (intervals, channels, rows, powers) with the envelopes in u of coefficients ``values``.
+
+    ``pieces`` [``kind``] are the splines of each interval.
+    """
+    for i in range(found.shape[0]):
+        piece = pieces[kind[i]]
+        for c in range(found.shape[1]):
+            for row in range(found.shape[2]):
+                for q in range(SPLINES):
+                    total = 0.0
+                    for a in range(SPLINES):
+                        total += piece[a, q] * values[c, i + a, row]
+                    found[i, c, row, q] = total
+
+
+@njit(cache=True, nogil=True)
+def variance_at_middles(inverse, pieces, kind, n_rows):  # type: ignore[no-untyped-def]
+    """Variance (intervals, rows) of each envelope in the middle of each interval, from the ``inverse`` band.
+
+    ``pieces`` [``kind``] are the splines, ``n_rows`` the number of rows.
+    """
+    width = inverse.shape[1] - 1
+    found = np.zeros((kind.shape[0], n_rows))
+    for i in range(kind.shape[0]):
+        middle = pieces[kind[i], :, 0]
+        for row in range(n_rows):
+            for a in range(middle.shape[0]):
+                at = (i + a) * n_rows + row
+                found[i, row] += middle[a] * middle[a] * inverse[at, width]
+                for b in range(a):
+                    found[i, row] += 2.0 * middle[a] * middle[b] * inverse[at, width - (a - b) * n_rows]
+    return found
+
+
+_Array = NDArray[np.float64]
+
+
+def integration(slopes: _Array, n_splines: int) -> _Array:
+    """Coefficients (splines, splines) of splines from the first coefficient of each derivative and all of the last.
+
+    ``slopes`` (poles, splines) as of ``difference_slopes``, ``n_splines`` the number of coefficients. In these unknowns
+    the structural equation acts on the last derivative alone, so that no weight, however large, hides the data.
+    """
+    unknown = np.eye(n_splines)
+    found = unknown[len(slopes) :]
+    for k in range(len(slopes) - 1, -1, -1):
+        steps = np.cumsum(found / slopes[k, : len(found), None], axis=0)
+        found = np.concatenate([unknown[k : k + 1], unknown[k] + steps])
+    return found
+
+
+def solve_short(
+    data_band: _Array, forms: _Array, weight: _Array, slopes: _Array, wanted: _Array
+) -> tuple[_Array, _Array]:
+    """Coefficients (columns, splines, rows) and their covariance (n, n) from white data noise of unit variance.
+
+    ``data_band`` (n, width + 1) the data's weight, ``forms`` (intervals, splines, splines) and ``weight`` (intervals,
+    orders) the structural equation on last derivatives, ``slopes`` as of ``difference_slopes``, ``wanted`` (columns,
+    splines, rows) the right-hand sides. Raises RequestError where the equations are not definite.
+    """
+    n_splines, rows = wanted.shape[1:]
+    turn = np.kron(integration(slopes, n_splines), np.eye(rows))
+    data = _dense(data_band)
+    matrix = turn.T @ data @ turn
+    poles, near = len(slopes), forms.shape[1]
+    for i in range(len(forms)):
+        for row in range(rows):
+            at = (poles + i + np.arange(near)) * rows + row
+            matrix[np.ix_(at, at)] += weight[i, row % weight.shape[1]] * forms[i]
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    try:
+        factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
+    except np.linalg.LinAlgError as error:
+        raise RequestError("the normal equations are not definite", remedy="two of the orders move together") from error
+    inverse = np.linalg.solve(factor, np.diag(scale))
+    sides = turn.T @ wanted.reshape(len(wanted), -1).T
+    found = inverse.T @ (inverse @ sides)
+    found += inverse.T @ (inverse @ (sides - matrix @ found))
+    back = turn @ inverse.T
+    spread = back.T @ data @ back
+    return (turn @ found).T.reshape(wanted.shape), back @ spread @ back.T
+
+
+def _dense(band: _Array) -> _Array:
+    n, width = len(band), band.shape[1] - 1
+    found = np.zeros((n, n))
+    for k in range(min(width, n - 1) + 1):
+        found[np.arange(k, n), np.arange(n - k)] = band[k:, width - k]
+    return found + np.tril(found, -1).T
+
 
 KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
 """Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
@@ -44,8 +233,6 @@ ENOUGH = 1e-10
 
 LEAST_CONSTANT = 1e-6
 """Share of a constant that the orders must leave unexplained for it to be told from them."""
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

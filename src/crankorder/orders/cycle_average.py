@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.by_angle import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
-from crankorder.orders.phase_marks import mark_of, one_mark
+from crankorder.orders.between_recordings import mark_of, one_mark
+from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
 from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups

@@ -1,0 +1,424 @@
+"""Frames of a test at like speed: those of one length on one axis of orders, and the groups that share an average."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from crankorder.fft.windows import hann
+from crankorder.orders.intervals import (
+    beyond_chance,
+    contrasts,
+    frame_correlation,
+    helped_by_beside,
+    noise_of_mean,
+    steepest_noise_beside,
+)
+from crankorder.quantities import QualityFlag, with_flags
+from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
+
+LEAST_WINDOW = 0.1
+"""Sum of the windows at an angle below which the signal is not regained there: its noise would be ten times as high."""
+
+CUT_OVERLAP = 0.5
+"""Share of a shorter frame, cut from longer ones, that the next one repeats."""
+
+SHAPE_SAMPLES = 1024
+"""Samples on which the shape of the window is evaluated where only its overlap matters."""
+
+Array = NDArray[np.float64]
+
+
+def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[QualityFlag]]:
+    """Those of ``frames`` (OrderFrames) of one length, on the orders that all hold, and what was left out.
+
+    The length is that of most, the longer one where two are as common; where a recording's own sweep asked for shorter
+    frames it is the shortest of these, and longer frames whose length is a multiple are cut into such
+    (:func:`reframed`), which is "info". Those of any other length are left out, which is "bad". Recordings by
+    crank angle of fewer samples per revolution end at a lower order: the others are cut there, and the remark is
+    "info".
+    """
+    lengths = [int(item.attrs["revs_per_frame"]) for item in frames]
+    swept = [
+        length for item, length in zip(frames, lengths, strict=True) if item.attrs.get("frame_length_by") == "sweep"
+    ]
+    common = min(swept) if swept else max(set(lengths), key=lambda length: (lengths.count(length), length))
+    used, flags = [], []
+    for item, length in zip(frames, lengths, strict=True):
+        cut = reframed(item, common) if swept and length > common and length % common == 0 else None
+        if length == common or cut is not None:
+            used.append(item if cut is None else cut)
+        if length != common:
+            flags.append(_length_flag(item, common) if cut is None else _cut_length_flag(item, common))
+    fewest = min(item.sizes["order"] for item in used)
+    flags += [_cut_flag(item, fewest) for item in used if item.sizes["order"] > fewest]
+    return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
+
+
+def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
+    """OrderFrames of ``revs`` revolutions made of those of another length, ``item``; None where none fit.
+
+    Hann windows that overlap add up to a smooth sum, so the overlapping frames, transformed back, give the signal by
+    crank angle again up to the highest order, and other frames of it are what they would have been at first; but for
+    the two ends of a record, where a window alone is near 0.
+    """
+    length = int(item.attrs["revs_per_frame"])
+    begin = item["crank_angle"].values
+    n_orders = (item.sizes["order"] - 1) * revs // length + 1
+    if item.attrs["window"] != "hann" or not len(begin):
+        return None
+    per_rev = 2 * math.ceil((item.sizes["order"] - 1) / length) + 4
+    hop = max(1, round(revs * (1.0 - CUT_OVERLAP)))
+    spectra, starts, speeds = [], [], []
+    for run in np.split(np.arange(len(begin)), np.flatnonzero(np.diff(begin) >= length) + 1):
+        signal, weight, top = _regained(item["spectrum"].values[:, run], begin[run], length, per_rev)
+        made, first = _cut(signal, weight, revs, hop, per_rev, n_orders)
+        made[np.broadcast_to(np.arange(n_orders) / revs > _lowest(top, first, revs, per_rev)[:, None], made.shape)] = (
+            np.nan
+        )
+        angle = begin[run[0]] + first / per_rev
+        turn = np.exp(-2j * np.pi * (np.outer(angle, np.arange(n_orders) / revs) % 1.0))
+        spectra.append(made * turn)
+        starts.append(angle)
+        speeds.append(_speeds_at(angle + 0.5 * revs, begin[run] + 0.5 * length, item["speed"].values[run]))
+    place = np.concatenate(starts)
+    return (
+        None if not len(place) else _dataset(item, np.concatenate(spectra, axis=1), place, np.concatenate(speeds), revs)
+    )
+
+
+def _regained(
+    spectrum: NDArray[np.complex128], begin_rev: Array, length: int, per_rev: int
+) -> tuple[Array, Array, Array]:
+    """Signals (channels, samples) ``per_rev`` times in a revolution from the first frame on, the windows' sum, limits.
+
+    ``spectrum`` (channels, frames, orders) of frames of ``length`` revolutions from ``begin_rev`` (frames,) on. NaN are
+    frames of a channel that a gap touches; the limits (samples,) are the orders up to which a frame there is known.
+    """
+    n = length * per_rev
+    axis = np.arange(spectrum.shape[2]) / length
+    known = np.isfinite(spectrum.real)
+    whole = known[:, :, 0]
+    turned = np.where(known, spectrum, 0.0) * np.exp(2j * np.pi * (np.outer(begin_rev, axis) % 1.0))
+    window = hann(n).values
+    bins = np.zeros((*spectrum.shape[:2], n // 2 + 1), dtype=np.complex128)
+    bins[..., : spectrum.shape[2]] = turned * (0.5 * window.sum())
+    pieces = np.fft.irfft(bins, n, axis=2)
+    pieces[~whole] = np.nan
+    limit = np.where(known.any(axis=0), axis, 0.0).max(axis=1)
+    place = np.round((begin_rev - begin_rev[0]) * per_rev).astype(int)
+    signal, weight = np.zeros((len(spectrum), place[-1] + n)), np.zeros(place[-1] + n)
+    top = np.full(place[-1] + n, np.inf)
+    for frame, first in enumerate(place):
+        part = slice(first, first + n)
+        signal[:, part] += pieces[:, frame]
+        weight[part] += window
+        top[part] = np.minimum(top[part], limit[frame])
+    return signal / np.maximum(weight, LEAST_WINDOW), weight, top
+
+
+def _cut(
+    signal: Array, weight: Array, revs: int, hop: int, per_rev: int, n_orders: int
+) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
+    """Spectra (channels, frames, ``n_orders``) of frames of ``revs`` every ``hop`` revolutions, and where they begin.
+
+    Only where ``weight`` (samples,) allows; phases count from the begin of each frame.
+    """
+    n = revs * per_rev
+    seen = np.flatnonzero(weight >= LEAST_WINDOW)
+    start = math.ceil(seen[0] / per_rev) * per_rev
+    first = np.arange(start, seen[-1] + 2 - n, hop * per_rev)
+    if not len(first):
+        return np.empty((len(signal), 0, n_orders), dtype=np.complex128), first
+    window = hann(n).values
+    pieces = sliding_window_view(signal, n, axis=1)[:, first] * window
+    return np.asarray(np.fft.rfft(pieces, axis=2)[..., :n_orders] * (2.0 / window.sum())), first
+
+
+def _lowest(top: Array, first: NDArray[np.int64], revs: int, per_rev: int) -> Array:
+    """Lowest of the limits ``top`` (samples,) within each frame of ``revs`` that begins at the samples ``first``."""
+    return np.array([top[begin : begin + revs * per_rev].min() for begin in first]) + 1e-9
+
+
+def _speeds_at(middle_rev: Array, known_rev: Array, speed_rpm: Array) -> Array:
+    """Speeds at ``middle_rev`` from those of longer frames at ``known_rev``; beyond the ends they go on as there."""
+    if len(known_rev) < 2:
+        return np.full(len(middle_rev), speed_rpm[0])
+    at = np.clip(np.searchsorted(known_rev, middle_rev), 1, len(known_rev) - 1)
+    slope = (speed_rpm[at] - speed_rpm[at - 1]) / (known_rev[at] - known_rev[at - 1])
+    return np.asarray(speed_rpm[at - 1] + slope * (middle_rev - known_rev[at - 1]))
+
+
+def _dataset(
+    item: xr.Dataset, spectrum: NDArray[np.complex128], begin_rev: Array, speed_rpm: Array, revs: int
+) -> xr.Dataset:
+    order = np.arange(spectrum.shape[2]) / revs
+    made = xr.Dataset(
+        {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)},
+        coords={name: item[name] for name in item.coords if item[name].dims == ("channel",)}
+        | {
+            "order": ("order", order, item["order"].attrs),
+            "speed": ("frame", speed_rpm, item["speed"].attrs),
+            "crank_angle": ("frame", begin_rev, item["crank_angle"].attrs),
+        },
+        attrs=item.attrs | {"revs_per_frame": revs, "overlap": CUT_OVERLAP},
+    )
+    return with_flags(made, [])
+
+
+def _length_flag(item: xr.Dataset, common: int) -> QualityFlag:
+    return {
+        "recording": item.attrs["recording"],
+        "flag": "frame_length_differs",
+        "severity": "bad",
+        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out",
+    }
+
+
+def _cut_length_flag(item: xr.Dataset, common: int) -> QualityFlag:
+    return {
+        "recording": item.attrs["recording"],
+        "flag": "frames_cut",
+        "severity": "info",
+        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions are cut into {common}, as the fastest "
+        "sweep of the test asks for",
+    }
+
+
+def _cut_flag(item: xr.Dataset, fewest: int) -> QualityFlag:
+    order = item["order"].values
+    return {
+        "recording": item.attrs["recording"],
+        "flag": "orders_cut",
+        "severity": "info",
+        "detail": f"orders from {order[fewest]:g} to {order[-1]:g} left out: another recording of the test ends there",
+    }
+
+
+@dataclass(frozen=True)
+class LikeSpeedFrames:
+    """Frames of a test in groups of like speed.
+
+    ``spectrum`` (channels, frames, orders) complex, ``owner`` (frames,) the number of the recording, ``groups`` indices
+    of frames, slowest first, ``speed_rpm`` their mean speeds, ``n_power`` and ``n_complex`` (groups,) the independent
+    power and complex spectra that the overlapping frames of each are worth, ``used`` the OrderFrames taken,
+    ``remarks`` on what was left out.
+    """
+
+    spectrum: NDArray[np.complex128]
+    owner: NDArray[np.int64]
+    groups: list[NDArray[np.int64]]
+    speed_rpm: NDArray[np.float64]
+    n_power: NDArray[np.float64]
+    n_complex: NDArray[np.float64]
+    used: list[xr.Dataset]
+    remarks: list[QualityFlag]
+
+
+def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
+    """Groups of like speed, within ``speed_bin_rpm``, of all ``frames`` (OrderFrames) that are as long as most.
+
+    Frames of unknown speed stay with their recording, for nothing says that two ran alike.
+    """
+    used, remarks = common_frames(frames)
+    speed = np.concatenate([item["speed"].values for item in used])
+    owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
+    groups = speed_groups(speed, width_rpm=speed_bin_rpm)
+    if groups and np.isnan(speed[groups[-1][0]]):
+        unknown = groups.pop()
+        groups += [unknown[owner[unknown] == name] for name in np.unique(owner[unknown])]
+    window = hann(SHAPE_SAMPLES)
+    hop = max(1, round(SHAPE_SAMPLES * (1.0 - float(used[0].attrs["overlap"]))))
+    worth = [[window.independent_frames(hop, len(group), power=power) for group in groups] for power in (True, False)]
+    return LikeSpeedFrames(
+        spectrum=np.concatenate([item["spectrum"].values for item in used], axis=1),
+        owner=owner,
+        groups=groups,
+        speed_rpm=np.array([speed[group].mean() for group in groups]),
+        n_power=np.array(worth[0]),
+        n_complex=np.array(worth[1]),
+        used=used,
+        remarks=remarks,
+    )
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
+
+    spectrum: NDArray[np.complex128]
+    owner: NDArray[np.int64]
+    begin_rev: NDArray[np.float64]
+    speed_rpm: NDArray[np.float64]
+
+    def of(self, which: NDArray[np.bool_]) -> Frames:
+        """Those of the frames that ``which`` picks."""
+        return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
+
+
+@dataclass(frozen=True)
+class AllFrames:
+    """Frames of all recordings, whose spectra are joined only where a group needs those of several.
+
+    ``spectra`` (channels, frames, orders) of each recording; ``owner``, ``begin_rev``, ``speed_rpm`` of all frames;
+    ``exponent`` (channels,) of the power of two that is taken out of each channel.
+    """
+
+    spectra: list[NDArray[np.complexfloating]]
+    owner: NDArray[np.int64]
+    begin_rev: NDArray[np.float64]
+    speed_rpm: NDArray[np.float64]
+    exponent: NDArray[np.int64]
+
+    def of(self, which: NDArray[np.int64]) -> Frames:
+        """Those of the frames that ``which`` (numbers that grow) picks; a view where they are neighbours."""
+        owner, first = self.owner[which], np.searchsorted(self.owner, np.arange(len(self.spectra)))
+        parts = []
+        for name in np.unique(owner):
+            rows = which[owner == name] - first[name]
+            near = rows[-1] - rows[0] == len(rows) - 1
+            parts.append(self.spectra[name][:, slice(int(rows[0]), int(rows[-1]) + 1) if near else rows])
+        joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        spectrum = np.asarray(joined, dtype=np.complex128)
+        if self.exponent.any():
+            half = self.exponent // 2  # the power of two itself may not be a number
+            factors = np.ldexp(1.0, -half), np.ldexp(1.0, half - self.exponent)
+            spectrum = spectrum * factors[0][:, None, None] * factors[1][:, None, None]
+        return Frames(spectrum, owner, self.begin_rev[which], self.speed_rpm[which])
+
+
+def all_frames(used: Sequence[xr.Dataset]) -> AllFrames:
+    """Frames of all recordings, ``used`` as OrderFrames of equal length.
+
+    Only where squares would leave the range of numbers is a power of two taken out.
+    """
+    largest = np.max([_largest(item["spectrum"].values) for item in used], axis=0)
+    exponent = np.where(np.isfinite(largest) & (largest > 0.0), np.frexp(largest)[1], 0)
+    return AllFrames(
+        [item["spectrum"].values for item in used],
+        np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)]),
+        np.concatenate([item["crank_angle"].values for item in used]),
+        np.concatenate([item["speed"].values for item in used]),
+        np.where(np.abs(exponent) > 64, exponent, 0),
+    )
+
+
+def _largest(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Largest real or imaginary part of each channel, NaN left out."""
+    parts = np.ascontiguousarray(spectrum).reshape(len(spectrum), -1)
+    parts = parts.view(parts.real.dtype)
+    return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
+
+
+ALIKE_SHARE = 0.01
+"""Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
+
+DIFFER_CHANCE = 1e-3
+"""Chance that noise alone makes two speeds differ in any bin of any channel."""
+
+Columns = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Bins:
+    """``beside`` (orders, several) the bins whose noise is that of each, ``worth`` (orders,) so many independent ones.
+
+    ``with_phase`` (orders,) says which orders have phases that recordings share.
+    """
+
+    beside: NDArray[np.int64]
+    worth: NDArray[np.float64]
+    with_phase: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class AtSpeed:
+    """What frames held at one speed show, each (channels, orders).
+
+    ``coherent`` the complex mean of the frames, ``error`` its noise power, ``energy`` the mean power, ``noise`` the
+    noise power of one frame, ``powers`` the independent power spectra behind ``energy``, ``freedom`` the degrees of
+    freedom of both noise powers.
+    """
+
+    coherent: NDArray[np.complex128]
+    error: Columns
+    energy: Columns
+    noise: Columns
+    powers: Columns
+    freedom: Columns
+
+
+def rows(every: AllFrames, *, bins: Bins, revs_per_frame: float, window: str, speed_bin_rpm: float) -> list[Indices]:
+    """Frames of ``every`` recording that share a row of the map, slowest first; those of unknown speed by recording.
+
+    Frames of a sweep fall into bins of ``speed_bin_rpm``. Speeds that are held, as in a stepped test, share a row
+    within that width only where all that they show agrees; nothing says that two of unknown speed ran alike.
+    ``bins`` say what noise is told from; ``revs_per_frame`` and ``window`` are those of the frames.
+    """
+    speed, owner = every.speed_rpm, every.owner
+    known = speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner)
+    unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
+    held = held_speeds(speed, owner, width_rpm=speed_bin_rpm)
+    place = np.full(len(speed), -1)
+    for number, part in enumerate(held):
+        place[part] = number
+    made: list[Indices] = []
+    for group in known:
+        steps = np.unique(place[group])
+        if len(steps) < 2 or steps[0] < 0:
+            made.append(group)
+            continue
+        shown = [(held[k], _at_speed(every.of(held[k]), bins, revs_per_frame, window)) for k in steps.tolist()]
+        made += _agreeing(shown, bins)
+    return [*made, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
+
+
+def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]:
+    """The speeds ``shown``, each joined to the next slower row if all speeds of that row agree with it."""
+    joined = [[shown[0]]]
+    for one in shown[1:]:
+        if all(agree(other[1], one[1], with_phase=bins.with_phase) for other in joined[-1]):
+            joined[-1].append(one)
+        else:
+            joined.append([one])
+    return [np.sort(np.concatenate([part for part, _ in row])) for row in joined]
+
+
+def _at_speed(frames: Frames, bins: Bins, revs_per_frame: float, window: str) -> AtSpeed:
+    """What ``frames`` held at one speed show."""
+    correlation = frame_correlation(frames.begin_rev, frames.owner, revs_per_frame=revs_per_frame, window=window)
+    shape, spectrum = contrasts(correlation), frames.spectrum
+    mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
+    own = np.full(energy.shape, 0.5 * shape.dof)
+    powers = np.full(energy.shape, shape.independent_powers)
+    noise = np.nan_to_num(noise_of_mean(spectrum, shape) / shape.mean_variance)
+    noise, own = helped_by_beside(noise, own, energy=energy, powers=powers, bins=bins.beside, worth=bins.worth)
+    louder = np.maximum(noise, steepest_noise_beside(energy, bins.beside))
+    return AtSpeed(mean, noise * shape.mean_variance, energy, louder, powers, 2.0 * own)
+
+
+def agree(first: AtSpeed, second: AtSpeed, *, with_phase: NDArray[np.bool_]) -> bool:
+    """Whether ``first`` and ``second`` differ nowhere by more than their noise, or by 1 % of the line.
+
+    Lines that are locked are compared by amplitude and phase, by amplitude alone where not ``with_phase`` (orders,);
+    lines that slip by their energy.
+    """
+    freedom = np.maximum(np.minimum(first.freedom, second.freedom), 1.0)
+    chance = DIFFER_CHANCE / (2.0 * max(first.energy.size, 1))
+    size = np.abs(first.coherent), np.abs(second.coherent)
+    apart = np.where(with_phase, np.abs(first.coherent - second.coherent), np.abs(size[0] - size[1]))
+    locked = (apart**2 > (first.error + second.error) * beyond_chance(freedom, chance)) & (
+        apart > ALIKE_SHARE * np.maximum(*size)
+    )
+    root = np.sqrt(first.energy), np.sqrt(second.energy)
+    shared = 2.0 * np.maximum(first.noise / first.powers, second.noise / second.powers)
+    louder = (np.square(root[0] - root[1]) > shared * beyond_chance(freedom, chance)) & (
+        np.abs(root[0] - root[1]) > ALIKE_SHARE * np.maximum(*root)
+    )
+    return not bool((locked | louder).any())
