@@ -75,6 +75,11 @@ class OrderFinding(Record):
     amplitude_held_ci95: Interval | None = said(default=None)
     speed_rpm_at_held: float | None = said("speed of amplitude_held", default=None)
 
+    @property
+    def size(self) -> float:
+        """Peak amplitude, to be held against that of other lines."""
+        return self.amplitude
+
 
 @record
 class ModeFinding(Record):
@@ -224,6 +229,11 @@ class BearingFinding(Record):
     evidence: str = said("why it is taken for this line", default="")
 
     @property
+    def size(self) -> float:
+        """Peak amplitude; 0 where it is not known."""
+        return self.amplitude or 0.0
+
+    @property
     def order_half(self) -> float:
         """Half width of the 95 % interval of the order; infinite where it is not known."""
         low, high = self.order_ci95 or (None, None)
@@ -310,6 +320,11 @@ class LineFinding(Record):
     explained_by: str | None = said('what makes it, or "unexplained"')
     amplitude: float | None = said("peak amplitude in the unit of its channel")
     amplitude_ci95: Interval | None = said(default=None, left_out=True)
+
+    @property
+    def size(self) -> float:
+        """Peak amplitude; 0 where it is not known."""
+        return self.amplitude or 0.0
 
 
 @record
@@ -557,3 +572,30 @@ _NOT_SOUGHT = (
 def quality_of(flags: Iterable[Mapping[str, object]]) -> tuple[Quality, ...]:
     """Remarks from the ``flags`` that datasets carry in their attributes."""
     return tuple(Quality.from_dict(flag) for flag in flags)
+
+
+def nothing_sought(
+    test: str,
+    *,
+    reason: str,
+    channels: tuple[Channel, ...] = (),
+    speed_range_rpm: Interval = (None, None),
+    quality: tuple[Quality, ...] = (),
+) -> Findings:
+    """Findings of the ``test`` of that name with nothing in them but why: the ``reason`` that nobody asked for any."""
+    return Findings(
+        schema_version=SCHEMA_VERSION,
+        test=test,
+        not_asked_for=reason,
+        channels=channels,
+        speed_range_rpm=speed_range_rpm,
+        unexplained_energy_fraction=None,
+        balance=None,
+        balance_reason=reason,
+        quality=quality,
+        orders=(),
+        modes=(),
+        crossings=(),
+        bearings=(),
+        lines=(),
+    )

@@ -6,6 +6,7 @@ import types
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
+from math import isfinite
 from typing import (
     Any,
     ClassVar,
@@ -31,6 +32,15 @@ Interval = tuple[float | None, float | None]
 
 Ends = tuple[float, float]
 """Low and high end, both known."""
+
+
+def known(interval: Interval | None) -> Ends | None:
+    """``interval`` where both of its ends are known, as finite numbers, else None."""
+    low, high = interval or (None, None)
+    if low is None or high is None or not isfinite(low) or not isfinite(high):
+        return None
+    return low, high
+
 
 _LIMITS = {"minimum": "≥", "maximum": "≤", "exclusiveMinimum": ">", "exclusiveMaximum": "<"}
 _PLAIN: dict[object, tuple[str, str]] = {
@@ -119,6 +129,17 @@ class Record:
             elif one.default is MISSING:
                 raise InputError("is missing", file=file, place=there, allowed=one.metadata["text"])
         return cls(**given)
+
+    @classmethod
+    def tables(cls) -> dict[str, type[Record]]:
+        """Fields that hold any number of records, with the type of these."""
+        made = {}
+        for name, kind in cls._types().items():
+            inner, _ = _without_none(kind)
+            each = get_args(inner) if get_origin(inner) is tuple else ()
+            if each and isinstance(each[0], type) and issubclass(each[0], Record):
+                made[name] = each[0]
+        return made
 
     @classmethod
     def json_schema(cls) -> Document:

@@ -9,6 +9,12 @@ from typing import Any
 import pytest
 
 from crankorder.report.contradictions import contradiction_flags, contradictions
+from made.typed import from_dicts
+
+contradiction_flags, contradictions = map(
+    from_dicts,
+    (contradiction_flags, contradictions),
+)
 
 Findings = dict[str, Any]
 

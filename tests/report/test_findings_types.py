@@ -20,7 +20,7 @@ def test_findings_go_to_json_and_back_unchanged(full: dict[str, Any]) -> None:
 def test_keys_of_a_later_version_are_passed_over_and_those_of_an_older_one_are_empty(campaign: Any) -> None:
     later = {**campaign.findings, "later": {"a": 1}}
     assert Findings.from_dict(later) == Findings.from_dict(campaign.findings)
-    assert Findings.from_dict(campaign.findings).speeds_to_avoid == ()
+    assert Findings.from_dict(campaign.findings).free_bands == ()
     assert Findings.from_dict(campaign.findings).motor is None
 
 
@@ -56,8 +56,8 @@ def test_findings_that_nobody_asked_for_leave_out_what_was_not_sought(campaign: 
         "balance_reason": "maps only",
         "not_asked_for": "maps only",
     }
-    assert "speeds_to_avoid" in Findings.from_dict(campaign.findings).as_dict()
-    assert "speeds_to_avoid" not in Findings.from_dict(document).as_dict()
+    assert "free_bands" in Findings.from_dict(campaign.findings).as_dict()
+    assert "free_bands" not in Findings.from_dict(document).as_dict()
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,12 @@ import xarray as xr
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.quantities import check_dataset
 from crankorder.report.netcdf import findings_datasets, read_results, results_bytes
+from made.typed import from_dicts
+
+findings_datasets, findings_datasets = map(
+    from_dicts,
+    (findings_datasets, findings_datasets),
+)
 
 _READ_BY_NETCDF4 = """
 import json, sys, netCDF4

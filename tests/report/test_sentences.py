@@ -41,6 +41,44 @@ from crankorder.report.sentences.story import (
     strongest_sentence,
 )
 from crankorder.report.tables import FLANK_ALONE, NOTHING_TOLD, tables_of
+from made.typed import from_dicts
+
+(
+    if_unbalance,
+    contradictions,
+    estimate_text,
+    nominal_order,
+    order_name,
+    balance_sentences,
+    law_sentences,
+    swing_sentences,
+    avoid_sentences,
+    bearing_sentences,
+    energy_sentence,
+    headline,
+    story_of,
+    strongest_sentence,
+    tables_of,
+) = map(
+    from_dicts,
+    (
+        if_unbalance,
+        contradictions,
+        estimate_text,
+        nominal_order,
+        order_name,
+        balance_sentences,
+        law_sentences,
+        swing_sentences,
+        avoid_sentences,
+        bearing_sentences,
+        energy_sentence,
+        headline,
+        story_of,
+        strongest_sentence,
+        tables_of,
+    ),
+)
 
 EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"
 UNTESTED = {

@@ -345,8 +345,17 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
     unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
     rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
     floor = rest if total > 0.0 else 0.0
-    named = {"channel": channel, "unit": f"({unit})²"}
-    return EnergyShares(**named, **shares, unexplained=unexplained, modes_and_floor=floor, total=total)
+    return EnergyShares(
+        channel=channel,
+        unit=f"({unit})²",
+        orders=shares["orders"],
+        tones=shares["tones"],
+        unexplained_lines=shares["unexplained_lines"],
+        unexplained_cells=shares["unexplained_cells"],
+        unexplained=unexplained,
+        modes_and_floor=floor,
+        total=total,
+    )
 
 
 def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> Floats:

@@ -376,7 +376,7 @@ def _bearing(
             if multiple > 1:
                 reach = min(reach, settings.order_match)
             if abs(agreed.order - multiple * record.order) <= reach:
-                names.append(f"{record['name']} {record['line']}" + (f", harmonic {multiple}" if multiple > 1 else ""))
+                names.append(f"{record.name} {record.line}" + (f", harmonic {multiple}" if multiple > 1 else ""))
                 elements = next((b.rolling_elements for b in sources.bearings if b.name == record.name), None)
                 if locked_line and agreed.lock == "locked" and elements is not None:
                     parts.add(elements)

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import power_of_two
+from crankorder.findings import Findings
 from crankorder.orders.between_recordings import LOCATED
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.intervals import (
@@ -29,6 +29,7 @@ from crankorder.orders.like_speed import common_frames
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import flags_of, with_flags
+from crankorder.records import Interval
 from crankorder.settings import OrderSettings
 
 ON_BIN = 1e-6
@@ -471,17 +472,20 @@ _VARIABLES = (
 )
 
 
-def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:
+def followed_orders(order_map: xr.Dataset, findings: Findings, settings: OrderSettings) -> list[float]:
     """Orders to follow: those that ``findings`` name and those that ``settings`` ask for.
 
     Each found one stands where ``track_order`` of the OrderMap ``order_map`` says.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
-    found = (
-        track_order(record["order"], record["order_ci95"], record["lock"], revs_per_cycle=cycle)
-        for record in findings["orders"]
-    )
+    found = (track_order(one.order, _ends(one.order_ci95), one.lock, revs_per_cycle=cycle) for one in findings.orders)
     return all_tracked(found, settings)
+
+
+def _ends(interval: Interval | None) -> tuple[float, float]:
+    """Ends of ``interval``; without bound where one is not known."""
+    low, high = interval or (None, None)
+    return -np.inf if low is None else low, np.inf if high is None else high
 
 
 def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:
@@ -489,7 +493,7 @@ def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:
     return sorted({round(float(order), 9) for order in settings.track_orders} | set(found))
 
 
-def track_order(order: float, order_ci95: Sequence[float], lock: str, *, revs_per_cycle: int) -> float:
+def track_order(order: float, order_ci95: Sequence[float], lock: str | None, *, revs_per_cycle: int) -> float:
     """The number at which the track of a found ``order`` stands, with its interval ``order_ci95`` (low, high).
 
     An order that is locked to the shaft (``lock`` "locked"), or may be ("undecided" with a multiple of the cycle's

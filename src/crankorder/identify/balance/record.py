@@ -54,7 +54,7 @@ def with_interval(balance: B, key: str, value: float, half: float) -> B:
 
 
 def size_and_angle(balance: B, size_key: str, angle_key: str, value: complex, covariance: Real, *, freedom: float) -> B:
-    """``balance`` with a complex unbalance ``value``, with the ``covariance`` (2, 2) of its parts, of so much ``freedom``.
+    """``balance`` with a complex unbalance ``value``, ``covariance`` (2, 2) of its parts, and its ``freedom``.
 
     ``size_key`` and ``angle_key`` name its fields; without the latter its angle is not kept. The interval of the size
     starts at 0 where the unbalance may be none; the angle (degrees) is then None.
