@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from crankorder.findings import BearingFinding, OrderFinding
+from made.typed import record_of
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.changes.compared import compared
@@ -37,7 +39,7 @@ def test_speeds_are_matched_nearest_first_and_none_is_used_twice():
 
 def test_orders_within_their_intervals_are_one_and_a_slipping_one_is_not_locked():
     def record(order, half, lock="locked"):
-        return {"order": order, "order_ci95": [order - half, order + half], "locked": lock == "locked", "lock": lock}
+        return record_of(OrderFinding, {"order": order, "order_ci95": [order - half, order + half], "lock": lock})
 
     found = orders_to_compare([record(1.01, 0.02), record(5.47, 0.001, "slips")], [record(5.475, 0.001)], 20.0)
     assert found == [(1.0, True), (2.0, True), (5.47, False)]

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from crankorder.findings import BearingFinding
+from made.typed import record_of
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
@@ -44,13 +46,9 @@ def texts(orders, sources, **given):
 
 
 def bearing_record(bearing, name, order, *, half=1e-3, seen_in="vibration"):
-    return {
-        "name": bearing.name,
-        "line": name,
-        "order": order,
-        "order_ci95": [order - half, order + half],
-        "seen_in": seen_in,
-    }
+    ends = (order - half, order + half)
+    told = {"name": bearing.name, "line": name, "order": order, "order_ci95": ends, "seen_in": seen_in}
+    return record_of(BearingFinding, told)
 
 
 def test_orders_of_the_moving_masses_are_engine_kinematics_and_others_are_not():

@@ -26,7 +26,10 @@ from crankorder.settings import load_settings
 from made.floors import no_orders
 from made.found_lines import agreed, fit, line
 from made.recordings import steady
+from made.typed import as_dicts
 from made.whirls import Moving, Rotor, signals, whirling_campbell
+
+mode_records = as_dicts(mode_records)
 
 SETTINGS = load_settings().identify
 FORWARD = Moving(hz=56.0, slope=0.12, damping=0.02)

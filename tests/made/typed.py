@@ -22,7 +22,7 @@ def record_of(kind: type[R], document: Mapping[str, Any]) -> R:
     hints, given = get_type_hints(kind), {}
     for one in fields(kind):  # type: ignore[arg-type]
         key = one.metadata["key"] or one.name
-        if key in document:
+        if key in document and (document[key] is not None or type(None) in get_args(hints[one.name])):
             given[one.name] = _value(hints[one.name], document[key])
         elif one.default is MISSING:
             given[one.name] = _empty(hints[one.name])
@@ -76,3 +76,21 @@ def from_dicts(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _tuples(document: Mapping[str, Any]) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
+
+
+def as_dicts(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``function`` whose findings and records come as the dicts that JSON has."""
+
+    @functools.wraps(function)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        return _dicts(function(*args, **kwargs))
+
+    return called
+
+
+def _dicts(made: Any) -> Any:
+    if isinstance(made, Record):
+        return made.as_dict()
+    if isinstance(made, tuple | list):
+        return [_dicts(one) for one in made]
+    return made

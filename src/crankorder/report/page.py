@@ -67,8 +67,8 @@ def index_page(tests: list[dict[str, Any]]) -> str:
         sentences = [said] if isinstance(said, str) else list(said)
         failed = [
             (
-                named(record.recording, limit=_NAME_CHARACTERS),
-                named(record.error, limit=_ERROR_CHARACTERS),
+                named(record.get("recording", ""), limit=_NAME_CHARACTERS),
+                named(record.get("error", ""), limit=_ERROR_CHARACTERS),
             )
             for record in test.get("failed") or []
         ]

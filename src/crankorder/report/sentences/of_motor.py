@@ -31,7 +31,7 @@ def motor_sentences(findings: Findings) -> list[str]:
     own = [line for line in _strongest(lines) if line.name not in _SPEAKS_FOR]
     if own:
         said = [
-            f"{_hz(line)} ({' or '.join([_name(line), *(named(one, limit=80) for one in line.get('or') or [])])}, "
+            f"{_hz(line)} ({' or '.join([_name(line), *(named(one, limit=80) for one in line.others)])}, "
             f"{_level(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)})"
             for line in own
         ]

@@ -149,7 +149,7 @@ def energy_sentence(findings: Findings) -> str:
     fraction, energy = findings.unexplained_energy_fraction, findings.energy
     if not is_number(fraction):
         return ""
-    whole = isinstance(energy, dict) and bool(energy.channels)
+    whole = energy is not None and bool(energy.channels)
     if not whole and not findings.lines and not findings.orders:
         return ""  # no line, no energy of lines
     what = "the energy that is not broadband" if whole else "the energy of the lines that were found"
