@@ -20,6 +20,13 @@ from crankorder.shaft.angle import angle_at, knots_of
 RUNNING_SHARE = 0.9
 """Share of the frames whose speed changes less than the one that sets the length: a start or stop sets nothing."""
 
+PADDING = 8
+"""A record shorter than 1 / resolution is padded to this many times its length, at least: bins close enough that a
+tone reads right to 0.02 dB on the nearest one."""
+
+SQUARES_FIT = {"f": 1e8, "d": 1e100}
+"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
+
 
 @dataclass(frozen=True)
 class FrameSpeeds:
@@ -68,14 +75,6 @@ def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_
     change_hz = np.abs(_speeds(shaft, begin, min(length_s, last - first)).change_rpm) / 60.0
     sweep = order * float(np.quantile(change_hz, RUNNING_SHARE)) / length_s
     return math.sqrt(enbw_bins / sweep) if sweep > 0.0 else math.inf
-
-
-PADDING = 8
-"""A record shorter than 1 / resolution is padded to this many times its length, at least: bins close enough that a
-tone reads right to 0.02 dB on the nearest one."""
-
-SQUARES_FIT = {"f": 1e8, "d": 1e100}
-"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,9 @@ SHARED = 1.95
 
 Array = NDArray[np.float64]
 
+LEAST_LEFT = 0.25
+"""Frames that must be left without a start transient."""
+
 
 def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
     """How many leading frames hold a start transient, by bin (bins,) of each of ``frames``; None where none does.
@@ -132,10 +135,6 @@ def _level(ratio: Array) -> Array:
     at = np.arange(0, ratio.shape[1], 8)
     middle = np.maximum(np.median(windows[:, at], axis=-1), 1e-12)
     return np.stack([np.interp(np.arange(ratio.shape[1]), at, row) for row in middle])
-
-
-LEAST_LEFT = 0.25
-"""Frames that must be left without a start transient."""
 
 
 @nb.njit(cache=True, nogil=True)

@@ -33,6 +33,16 @@ ROUNDING = 2e-15
 BETWEEN = 1.01
 """Errors between the frequencies looked at may be so many times larger (measured: 1.003)."""
 
+SINGLE_SUMS = 5e-7
+"""From this tolerance on float32 signals are summed in float32, which adds at most 2e-7 of the largest sample
+(measured; 4e-8 rms); below it they are summed in float64 and only the result is rounded."""
+
+PASS_SAMPLES = 65_536
+"""Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
+
+STRIP = 1024
+"""Outputs made at a time in a stage: their phases stay in the first-level cache."""
+
 
 @dataclass(frozen=True)
 class DecimationStage:
@@ -174,17 +184,6 @@ def _response(taps: NDArray[np.float64], share_of_rate: NDArray[np.float64]) -> 
     k = np.arange(1, len(taps) // 2 + 1)
     side = taps[len(taps) // 2 + 1 :]
     return np.asarray(taps[len(taps) // 2] + 2.0 * (np.cos(2.0 * np.pi * np.outer(share_of_rate, k)) @ side))
-
-
-SINGLE_SUMS = 5e-7
-"""From this tolerance on float32 signals are summed in float32, which adds at most 2e-7 of the largest sample
-(measured; 4e-8 rms); below it they are summed in float64 and only the result is rounded."""
-
-PASS_SAMPLES = 65_536
-"""Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
-
-STRIP = 1024
-"""Outputs made at a time in a stage: their phases stay in the first-level cache."""
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})

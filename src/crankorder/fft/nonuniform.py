@@ -26,6 +26,17 @@ LARGEST_EXPONENT = 1020
 SMALL_MEAN = 1e-3
 """A mean below this share of the mean magnitude does not change the scale of a channel."""
 
+TOLERANCE_MARGIN = 5.0
+"""finufft's own tolerance is so much less than what is asked for: measured, its error is up to 1.8 times its tolerance
+of the weighted mean magnitude, which is 4/pi of the amplitude of a tone under a Hann window."""
+
+OVERSAMPLING = 2.0
+"""Of finufft's inner grid: what it needs below 1e-9; 1.25 was no faster here."""
+
+DESIGN_MARGIN_DB = 24.0
+"""More than is asked for: four stages add up, short ones miss Kaiser's estimate, and passing a constant exactly moves
+the whole ripple to one side. Measured: at most 0.9 of the tolerance."""
+
 
 @nb.njit(inline="always")
 def sine_of_quarter(v):  # type: ignore[no-untyped-def]
@@ -122,14 +133,6 @@ def real_signals(signals: NDArray[np.floating]) -> NDArray[np.floating]:
         raise RequestError("signals must be real (channels, samples)", found=found, allowed="two dims, real")
     kept = values.dtype in (np.dtype(np.float32), np.dtype(np.float64))
     return np.ascontiguousarray(values if kept else values.astype(np.float64))
-
-
-TOLERANCE_MARGIN = 5.0
-"""finufft's own tolerance is so much less than what is asked for: measured, its error is up to 1.8 times its tolerance
-of the weighted mean magnitude, which is 4/pi of the amplitude of a tone under a Hann window."""
-
-OVERSAMPLING = 2.0
-"""Of finufft's inner grid: what it needs below 1e-9; 1.25 was no faster here."""
 
 
 @nb.njit(cache=True, nogil=True)
@@ -275,11 +278,6 @@ def folding_error(bins_away: ArrayLike) -> NDArray[np.float64]:
     away = np.maximum(np.asarray(bins_away, dtype=np.float64), 0.0)
     with np.errstate(divide="ignore"):
         return np.where(away > 1.5, 1.0 / (np.pi * away * np.maximum(away * away - 1.0, 1e-300)), 1.0)
-
-
-DESIGN_MARGIN_DB = 24.0
-"""More than is asked for: four stages add up, short ones miss Kaiser's estimate, and passing a constant exactly moves
-the whole ripple to one side. Measured: at most 0.9 of the tolerance."""
 
 
 @dataclass(frozen=True)

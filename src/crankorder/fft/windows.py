@@ -20,6 +20,9 @@ NAMES = ("hann", "flat-top", "blackman-harris", "kaiser", "rectangular")
 WIDEST_LOBE_BINS = 16
 """Half width of main lobes that are looked at: a Kaiser window of beta 45 has one as wide."""
 
+LEAST, LARGEST = -1021, 1023
+"""Exponents of two between which both the power and its inverse are normal numbers, or nearly so."""
+
 
 @dataclass(frozen=True)
 class Window:
@@ -124,10 +127,6 @@ def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Win
     if name not in made:
         raise ValueError(f"no window is called {name!r}: {', '.join(NAMES)}")
     return made[name](n_samples)
-
-
-LEAST, LARGEST = -1021, 1023
-"""Exponents of two between which both the power and its inverse are normal numbers, or nearly so."""
 
 
 def power_of_two(values: NDArray[Any]) -> NDArray[np.float64]:

@@ -39,6 +39,34 @@ _FEWEST_IN_ROW = 3.0
 """Samples in a row that a plateau has on average: a lone tone at a simple share of the rate hits few levels too."""
 _FEWEST = 64
 
+_AHEAD, _OUT = 2, 12
+"""Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
+
+_DEGREE = 3
+
+_PEAKED = 9.0
+"""Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
+
+_BLOCK = 128
+"""Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
+
+_OF_STEP = 20.0
+"""A spike is so many rounding steps at least."""
+
+_MOST_LOOKED_AT = 20_000
+
+_PULSES = 5
+"""So many of one height, or one distance apart, are the pulses of a pickup."""
+
+VIBRATION = frozenset({"acceleration", "velocity", "displacement"})
+"""Quantities without a level or plateaus of their own: what shows either is a fault."""
+
+_MAY_HAVE_LEVELS = frozenset(
+    {"voltage", "current", "counts", "full scale", "ratio", "angle", "rotational speed", "strain", "torque"}
+)
+
+_IMPACTS = frozenset({"force"})
+
 
 def find_smoothed_clipping(
     signal: FloatArray, survey: Survey, *, settings: IngestSettings, without_doubt: bool
@@ -116,20 +144,6 @@ def _pile_up(ordered: FloatArray, above: FloatArray, settings: IngestSettings) -
     if np.count_nonzero(flat) < _FEWEST or np.count_nonzero(between) < _FEWEST:
         return level, share, math.inf
     return level, share, math.sqrt(float(bend[flat].mean()) / max(float(bend[between].mean()), 1e-300))
-
-
-_AHEAD, _OUT = 2, 12
-"""Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
-_DEGREE = 3
-_PEAKED = 9.0
-"""Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
-_BLOCK = 128
-"""Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
-_OF_STEP = 20.0
-"""A spike is so many rounding steps at least."""
-_MOST_LOOKED_AT = 20_000
-_PULSES = 5
-"""So many of one height, or one distance apart, are the pulses of a pickup."""
 
 
 def find_spikes(
@@ -224,14 +238,6 @@ def _look_like_pulses(places: npt.NDArray[np.int64], deviations: Floats) -> bool
     heights = np.take_along_axis(deviations, np.abs(deviations).argmax(axis=1)[:, None], axis=1)
     apart = np.diff(places)
     return bool(np.std(heights) < 0.2 * abs(float(np.mean(heights))) or np.std(apart) < 0.3 * float(np.mean(apart)))
-
-
-VIBRATION = frozenset({"acceleration", "velocity", "displacement"})
-"""Quantities without a level or plateaus of their own: what shows either is a fault."""
-_MAY_HAVE_LEVELS = frozenset(
-    {"voltage", "current", "counts", "full scale", "ratio", "angle", "rotational speed", "strain", "torque"}
-)
-_IMPACTS = frozenset({"force"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,14 @@ from crankorder.shaft.pulses import NoPulsesError, find_pulses
 # what programs write where no unit was set
 STATES_NO_UNIT = ("", "1", "-", "EU", "n/a", "none")
 
+_MIN_SAMPLES = 3
+
+# Pulse times that are told more finely than this are as good as those of a counter.
+_FINE_STEP_S = 1e-6
+
+# A rate in doubt by more than this moves frequencies further than their own errors.
+_ROUGH_RATE = 1e-4
+
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
@@ -68,13 +76,6 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
         value, unit = parse_quantity(channel.offset)
         offset = value * conversion_factor(unit, before)
     return Scaling(offset, factor, remark)
-
-
-_MIN_SAMPLES = 3
-# Pulse times that are told more finely than this are as good as those of a counter.
-_FINE_STEP_S = 1e-6
-# A rate in doubt by more than this moves frequencies further than their own errors.
-_ROUGH_RATE = 1e-4
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:

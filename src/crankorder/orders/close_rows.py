@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.orders.intervals import amplitude_interval, frame_correlation, phase_interval_deg, t_quantile
+from crankorder.orders.averages import frame_correlation
+from crankorder.orders.intervals import amplitude_interval, phase_interval_deg, t_quantile
 from crankorder.orders.true_angle import UNKNOWN_DEG, errors_of_rows
 
 PARTED_BEATS = 1.5

@@ -55,6 +55,11 @@ FRAMES_PER_PIECE = 2
 SURE_OF_COMB = 0.01
 """Chance that noise makes a comb in any band of a channel below which the band that shows it best is taken."""
 
+SPECTRA = ("amplitude", "floor")
+"""Variables (channel, speed, order) whose fourth powers, the powers of a squared envelope's lines, are averaged."""
+
+_OF_CHANNEL = ("level", "n_independent", "band_low", "band_high")
+
 
 class Frames(NamedTuple):
     """Frames of an envelope: ``revs`` long, beginning at ``begin_rev``, in ``steps`` to a revolution, of ``n_fft``.
@@ -440,10 +445,6 @@ def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, re
     return with_flags(made, [{"recording": name, "flag": "no_envelope_band", "severity": "info", "detail": reason}])
 
 
-SPECTRA = ("amplitude", "floor")
-"""Variables (channel, speed, order) whose fourth powers, the powers of a squared envelope's lines, are averaged."""
-
-
 def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
     """EnvelopeMap (channel, speed, order) of a test from the RecordingEnvelopes ``items`` of its recordings.
 
@@ -510,9 +511,6 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         "order": first["order"],
     }
     return xr.Dataset(variables, coords=coords)
-
-
-_OF_CHANNEL = ("level", "n_independent", "band_low", "band_high")
 
 
 def _map_attrs(used: list[xr.Dataset]) -> dict[str, Any]:

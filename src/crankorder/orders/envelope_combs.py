@@ -35,6 +35,46 @@ LOWEST_ORDER = 0.25
 CLEAR_RATIO, WIDER_SHARE = 100.0, 0.5
 """Power ratio from which a line is clear, and share of it that a wider band must show to be taken instead."""
 
+Array = NDArray[np.float64]
+
+TEETH, SLOW_TEETH = 3, 6
+"""First harmonics that are taken together, and those of a comb as slow as a cage's."""
+
+SLOW_ORDER = 1.0
+"""Order below which a comb is slow: its damage strikes once in more than a turn, with many harmonics."""
+
+LEAST_TEETH = 2
+"""A comb has so many lines or more off the multiples of the cycle; one line alone is no comb."""
+
+TRIALS_PER_BIN = 2
+"""Places of the first harmonic that are tried from one bin to the next."""
+
+LEAST_NATS = 2.0
+"""Of the first harmonic, as the logarithm of its chance, at least: strikes are seldom without it, other lines often."""
+
+MOST_NATS = 14.0
+"""Of one line, as the logarithm of its chance, at most: no line by itself makes a comb."""
+
+SKIRT_BINS = 16
+"""Bins of a piece of spectrum whose median is the skirt that other lines leave there, where it is above the floor."""
+
+NEAR_TRIALS = 2.2
+"""Independent values that the largest of a bin and of its two neighbours is worth, with a Hann window."""
+
+SPARE_BINS = 4
+"""Bins beside those of a comb's lines that are kept of a spectrum: for the places of its peaks and of sidebands."""
+
+TABLE_STEP, TABLE_END = 0.004, 12.0
+"""Steps and end of the table of chances, in the logarithm of the power ratio: nats are right to 1e-4 of themselves."""
+
+WIDER_EVIDENCE = 0.9
+"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
+
+_UNITS = {"ratio": "1", "level": "1", "floor": "see unit"}
+"""Units of what is kept of a spectrum: power over the skirts of other lines, that over the floor, root of the floor."""
+
+_OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
+
 
 def best_band(height: NDArray[np.float64]) -> int:
     """Band in whose envelope most stands out, by the ``height`` (bands,) of it; bands come widest first.
@@ -99,39 +139,6 @@ def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_indepen
     bins = np.arange(power.shape[1])
     made: NDArray[np.float64] = np.stack([np.interp(bins, at, row) for row in middle])
     return made
-
-
-Array = NDArray[np.float64]
-
-TEETH, SLOW_TEETH = 3, 6
-"""First harmonics that are taken together, and those of a comb as slow as a cage's."""
-
-SLOW_ORDER = 1.0
-"""Order below which a comb is slow: its damage strikes once in more than a turn, with many harmonics."""
-
-LEAST_TEETH = 2
-"""A comb has so many lines or more off the multiples of the cycle; one line alone is no comb."""
-
-TRIALS_PER_BIN = 2
-"""Places of the first harmonic that are tried from one bin to the next."""
-
-LEAST_NATS = 2.0
-"""Of the first harmonic, as the logarithm of its chance, at least: strikes are seldom without it, other lines often."""
-
-MOST_NATS = 14.0
-"""Of one line, as the logarithm of its chance, at most: no line by itself makes a comb."""
-
-SKIRT_BINS = 16
-"""Bins of a piece of spectrum whose median is the skirt that other lines leave there, where it is above the floor."""
-
-NEAR_TRIALS = 2.2
-"""Independent values that the largest of a bin and of its two neighbours is worth, with a Hann window."""
-
-SPARE_BINS = 4
-"""Bins beside those of a comb's lines that are kept of a spectrum: for the places of its peaks and of sidebands."""
-
-TABLE_STEP, TABLE_END = 0.004, 12.0
-"""Steps and end of the table of chances, in the logarithm of the power ratio: nats are right to 1e-4 of themselves."""
 
 
 class Comb(NamedTuple):
@@ -290,15 +297,6 @@ def over_skirts(ratio: Array) -> Array:
     rest = ratio.shape[1] - high.shape[1]
     made: Array = ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge")
     return made
-
-
-WIDER_EVIDENCE = 0.9
-"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
-
-_UNITS = {"ratio": "1", "level": "1", "floor": "see unit"}
-"""Units of what is kept of a spectrum: power over the skirts of other lines, that over the floor, root of the floor."""
-
-_OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
 
 
 def looks_of(

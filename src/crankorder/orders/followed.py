@@ -11,8 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.orders.averages import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.between_recordings import phases_compare
-from crankorder.orders.least_squares_tracks import (
+from crankorder.orders.least_squares import (
     Spans,
     beyond_remark,
     frame_spans,
@@ -21,7 +22,6 @@ from crankorder.orders.least_squares_tracks import (
     tracks_in_frames,
 )
 from crankorder.orders.swept_tracks import swept_tracks
-from crankorder.orders.track_means import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.vold_kalman.bandwidth import level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
 from crankorder.quantities import QualityFlag, flags_of, with_flags
@@ -36,6 +36,10 @@ SAME_ORDER = 1e-9
 """Orders closer than this are one."""
 
 Array = NDArray[np.float64]
+
+_SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
+
+_PUT = (*_SCALED, "phase", "degrees_of_freedom", "phase_ci95")
 
 
 def followed_tracks(
@@ -299,7 +303,3 @@ def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, 
         for name, values in made.items():
             scale = unit if name in _SCALED else 1.0
             tracks[name].values[channels, row, speed] = scale * values
-
-
-_SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
-_PUT = (*_SCALED, "phase", "degrees_of_freedom", "phase_ci95")

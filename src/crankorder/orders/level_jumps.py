@@ -44,6 +44,17 @@ _STANDS = 20.0
 
 Floats = NDArray[np.float64]
 
+_LIKE_SPEED = 0.02
+"""Speeds of two recordings are alike within this share, and each is steady within it."""
+
+_OTHERS_STAY = 0.25
+"""Share of the jump that the others may move by: a load moves them all."""
+
+_EVIDENCE = ("blocks", "lines")
+
+_ENDS = ((0, (1, 2)), (-1, (-2, -3)))
+"""Places of the slowest and the fastest recording, and of the two next to each."""
+
 
 @dataclass(frozen=True)
 class GainStep:
@@ -210,17 +221,6 @@ def _median(values: Floats, *, axis: int) -> Floats:
     high = np.expand_dims(np.minimum(count // 2, values.shape[axis] - 1), axis)
     both = [np.take_along_axis(ordered, at, axis=axis).squeeze(axis) for at in (low, high)]
     return np.asarray(0.5 * (both[0] + both[1]))
-
-
-_LIKE_SPEED = 0.02
-"""Speeds of two recordings are alike within this share, and each is steady within it."""
-_OTHERS_STAY = 0.25
-"""Share of the jump that the others may move by: a load moves them all."""
-
-
-_EVIDENCE = ("blocks", "lines")
-_ENDS = ((0, (1, 2)), (-1, (-2, -3)))
-"""Places of the slowest and the fastest recording, and of the two next to each."""
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
-from crankorder.orders.intervals import (
-    beyond_chance,
+from crankorder.orders.averages import (
     contrasts,
     frame_correlation,
     helped_by_beside,
     noise_of_mean,
     steepest_noise_beside,
 )
+from crankorder.orders.intervals import beyond_chance
 from crankorder.quantities import QualityFlag, with_flags
 from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
 
@@ -33,6 +33,14 @@ SHAPE_SAMPLES = 1024
 """Samples on which the shape of the window is evaluated where only its overlap matters."""
 
 Array = NDArray[np.float64]
+
+ALIKE_SHARE = 0.01
+"""Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
+
+DIFFER_CHANCE = 1e-3
+"""Chance that noise alone makes two speeds differ in any bin of any channel."""
+
+Columns = NDArray[np.float64]
 
 
 def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[QualityFlag]]:
@@ -229,10 +237,7 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
     used, remarks = common_frames(frames)
     speed = np.concatenate([item["speed"].values for item in used])
     owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
-    groups = speed_groups(speed, width_rpm=speed_bin_rpm)
-    if groups and np.isnan(speed[groups[-1][0]]):
-        unknown = groups.pop()
-        groups += [unknown[owner[unknown] == name] for name in np.unique(owner[unknown])]
+    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm), speed, owner)
     window = hann(SHAPE_SAMPLES)
     hop = max(1, round(SHAPE_SAMPLES * (1.0 - float(used[0].attrs["overlap"]))))
     worth = [[window.independent_frames(hop, len(group), power=power) for group in groups] for power in (True, False)]
@@ -316,15 +321,6 @@ def _largest(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
 
 
-ALIKE_SHARE = 0.01
-"""Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
-
-DIFFER_CHANCE = 1e-3
-"""Chance that noise alone makes two speeds differ in any bin of any channel."""
-
-Columns = NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class Bins:
     """``beside`` (orders, several) the bins whose noise is that of each, ``worth`` (orders,) so many independent ones.
@@ -362,21 +358,28 @@ def rows(every: AllFrames, *, bins: Bins, revs_per_frame: float, window: str, sp
     ``bins`` say what noise is told from; ``revs_per_frame`` and ``window`` are those of the frames.
     """
     speed, owner = every.speed_rpm, every.owner
-    known = speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner)
-    unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
+    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner), speed, owner)
     held = held_speeds(speed, owner, width_rpm=speed_bin_rpm)
     place = np.full(len(speed), -1)
     for number, part in enumerate(held):
         place[part] = number
     made: list[Indices] = []
-    for group in known:
+    for group in groups:
         steps = np.unique(place[group])
         if len(steps) < 2 or steps[0] < 0:
             made.append(group)
             continue
         shown = [(held[k], _at_speed(every.of(held[k]), bins, revs_per_frame, window)) for k in steps.tolist()]
         made += _agreeing(shown, bins)
-    return [*made, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
+    return made
+
+
+def _unknown_apart(groups: list[Indices], speed: NDArray[np.float64], owner: NDArray[np.int64]) -> list[Indices]:
+    """``groups`` of frames with those of unknown speed, which come last, by recording."""
+    if not groups or not np.isnan(speed[groups[-1][0]]):
+        return groups
+    unknown = groups[-1]
+    return [*groups[:-1], *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
 
 
 def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]:

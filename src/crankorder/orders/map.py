@@ -10,6 +10,18 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from crankorder.orders.averages import (
+    FEW_CONTRASTS,
+    NEAREST_BINS,
+    Contrasts,
+    beside_bins,
+    contrasts,
+    frame_correlation,
+    helped_by_beside,
+    independent_by_memory,
+    noise_of_mean,
+    steepest_noise_beside,
+)
 from crankorder.orders.between_recordings import (
     BetweenRecordings,
     between_recordings,
@@ -19,20 +31,7 @@ from crankorder.orders.between_recordings import (
     phases_compare,
     wider_of,
 )
-from crankorder.orders.intervals import (
-    FEW_CONTRASTS,
-    NEAREST_BINS,
-    Contrasts,
-    amplitude_interval,
-    beside_bins,
-    contrasts,
-    energy_interval,
-    frame_correlation,
-    helped_by_beside,
-    noise_of_mean,
-    phase_interval_deg,
-    steepest_noise_beside,
-)
+from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import Bins, Frames, all_frames, common_frames, rows
 from crankorder.orders.true_angle import AngleErrors, errors_of_rows, given_to
 from crankorder.quantities import channel_coords, flags_of, with_flags
@@ -55,6 +54,12 @@ MOST_BLOCKS = 8
 """Stretches of a recording whose means are the values that it held."""
 
 Columns = NDArray[np.float64]
+
+SWEPT_SHARE = 0.1
+"""Share of a speed bin from which frames in it are taken to differ in speed."""
+
+Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
+"""Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
 
 
 @dataclass(frozen=True)
@@ -155,12 +160,6 @@ def _extremes(
     beyond = (most - least) / (2.0 * len(means))  # a ramp goes on for half a stretch
     return np.maximum(least - beyond, 0.5 * least), most + beyond, turn * (1.0 + 1.0 / len(means))
 
-
-SWEPT_SHARE = 0.1
-"""Share of a speed bin from which frames in it are taken to differ in speed."""
-
-Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
-"""Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
 
 """Something of every channel and order of a group of frames: (channels, orders)."""
 
@@ -363,7 +362,8 @@ def _average_whole(
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     energy = power.mean(axis=1)
     mean = spectrum.mean(axis=1)
-    kept = _without_memory(spectrum, mean, frames.owner, energy)
+    count = np.full(columns, n_frames)
+    kept = independent_by_memory(spectrum - mean[:, None], frames.owner, count, chance="taken off")
     # noise of different recordings is surely independent, whatever they differ by
     kept = np.maximum(kept, float(len(np.unique(frames.owner))))
     phases = np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance))
@@ -387,7 +387,7 @@ def _average_whole(
         bias=share,
         powers=np.full(columns, shape.independent_powers),
         phases=phases,
-        count=np.full(columns, float(n_frames)),
+        count=count.astype(np.float64),
         along=apart.along,
         across=apart.across,
         recordings=apart.recordings,
@@ -447,31 +447,6 @@ def _without_common_phase(
         least=least,
         most=most,
     )
-
-
-def _without_memory(
-    spectrum: NDArray[np.complex128], mean: NDArray[np.complex128], owner: NDArray[np.int64], energy: Columns
-) -> Columns:
-    """Independent complex spectra (channels, orders) that the frames are worth, for their memory of one another.
-
-    Each frame's scatter about the ``mean`` correlates with the next one's by their overlap and, where noise excites a
-    resonance, by its decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r. Its square is
-    relieved of what chance adds, 1/n.
-    """
-    n_frames = spectrum.shape[1]
-    if n_frames < 3:
-        return np.full(energy.shape, float(n_frames))
-    scatter = spectrum - mean[:, None]
-    first, second = scatter[:, :-1], scatter[:, 1:]
-    if owner[0] != owner[-1]:
-        next_to = owner[1:] == owner[:-1]
-        first, second = first[:, next_to], second[:, next_to]
-    product = np.einsum("cko,cko->co", second, first.conj())
-    parts = scatter.view(np.float64)
-    total = np.einsum("cko,cko->co", parts, parts).reshape(*energy.shape, 2).sum(axis=-1)
-    squared = (np.square(product.real) + np.square(product.imag)) / np.maximum(total**2, np.finfo(np.float64).tiny)
-    memory = np.sqrt(np.clip(squared - 1.0 / n_frames, 0.0, 1.0))
-    return np.asarray(n_frames * (1.0 - memory) / (1.0 + memory))
 
 
 def _spectral_kurtosis(power: NDArray[np.float64], energy: Columns, n: float) -> Columns:

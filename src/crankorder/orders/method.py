@@ -22,6 +22,34 @@ MOST_CONTENT = 0.4
 CONTENT_STEP = 0.02
 """Steps of that share: kernels are designed for a few of them and then known."""
 
+MOST_CARRIED = 0.49
+"""Share of the sample rate up to which a transform straight from the samples is trusted."""
+
+METHOD_SHARE = 0.5
+"""Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
+
+ROUNDING_REV = 1e-9
+"""By so much less than a whole frame may be covered: the last digits of an angle."""
+
+MOST_SWEPT = 0.03
+"""Change of speed within a frame, as a share, above which frames are halved: the half-power width of 1.5 % damping."""
+
+WANDERS = 0.1
+"""Range of the speed over its mean up to which a recording wanders, which frames need not follow."""
+
+FEWEST_REVS = 4
+"""Revolutions of a frame below which half orders fall into one main lobe of a Hann window."""
+
+SWEPT_OVERLAP = 0.75
+"""Overlap of shortened frames: a resonance is soon passed."""
+
+SLOWEST_SHARE = 0.25
+"""Least speed in a frame over its mean below which the shaft is said to stand in it."""
+
+MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
+"""Range of the speed in a frame over its mean, where it also changes so many times as fast as in most frames, from
+which the frame stands for no speed: a step."""
+
 
 @dataclass(frozen=True)
 class TimeSamples:
@@ -177,37 +205,6 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
     angle = np.arange(math.ceil(first * samples_per_rev), math.floor(last * samples_per_rev) + 1) / samples_per_rev
     values, usable = signals_at(samples, shaft, angle, kernel)
     return SignalsByAngle(values, angle, samples_per_rev, usable, kernel.predicted_error)
-
-
-MOST_CARRIED = 0.49
-"""Share of the sample rate up to which a transform straight from the samples is trusted."""
-
-METHOD_SHARE = 0.5
-"""Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
-
-ROUNDING_REV = 1e-9
-"""By so much less than a whole frame may be covered: the last digits of an angle."""
-
-
-MOST_SWEPT = 0.03
-"""Change of speed within a frame, as a share, above which frames are halved: the half-power width of 1.5 % damping."""
-
-WANDERS = 0.1
-"""Range of the speed over its mean up to which a recording wanders, which frames need not follow."""
-
-FEWEST_REVS = 4
-"""Revolutions of a frame below which half orders fall into one main lobe of a Hann window."""
-
-SWEPT_OVERLAP = 0.75
-"""Overlap of shortened frames: a resonance is soon passed."""
-
-SLOWEST_SHARE = 0.25
-"""Least speed in a frame over its mean below which the shaft is said to stand in it."""
-
-
-MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
-"""Range of the speed in a frame over its mean, where it also changes so many times as fast as in most frames, from
-which the frame stands for no speed: a step."""
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,9 @@ from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.windows import power_of_two
+from crankorder.orders.averages import NEAREST_BINS, beside_bins, independent_by_memory, pooled, steepest_noise_beside
 from crankorder.orders.between_recordings import between_recordings, mark_of, phases_compare, wider_of
-from crankorder.orders.intervals import (
-    NEAREST_BINS,
-    amplitude_interval,
-    beside_bins,
-    is_seen,
-    phase_interval_deg,
-    steepest_noise_beside,
-)
+from crankorder.orders.intervals import amplitude_interval, is_seen, phase_interval_deg
 from crankorder.orders.like_speed import LikeSpeedFrames, like_speed_frames
 from crankorder.quantities import channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -31,6 +25,15 @@ LEAST_FRAMES = 2.0
 
 GRID, TERMS = 257, 400
 """Coherences for which the expected estimate is tabulated, and terms of its series: right to 1e-5."""
+
+FEW_FRAMES = 2.5
+"""With fewer independent frames their scatter says too little, and the bins beside help out."""
+
+ON_BIN = 1e-6
+"""An order this close to one of the frames lies on it; between bins no phase from the crank exists."""
+
+CRANK = -1
+"""In the place of a channel's number: phases are from the mark of the crank."""
 
 
 def place_of(name: str, names: list[str]) -> int:
@@ -84,20 +87,6 @@ def _expected_table(n_frames: float) -> tuple[NDArray[np.float64], NDArray[np.fl
     expected = expected_coherence(true, n_frames=n_frames)
     expected[-1] = 1.0
     return expected, true
-
-
-FEW_FRAMES = 2.5
-"""With fewer independent frames their scatter says too little, and the bins beside help out."""
-
-CHANCE_MEMORY = 3.0
-"""Frames resemble each other by more than chance where the squared correlation passes this over their number."""
-
-ON_BIN = 1e-6
-"""An order this close to one of the frames lies on it; between bins no phase from the crank exists."""
-
-
-CRANK = -1
-"""In the place of a channel's number: phases are from the mark of the crank."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +203,9 @@ def _estimate(
         noise, worth = beside.noise_of_mean(row, share)
         of_channel = np.where(origin == CRANK, 0.0, _relative(noise, amplitude, origin))
         helped = (noise, noise + of_channel * amplitude**2, noise)
-        parts = [_pooled(*own, power, worth, n_power < FEW_FRAMES) for own, power in zip(parts, helped, strict=True)]
+        parts = [
+            pooled(*own, power, worth, where=n_power < FEW_FRAMES) for own, power in zip(parts, helped, strict=True)
+        ]
     between = between_recordings(turned, owner, mean)
     seen = is_seen(amplitude, *parts[2]) & is_seen(amplitude, *wider_of(*parts[2], between.both, between, parts=2))
     low, high = amplitude_interval(amplitude, *wider_of(*parts[0], between.along, between), seen=seen)
@@ -242,12 +233,8 @@ def _errors(
     ``scatter`` (channels, frames, orders) is about it, ``n_complex`` is what the frames are worth for their overlap; a
     memory beyond chance (1 - r) / (1 + r) takes more.
     """
-    follows = owner[1:] == owner[:-1]
-    product = np.abs((scatter[:, 1:] * scatter[:, :-1].conj())[:, follows].sum(axis=1))
-    total = (np.abs(scatter) ** 2).sum(axis=1)
-    squared = np.divide(product, total, out=np.zeros_like(total), where=total > 0.0) ** 2
-    memory = np.sqrt(np.where(squared > CHANCE_MEMORY / np.maximum(count, 1), np.minimum(squared, 1.0), 0.0))
-    worth = np.maximum(1.0, np.minimum(n_complex, count * (1.0 - memory) / (1.0 + memory)))
+    kept = independent_by_memory(scatter, owner, count, chance="passed")
+    worth = np.maximum(1.0, np.minimum(n_complex, kept))
     spare = np.where(n_complex > 1.0, count * (1.0 - 1.0 / np.maximum(n_complex, 1.0)), np.nan)
     return (
         2.0 * (scatter.real**2).sum(axis=1) / spare / worth,
@@ -287,19 +274,6 @@ def _relative(
     at = np.maximum(origin, 0)[None, :]
     power, size = (np.take_along_axis(values, at, axis=0) for values in (noise, np.nan_to_num(amplitude)))
     return np.asarray(np.divide(power, size**2, out=np.zeros_like(power), where=size > 0.0))
-
-
-def _pooled(
-    power: NDArray[np.float64],
-    dof: NDArray[np.float64],
-    other: NDArray[np.float64],
-    other_dof: NDArray[np.float64],
-    where: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Noise power and degrees of freedom of two estimates together ``where`` one alone says too little."""
-    total = dof + other_dof
-    mean = (dof * np.nan_to_num(power) + other_dof * other) / np.maximum(total, 1e-9)
-    return np.where(where, mean, power), np.where(where, total, dof)
 
 
 def _coherence(

@@ -58,6 +58,15 @@ KNOT_SLACK = 1e-6
 
 Knots = dict[str, FloatArray]
 
+CHUNK_SAMPLES = 1 << 19
+"""Samples by angle that are held at a time: the memory does not grow with the recording."""
+
+CHUNK_SPEED_RATIO = 1.3
+"""Frames whose speeds differ by more are sampled at different angles: the slowest sets the samples per revolution."""
+
+DENSER = 4
+"""Factor by which a frame is sampled more densely to judge it, and all frames where that shows an error."""
+
 
 @dataclass(frozen=True)
 class _Frame:
@@ -289,16 +298,6 @@ def _angle_and_slope(start, period, time, angle, rate, out, slope):  # type: ign
             slope[i] = step * (c1 + x * (2.0 * c2 + 3.0 * x * c3))
     for i in range(done, n):
         out[i], slope[i] = np.nan, np.nan
-
-
-CHUNK_SAMPLES = 1 << 19
-"""Samples by angle that are held at a time: the memory does not grow with the recording."""
-
-CHUNK_SPEED_RATIO = 1.3
-"""Frames whose speeds differ by more are sampled at different angles: the slowest sets the samples per revolution."""
-
-DENSER = 4
-"""Factor by which a frame is sampled more densely to judge it, and all frames where that shows an error."""
 
 
 def spectra(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
-from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
-from crankorder.orders.track_means import POLES
+from crankorder.orders.averages import POLES
+from crankorder.orders.least_squares import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, impulse_response, level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman

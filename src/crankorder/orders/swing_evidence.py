@@ -33,6 +33,30 @@ LEAST_SHARE = 1e-7
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 
+LEAST_REVS = 8
+"""Revolutions of a frame below which the noise between half orders is not told."""
+
+ROUNDS = 3
+"""Times that E_k is told from what the last one left."""
+
+LIKELY = 3.0
+"""Standard errors from which an E_k is taken out on trial."""
+
+TEETH_LARGEST = 3.0
+"""Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
+
+RADII, PHASES = 72, 40
+"""Grid of E_k over which the odds are summed …"""
+
+GRID_SLACK = 0.1
+"""… and the share of E_k by which its points are apart, about."""
+
+SLACKS = (0.15, 0.1, 0.06)
+"""Shares of a sideband by which it may be off, step by step, while E_k is refined …"""
+
+LAST_STEPS = 9
+"""… and steps with the share that is allowed in the end."""
+
 
 @dataclass(frozen=True)
 class Swing:
@@ -143,31 +167,6 @@ def _moved(values: Floats, step: int) -> Floats:
     else:
         made[..., : n + step] = values[..., -step:]
     return made
-
-
-LEAST_REVS = 8
-"""Revolutions of a frame below which the noise between half orders is not told."""
-
-ROUNDS = 3
-"""Times that E_k is told from what the last one left."""
-
-LIKELY = 3.0
-"""Standard errors from which an E_k is taken out on trial."""
-
-TEETH_LARGEST = 3.0
-"""Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
-
-RADII, PHASES = 72, 40
-"""Grid of E_k over which the odds are summed …"""
-
-GRID_SLACK = 0.1
-"""… and the share of E_k by which its points are apart, about."""
-
-SLACKS = (0.15, 0.1, 0.06)
-"""Shares of a sideband by which it may be off, step by step, while E_k is refined …"""
-
-LAST_STEPS = 9
-"""… and steps with the share that is allowed in the end."""
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import power_of_two
+from crankorder.orders.averages import beside_bins, noise_beside
 from crankorder.orders.between_recordings import LOCATED
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
-from crankorder.orders.intervals import (
-    amplitude_interval,
-    beside_bins,
-    energy_interval,
-    noise_beside,
-    phase_interval_deg,
-)
+from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
@@ -53,6 +48,31 @@ OF_BANDWIDTH = 0.2
 """A followed order this near, in bandwidths, is the order itself: the filter lets it pass with a phase that turns."""
 
 Array = NDArray[np.float64]
+
+_ON_BIN_NAMES = (
+    "coherent_amplitude",
+    "phase",
+    "standard_error",
+    "degrees_of_freedom",
+    "coherent_amplitude_low",
+    "coherent_amplitude_high",
+    "phase_ci95",
+)
+"""Variables of the map that stand for the fields of OrderRows."""
+
+BAND_HELD = 0.5
+"""Share of a band, or of a main lobe, that must hold numbers for its sum to say something."""
+
+_VARIABLES = (
+    ("amplitude", "see unit", "peak amplitude"),
+    ("phase", "degree", "phase from top dead centre"),
+    ("standard_error", "see unit", "standard error of amplitude"),
+    ("degrees_of_freedom", "1", "degrees of freedom of standard_error"),
+    ("amplitude_low", "see unit", "lower end of the 95 % interval of amplitude"),
+    ("amplitude_high", "see unit", "upper end of the 95 % interval of amplitude"),
+    ("phase_ci95", "degree", "half width of the 95 % interval of phase; 180: unknown"),
+    ("band_rms", "see unit", "RMS within the band around the order"),
+)
 
 
 @dataclass(frozen=True)
@@ -325,18 +345,6 @@ class TrackReader:
         return np.asarray((values @ solve) / self._unit)
 
 
-_ON_BIN_NAMES = (
-    "coherent_amplitude",
-    "phase",
-    "standard_error",
-    "degrees_of_freedom",
-    "coherent_amplitude_low",
-    "coherent_amplitude_high",
-    "phase_ci95",
-)
-"""Variables of the map that stand for the fields of OrderRows."""
-
-
 def hann_lobe(off_bins: Array) -> Array:
     """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
     edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
@@ -380,10 +388,6 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     if item.attrs["phase_reference"] not in LOCATED:
         phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
     return OrderRows(magnitude, phase, error, dof, low, high, half)
-
-
-BAND_HELD = 0.5
-"""Share of a band, or of a main lobe, that must hold numbers for its sum to say something."""
 
 
 def order_tracks(
@@ -457,18 +461,6 @@ def _band_rms(order_map: xr.Dataset, orders: NDArray[np.float64], width_orders: 
     resolution = float(axis[1] - axis[0])
     band = _band_sum((level / unit) ** 2, orders / resolution, width_orders / resolution, least_share=BAND_HELD)
     return np.asarray(unit * np.sqrt(band / (2.0 * float(order_map.attrs["enbw_bins"]))))
-
-
-_VARIABLES = (
-    ("amplitude", "see unit", "peak amplitude"),
-    ("phase", "degree", "phase from top dead centre"),
-    ("standard_error", "see unit", "standard error of amplitude"),
-    ("degrees_of_freedom", "1", "degrees of freedom of standard_error"),
-    ("amplitude_low", "see unit", "lower end of the 95 % interval of amplitude"),
-    ("amplitude_high", "see unit", "upper end of the 95 % interval of amplitude"),
-    ("phase_ci95", "degree", "half width of the 95 % interval of phase; 180: unknown"),
-    ("band_rms", "see unit", "RMS within the band around the order"),
-)
 
 
 def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:

@@ -48,6 +48,23 @@ UNKNOWN_DEG = 180.0
 
 Array = NDArray[np.float64]
 
+LEFT = "angle_swing_left_rev"
+"""Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
+
+GIVEN = "given_by_swing"
+"""Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
+
+LINES_PER_HARMONIC = 8.0
+"""Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
+
+WHOLE = 1e-6
+
+STEPS = 4
+"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
+
+NAMES = {1: "eccentricity", 2: "ovality"}
+"""What makes a swing so often per turn; the others are of uneven lines."""
+
 
 @dataclass(frozen=True, eq=False)
 class AngleErrors:
@@ -149,24 +166,6 @@ def _errors(shaft: xr.Dataset, revs_per_frame: float) -> tuple[float, float]:
     if not reference.teeth_per_rev > 0.0:
         return error, error
     return error, reference.pulse_error_rev / float(np.sqrt(reference.teeth_per_rev))
-
-
-LEFT = "angle_swing_left_rev"
-"""Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
-
-GIVEN = "given_by_swing"
-"""Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
-
-LINES_PER_HARMONIC = 8.0
-"""Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
-
-WHOLE = 1e-6
-
-STEPS = 4
-"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
-
-NAMES = {1: "eccentricity", 2: "ovality"}
-"""What makes a swing so often per turn; the others are of uneven lines."""
 
 
 @dataclass(frozen=True)

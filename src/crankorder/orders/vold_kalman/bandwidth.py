@@ -17,6 +17,37 @@ HALF_POWER = math.sqrt(2.0) - 1.0
 FARTHEST_LAG = 16.0
 """Reciprocal bandwidths from which on noise counts as uncorrelated."""
 
+FRAME_BANDWIDTHS = 4.0
+"""Length of a frame, in reciprocal bandwidths: short enough to follow a resonance that is passed."""
+
+FLANK = (1.0, 4.8)
+"""Offsets from the order, in bandwidths, between which the noise is read, on both sides: outside of the band."""
+
+LEAST_BINS = (2, 6)
+"""First bin and number of bins of a flank where the record is short against the filter's response."""
+
+WIDEST = 0.3
+"""Highest offset read, as a share of the rate of the sums."""
+
+LOWER = 0.75
+"""Share of the bins, from below, whose mean tells the level: a line that nobody tracked is above."""
+
+FEWEST_BINS = 6
+
+INDEPENDENT = 0.55
+"""Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
+
+_Array = NDArray[np.float64]
+
+DEGREE = 5
+"""Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
+
+FEWEST_INTERVALS = 16
+"""However narrow the band: the envelope may still bend in a record that is shorter than the filter's response."""
+
+SPLINE_CORRELATION = np.array([15724248, 9738114, 2203488, 152637, 2036, 1]) / 15724248.0
+"""Correlation of white noise between quintic splines that are 0 … 5 knots apart: splines of degree 11 at the knots."""
+
 
 def structural_weight(bandwidth_hz: NDArray[np.float64], *, rate_hz: float, poles: int) -> NDArray[np.float64]:
     """Weight r² of the squared structural equation (∇ to the power ``poles``) whose half-power bandwidth is exact.
@@ -80,28 +111,6 @@ def _correlation_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.floa
     table = np.cos(np.pi * np.outer(grid, x)) @ power / power.sum()
     table[-1] = 0.0
     return grid, table
-
-
-FRAME_BANDWIDTHS = 4.0
-"""Length of a frame, in reciprocal bandwidths: short enough to follow a resonance that is passed."""
-
-FLANK = (1.0, 4.8)
-"""Offsets from the order, in bandwidths, between which the noise is read, on both sides: outside of the band."""
-
-LEAST_BINS = (2, 6)
-"""First bin and number of bins of a flank where the record is short against the filter's response."""
-
-WIDEST = 0.3
-"""Highest offset read, as a share of the rate of the sums."""
-
-LOWER = 0.75
-"""Share of the bins, from below, whose mean tells the level: a line that nobody tracked is above."""
-
-FEWEST_BINS = 6
-INDEPENDENT = 0.55
-"""Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
-
-_Array = NDArray[np.float64]
 
 
 def local_level(
@@ -196,16 +205,6 @@ def _expected(kept: NDArray[np.int64], count: NDArray[np.int64]) -> _Array:
     share = np.minimum(kept / np.maximum(count, 1), 1.0 - 1e-9)
     left = 1.0 - share
     return np.asarray(share / (1.0 - left * (1.0 - np.log(left))))
-
-
-DEGREE = 5
-"""Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
-
-FEWEST_INTERVALS = 16
-"""However narrow the band: the envelope may still bend in a record that is shorter than the filter's response."""
-
-SPLINE_CORRELATION = np.array([15724248, 9738114, 2203488, 152637, 2036, 1]) / 15724248.0
-"""Correlation of white noise between quintic splines that are 0 … 5 knots apart: splines of degree 11 at the knots."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,38 @@ from crankorder.orders.vold_kalman.bandwidth import (
 )
 from crankorder.orders.vold_kalman.system import KNOTS_PER_BANDWIDTH, EnvelopeSystem, Solution
 
+BLOCK = 65_536
+"""Samples solved for at a time, beside the margins that are thrown away."""
+
+MARGIN_BANDWIDTHS = 48.0
+"""Margin of a block, in reciprocal bandwidths: what the equations say of one sample has faded to 1e-16 there."""
+
+HEAVIEST = 1e12
+"""Largest eigenvalue 4^poles r² of the structure beyond which refinement does not restore the digits that are lost."""
+
+LEAST_CONSTANT = 1e-6
+"""Share of a constant that the orders must leave unexplained for it to be told from them."""
+
+REFINEMENTS = 2
+"""Steps of iterative refinement."""
+
+_Array = NDArray[np.float64]
+
+MOST_POLES = 4
+
+FEWEST_SAMPLES = 64
+
+LEAST_SPACING = (6, 6, 6, 3)
+"""Samples between knots, by poles, below which the equations are solved at every sample."""
+
+WIDEST_RATIO = 200.0
+"""Of the bandwidths of joint orders: beyond, the narrowest loses too many digits on the knots of the widest."""
+
+MOST_MAGNIFICATION = 1e3
+"""Noise power of an order, over that of the same order alone, beyond which it counts as not distinguishable."""
+
+Method = Literal["auto", "knots", "samples"]
+
 
 def closest(
     phase_rev: NDArray[np.float64],
@@ -59,24 +91,6 @@ def closest(
 
 def _distance(difference_hz: NDArray[np.float64], rate_hz: float) -> float:
     return float(np.median(np.abs(difference_hz - rate_hz * np.round(difference_hz / rate_hz))))
-
-
-BLOCK = 65_536
-"""Samples solved for at a time, beside the margins that are thrown away."""
-
-MARGIN_BANDWIDTHS = 48.0
-"""Margin of a block, in reciprocal bandwidths: what the equations say of one sample has faded to 1e-16 there."""
-
-HEAVIEST = 1e12
-"""Largest eigenvalue 4^poles r² of the structure beyond which refinement does not restore the digits that are lost."""
-
-LEAST_CONSTANT = 1e-6
-"""Share of a constant that the orders must leave unexplained for it to be told from them."""
-
-REFINEMENTS = 2
-"""Steps of iterative refinement."""
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -207,20 +221,6 @@ def _assemble(waves, weight, steps, band):  # type: ignore[no-untyped-def]
                 for a in range(poles + 1):
                     for b in range(a, poles + 1):
                         band[(i - a) * rows + row, width - (b - a) * rows] += r2 * steps[a] * steps[b]
-
-
-MOST_POLES = 4
-FEWEST_SAMPLES = 64
-LEAST_SPACING = (6, 6, 6, 3)
-"""Samples between knots, by poles, below which the equations are solved at every sample."""
-
-WIDEST_RATIO = 200.0
-"""Of the bandwidths of joint orders: beyond, the narrowest loses too many digits on the knots of the widest."""
-
-MOST_MAGNIFICATION = 1e3
-"""Noise power of an order, over that of the same order alone, beyond which it counts as not distinguishable."""
-
-Method = Literal["auto", "knots", "samples"]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,22 @@ from crankorder.orders.vold_kalman.bandwidth import (
 SPLINES = DEGREE + 1
 """Splines in an interval, and powers of u of each: a constant, so that the loops are unrolled."""
 
+_Array = NDArray[np.float64]
+
+KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
+"""Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
+order than 8 bandwidths (which the exact filter lets through 3e-5 of, with two poles) is rejected altogether. The gain
+of one pole falls so slowly that more of what lies there belongs to the exact solution."""
+
+REFINEMENTS = 3
+"""Most steps of iterative refinement; one is enough unless orders are close."""
+
+ENOUGH = 1e-10
+"""Relative size of a step of refinement after which the next one would be below rounding."""
+
+LEAST_CONSTANT = 1e-6
+"""Share of a constant that the orders must leave unexplained for it to be told from them."""
+
 
 def spline_products(pieces: NDArray[np.float64]) -> NDArray[np.float64]:
     """Products of two splines in powers of u, (runs, powers, pairs): pairs (a, b) with b up to a, in rows of a.
@@ -163,9 +179,6 @@ def variance_at_middles(inverse, pieces, kind, n_rows):  # type: ignore[no-untyp
     return found
 
 
-_Array = NDArray[np.float64]
-
-
 def integration(slopes: _Array, n_splines: int) -> _Array:
     """Coefficients (splines, splines) of splines from the first coefficient of each derivative and all of the last.
 
@@ -218,21 +231,6 @@ def _dense(band: _Array) -> _Array:
     for k in range(min(width, n - 1) + 1):
         found[np.arange(k, n), np.arange(n - k)] = band[k:, width - k]
     return found + np.tril(found, -1).T
-
-
-KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
-"""Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
-order than 8 bandwidths (which the exact filter lets through 3e-5 of, with two poles) is rejected altogether. The gain
-of one pole falls so slowly that more of what lies there belongs to the exact solution."""
-
-REFINEMENTS = 3
-"""Most steps of iterative refinement; one is enough unless orders are close."""
-
-ENOUGH = 1e-10
-"""Relative size of a step of refinement after which the next one would be below rounding."""
-
-LEAST_CONSTANT = 1e-6
-"""Share of a constant that the orders must leave unexplained for it to be told from them."""
 
 
 @dataclass(frozen=True)
