@@ -13,7 +13,7 @@ from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, 
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
-from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.said import CLEARLY_EXCITED
 from crankorder.identify.whirl_crossings import unmeasured_whirl, whirl_crossing
@@ -192,7 +192,7 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     not hold the mode, or not that speed, or where its damping is not known.
     """
     mode = modal.modes[number]
-    if mode.damping_error > KNOWN * mode.damping_ratio:
+    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
         return None
     rpm = 60.0 * mode.frequency_hz / response.order
     if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:

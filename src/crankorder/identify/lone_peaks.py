@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, AvoidedSpeed, ModalFit, OrderLine
 from crankorder.identify.intervals import Z95
-from crankorder.identify.modal.exclusion import MATTERS
+from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 
 AROUND = 0.25
 """Share of a speed on both sides of it whose speeds are beside it; the nearest one is, however far."""
@@ -45,7 +45,7 @@ def lone_peaks(
             (line, place, ratio)
             for line in agreed.lines
             for place, ratio in _peaks(line, factor)
-            if line.amplitude[place] >= MATTERS * largest.get(line.channel, 0.0)
+            if line.amplitude[place] >= EXCLUSION.matters_share * largest.get(line.channel, 0.0)
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)

@@ -24,8 +24,8 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lone_peaks import lone_peaks
-from crankorder.identify.modal.exclusion import MATTERS
-from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
 from crankorder.identify.said import AMPLIFIED, CLEARLY_EXCITED
 from crankorder.identify.whirl_crossings import met_mode
@@ -243,7 +243,7 @@ def _fitted_peak(response: OrderResponse, rpm: float, modal: ModalFit, mode: Mod
     """Amplitude at ``rpm``, the peak that ``mode`` makes, by the fit ``response``; None where that does not know it."""
     if not response.fits or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
-    if mode.damping_error > KNOWN * mode.damping_ratio:
+    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
         return None
     size, error = (float(one[0]) for one in held_amplitudes(response, np.array([rpm]), modal))
     return size if half_width(float(response.freedom)) * error <= (1.0 - 1.0 / PEAK_WITHIN) * size else None
@@ -327,7 +327,7 @@ def _by_modes(
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
-            matters = MATTERS * max(largest.get(one.channel, 0.0) for one in group)
+            matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
             made += _amplified(group, number, modal, replace(limits, matters=matters), what)
     return made
 

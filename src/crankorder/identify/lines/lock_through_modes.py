@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
-from crankorder.identify.modal.order_blocks import SAME_ORDER, blocks_of
-from crankorder.identify.modal.order_force import smooth_shapes
+from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
+from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_responses import Block
+from crankorder.identify.modal.order_terms import smooth_shapes
 from crankorder.settings import MethodNumbers
 
 
@@ -134,7 +135,9 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
     fits = {
         one.channel: one
         for one in modal.responses
-        if one.fits and one.recording == block.recording and abs(one.order - block.order) <= SAME_ORDER * block.order
+        if one.fits
+        and one.recording == block.recording
+        and abs(one.order - block.order) <= ORDER_BLOCKS.same_order_share * block.order
     }
     channels = [name for name in block.channels if name in fits]
     if not channels:

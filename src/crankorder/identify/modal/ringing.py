@@ -11,22 +11,23 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import HiddenSpeeds, Mode, Swing
-from crankorder.identify.modal.order_force import force
 from crankorder.identify.modal.order_responses import Block, Projected
+from crankorder.identify.modal.order_terms import force
 from crankorder.identify.modal.passage import Passage
 from crankorder.identify.modal.surface_fit import Poles
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="ringing"):
+    rings_share: float
+    hides_share: float
+    near_share: float
+
+
+NUMBERS = _Numbers.load()
 
 MOST_KEPT = 256
 """Passages that are kept."""
-
-RINGS = 1e-3
-"""Share of its size after which what rings on counts no more."""
-
-HIDES = 0.03
-"""Share of what one order left of a mode that hides another order which meets it."""
-
-NEAR = 0.03
-"""Share of a speed, beside that at which an order meets a mode, at which it may be large."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -132,7 +133,7 @@ def rings_into(block: Block, other: Block, natural_hz: float, damping: float) ->
     """
     if not block.ends_hz[0] < natural_hz < block.ends_hz[1]:
         return False
-    return _rings(other, block.order, natural_hz, damping, RINGS)
+    return _rings(other, block.order, natural_hz, damping, NUMBERS.rings_share)
 
 
 def _rings(block: Block, later: float, natural_hz: float, damping: float, share: float) -> bool:
@@ -166,9 +167,9 @@ def hidden_speeds(
     found: list[HiddenSpeeds] = []
     for mode in modes:
         f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
-        reach = mode.frequency_half_hz + NEAR * f
+        reach = mode.frequency_half_hz + NUMBERS.near_share * f
         for number in unknown.tolist():
-            rung = [block for block in swept if _rings(block, number, f, zeta, HIDES)]
+            rung = [block for block in swept if _rings(block, number, f, zeta, NUMBERS.hides_share)]
             if rung:
                 loudest = max(rung, key=lambda block: float(block.size.max()))
                 ends = 60.0 * (f - reach) / number, 60.0 * (f + reach) / number
