@@ -367,9 +367,6 @@ def _average_whole(
     # noise of different recordings is surely independent, whatever they differ by
     kept = np.maximum(kept, float(len(np.unique(frames.owner))))
     phases = np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance))
-    own = np.full(columns, float(len(shape.rows)) if shape.dof > 0.0 else 0.0) * (
-        shape.dof / max(2.0 * len(shape.rows), 1.0)
-    )
     share = np.full(columns, shape.mean_variance)
     beside = None if bins is None else steepest_noise_beside(energy, bins)
     noise = noise_of_mean(spectrum, shape)
@@ -382,7 +379,7 @@ def _average_whole(
         kurtosis=_spectral_kurtosis(power, energy, shape.independent_powers),
         apart=np.ones(columns),
         noise=noise,
-        own=own,
+        own=np.full(columns, 0.5 * shape.dof),
         share=share,
         bias=share,
         powers=np.full(columns, shape.independent_powers),
