@@ -81,11 +81,7 @@ class FrameTransform:
         return made
 
     def power(
-        self,
-        signals: NDArray[np.floating],
-        starts: NDArray[np.int64],
-        *,
-        scales: NDArray[np.float64] | None = None,
+        self, signals: NDArray[np.floating], starts: NDArray[np.int64], *, scales: NDArray[np.float64] | None = None
     ) -> NDArray[np.floating]:
         """Squared peak amplitudes (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
 

@@ -337,13 +337,7 @@ def _pulses_of_trace(
 
 
 def _pulses_of_times(
-    raw: RawFile,
-    source: Source | None,
-    manifest: Manifest,
-    path: Path,
-    flags: list[QualityFlag],
-    *,
-    start_s: float,
+    raw: RawFile, source: Source | None, manifest: Manifest, path: Path, flags: list[QualityFlag], *, start_s: float
 ) -> tuple[npt.NDArray[np.float64], float]:
     """Pulse times that the file lists; of an edge list with a level column only the edges of the wanted direction."""
     assert source is not None  # the manifest was checked for it

@@ -168,12 +168,7 @@ def _sound(
 
 
 def _on_grid(
-    signals: NDArray[np.float64],
-    *,
-    samples_per_rev: int,
-    points_per_rev: int,
-    max_order: float,
-    advance_rev: float,
+    signals: NDArray[np.float64], *, samples_per_rev: int, points_per_rev: int, max_order: float, advance_rev: float
 ) -> NDArray[np.float64]:
     """``signals`` (channels, samples) of whole revolutions on a grid that begins ``advance_rev`` later.
 

@@ -173,9 +173,7 @@ def _bands_and_pieces(
         return (), [], "the speed is not known"
     rate, fastest_hz = float(recording.attrs["rate_hz"]), float(speed.max()) / 60.0
     bands = band_tree(
-        settings.max_order * fastest_hz,
-        HIGHEST_SHARE * rate,
-        least_width_hz=settings.envelope_max_order * fastest_hz,
+        settings.max_order * fastest_hz, HIGHEST_SHARE * rate, least_width_hz=settings.envelope_max_order * fastest_hz
     )
     if not bands:
         return (

@@ -195,12 +195,7 @@ def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> NDArray
 
 
 def look_nats(
-    ratio: NDArray[np.floating],
-    bins: NDArray[np.int64],
-    *,
-    count: float,
-    floor_worth: float,
-    free: NDArray[np.bool_],
+    ratio: NDArray[np.floating], bins: NDArray[np.int64], *, count: float, floor_worth: float, free: NDArray[np.bool_]
 ) -> Array:
     """Minus the logarithm of the chance (rows, looks) that noise makes a line of so high a ``ratio`` (rows, looks).
 

@@ -394,12 +394,7 @@ def _angle_of_samples(band: xr.Dataset, shaft: xr.Dataset) -> NDArray[np.float64
 
 
 def _fit(
-    band: xr.Dataset,
-    angles: NDArray[np.float64],
-    part: slice,
-    orders: NDArray[np.float64],
-    begin: float,
-    end: float,
+    band: xr.Dataset, angles: NDArray[np.float64], part: slice, orders: NDArray[np.float64], begin: float, end: float
 ) -> tuple[NDArray[np.int64], list[JointOrders | None]]:
     """Numbers of the orders carried in the frame from ``begin`` to ``end`` [rev], and the fit of each channel.
 

@@ -279,12 +279,7 @@ def _put_intervals(
     if len(few):
         own = own.copy()
         noise[:, few], own[:, few] = helped_by_beside(
-            noise[:, few],
-            own[:, few],
-            energy=whole.energy[:, few],
-            powers=whole.powers[:, few],
-            bins=bins,
-            worth=worth,
+            noise[:, few], own[:, few], energy=whole.energy[:, few], powers=whole.powers[:, few], bins=bins, worth=worth
         )
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)

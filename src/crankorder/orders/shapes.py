@@ -178,11 +178,7 @@ def _strongest(lines: NDArray[np.complex128], scale: NDArray[np.float64], units:
 
 
 def _estimate(
-    lines: NDArray[np.complex128],
-    origin: NDArray[np.int64],
-    grouped: LikeSpeedFrames,
-    row: int,
-    beside: _Beside,
+    lines: NDArray[np.complex128], origin: NDArray[np.int64], grouped: LikeSpeedFrames, row: int, beside: _Beside
 ) -> _Estimate:
     """Mean phasors of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
     group = grouped.groups[row]
@@ -236,10 +232,7 @@ def _errors(
     kept = independent_by_memory(scatter, owner, count, chance="passed")
     worth = np.maximum(1.0, np.minimum(n_complex, kept))
     spare = np.where(n_complex > 1.0, count * (1.0 - 1.0 / np.maximum(n_complex, 1.0)), np.nan)
-    return (
-        2.0 * (scatter.real**2).sum(axis=1) / spare / worth,
-        2.0 * (scatter.imag**2).sum(axis=1) / spare / worth,
-    )
+    return (2.0 * (scatter.real**2).sum(axis=1) / spare / worth, 2.0 * (scatter.imag**2).sum(axis=1) / spare / worth)
 
 
 @dataclass(frozen=True)
@@ -325,13 +318,7 @@ def _dataset(
         ("phase_ci95", (*dims, "bound"), turn, "degree", "95 % interval of phase"),
         ("coherence", dims, made["coherence"], "1", "share of the power that is locked to phase_from"),
         ("coherence_level", ("speed",), level, "1", "95 % level of what is not locked, before bias is taken off"),
-        (
-            "phase_from",
-            ("order",),
-            np.array(phase_from, dtype=object),
-            "1",
-            "mark or channel that phases are from",
-        ),
+        ("phase_from", ("order",), np.array(phase_from, dtype=object), "1", "mark or channel that phases are from"),
         ("n_frames", ("speed",), count, "1", "frames"),
         ("n_independent", ("speed",), grouped.n_power, "1", "independent frames"),
     )

@@ -301,13 +301,7 @@ def _angle_and_slope(start, period, time, angle, rate, out, slope):  # type: ign
 
 
 def spectra(
-    samples: TimeSamples,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    *,
-    n_orders: int,
-    max_order: float,
-    density: int = 1,
+    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, n_orders: int, max_order: float, density: int = 1
 ) -> NDArray[np.complex128]:
     """Spectra (channels, frames, ``n_orders``) of ``samples`` by the method and on the frames of ``layout``.
 
@@ -338,12 +332,7 @@ def spectra(
 
 
 def _resampled(
-    samples: TimeSamples,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    chunk: slice,
-    per_rev: int,
-    n_orders: int,
+    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, chunk: slice, per_rev: int, n_orders: int
 ) -> NDArray[np.complex128]:
     """Spectra of the frames ``chunk``, resampled ``per_rev`` times in a revolution."""
     kernel = layout.method.kernel

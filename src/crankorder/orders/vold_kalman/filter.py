@@ -441,12 +441,7 @@ def standard_errors(system: EnvelopeSystem, solution: Solution) -> _Array:
 
 
 def _by_samples(
-    values: NDArray[np.floating],
-    phase: _Array,
-    bandwidth: _Array,
-    mask: NDArray[np.bool_],
-    rate_hz: float,
-    poles: int,
+    values: NDArray[np.floating], phase: _Array, bandwidth: _Array, mask: NDArray[np.bool_], rate_hz: float, poles: int
 ) -> VoldKalmanTracks:
     n_samples = values.shape[1]
     scale = _scales(values, mask)
@@ -476,13 +471,7 @@ def _by_samples(
 
 
 def _magnification(
-    variance: _Array,
-    usable_share: _Array,
-    place: _Array,
-    bandwidth: _Array,
-    n_samples: int,
-    rate_hz: float,
-    poles: int,
+    variance: _Array, usable_share: _Array, place: _Array, bandwidth: _Array, n_samples: int, rate_hz: float, poles: int
 ) -> _Array:
     """Noise power of each order over that of the order alone, median over the usable places (orders,)."""
     n_orders = len(bandwidth)
