@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError, RequestError
-from crankorder.orders.least_squares_tracks import tracked_orders
+from crankorder.orders.least_squares import tracked_orders
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from made.recordings import line, run_up, steady, total

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.orders.intervals import frame_correlation
+from crankorder.orders.averages import frame_correlation
 from crankorder.settings import MethodNumbers
 
 
