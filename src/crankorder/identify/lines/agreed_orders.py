@@ -31,7 +31,8 @@ from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.identify.mains import nearest_multiple as nearest_mains
-from crankorder.identify.said import ALIKE_SPEEDS, UNRESOLVED
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.true_angle import ERROR
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -189,7 +190,7 @@ def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
     A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
     """
     speeds = np.concatenate([line.speed_rpm for line in one.lines])
-    if not np.isfinite(speeds).all() or speeds.max() > ALIKE_SPEEDS * speeds.min():
+    if not np.isfinite(speeds).all() or speeds.max() > SAID.alike_speeds_ratio * speeds.min():
         return False
     hertz = one.number.order * float(speeds.mean()) / 60.0
     for mains in settings.mains_hz:
