@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.between_recordings import mark_of, one_mark
+from crankorder.orders.between_recordings import one_phase_reference, phase_reference_of
 from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -292,7 +292,7 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     """
     speed = np.concatenate([item["speed"].values for item in items])
     place = [(item, row) for item in items for row in range(item.sizes["speed"])]
-    comparable = len(items) == 1 or (one_mark(items) and all(_is_one_turn(item) for item in items))
+    comparable = len(items) == 1 or (one_phase_reference(items) and all(_is_one_turn(item) for item in items))
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     if groups and np.isnan(speed[groups[-1][0]]):
         groups = [
@@ -319,7 +319,7 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     kept = ("phase_reference", "cycle_known", "revs_per_cycle", "max_order")
     made.attrs = {key: items[0].attrs[key] for key in kept} | {"speed_bin_rpm": speed_bin_rpm}
     if not comparable:
-        made.attrs |= {"phase_reference": mark_of(items), "cycle_known": 0}
+        made.attrs |= {"phase_reference": phase_reference_of(items), "cycle_known": 0}
     return with_flags(made, [*(flag for item in items for flag in flags_of(item)), *_left_out_flags(left_out)])
 
 

@@ -212,9 +212,9 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
             continue
         method[row] = items[0].attrs["track_method"]
         readings = _readings(items, int(place[0]))
-        one_mark = bool(phases_compare(items, np.array([order]))[0])
+        comparable = bool(phases_compare(items, np.array([order]))[0])
         for speed, group in enumerate(groups):
-            _put_speed(tracks, row, speed, readings.of(group), one_mark=one_mark)
+            _put_speed(tracks, row, speed, readings.of(group), comparable=comparable)
     tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
     known = flags_of(tracks)
     for flag in [flag for item in items for flag in flags_of(item)] + remarks:
@@ -277,7 +277,7 @@ def _reach(speed_rpm: Floats) -> Floats:
     return np.nan_to_num(np.maximum(step[:-1], step[1:]))
 
 
-def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, one_mark: bool) -> None:
+def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, comparable: bool) -> None:
     """Put the average of ``readings`` into the ``row`` and ``speed`` of ``tracks``; NaN for channels without."""
     for name in _PUT:
         tracks[name].values[:, row, speed] = 0.0 if name == "degrees_of_freedom" else np.nan
@@ -294,8 +294,8 @@ def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, 
         unit = np.ldexp(1.0, np.frexp(np.where(largest > 0.0, largest, 1.0))[1] - 1)
         part = replace(part, values=part.values / unit[:, None], errors=part.errors / unit[:, None])
         names = np.unique(part.owner)
-        if one_mark or len(names) == 1:
-            made = by_phase(coherent_mean(part), with_phase=one_mark)
+        if comparable or len(names) == 1:
+            made = by_phase(coherent_mean(part), with_phase=comparable)
         else:
             made = by_energy([coherent_mean(part.of(np.flatnonzero(part.owner == name))) for name in names])
         for name, values in made.items():

@@ -26,8 +26,8 @@ from crankorder.orders.between_recordings import (
     BetweenRecordings,
     between_recordings,
     ends_between,
-    mark_of,
-    one_mark,
+    one_phase_reference,
+    phase_reference_of,
     phases_compare,
     wider_of,
 )
@@ -88,7 +88,7 @@ def held_values(
     spectrum : (channels, frames, orders)
     owner : (frames,), number of the recording of each
     mean : (channels, orders), mean over the frames
-    noise : (channels, orders), noise power of ``mean`` as of :func:`~crankorder.orders.intervals.noise_of_mean`
+    noise : (channels, orders), noise power of ``mean`` as of :func:`~crankorder.orders.averages.noise_of_mean`
     shape : contrasts of the frames
     beside : (channels, orders), noise power of a frame by the bins beside; None where it is not known
     """
@@ -143,9 +143,6 @@ def _extremes(turned_back: Complexes, owner: Ints) -> tuple[Floats, Floats, Floa
     least, most, turn = size.min(axis=1), size.max(axis=1), np.abs(np.angle(values)).max(axis=1)
     beyond = (most - least) / (2.0 * len(means))  # a ramp goes on for half a stretch
     return np.maximum(least - beyond, 0.5 * least), most + beyond, turn * (1.0 + 1.0 / len(means))
-
-
-"""Something of every channel and order of a group of frames: (channels, orders)."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +213,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     given = given_to(np.abs(whole.coherent), used)
     angle = errors_of_rows(used, every.owner, groups).by_order
     _put_intervals(made, whole, unit, (bins, worth), angle, order, given)
-    if not one_mark(used):
+    if not one_phase_reference(used):
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = result.assign(made)
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + remarks)
@@ -445,7 +442,7 @@ def _dataset(used: list[xr.Dataset], order: Floats, speed: Floats, settings: Ord
     )
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
-    result.attrs |= {"phase_reference": mark_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
+    result.attrs |= {"phase_reference": phase_reference_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
     return result
 
 

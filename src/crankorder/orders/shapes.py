@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from crankorder.errors import RequestError
 from crankorder.fft.windows import power_of_two
 from crankorder.orders.averages import NEAREST_BINS, beside_bins, independent_by_memory, pooled, steepest_noise_beside
-from crankorder.orders.between_recordings import between_recordings, mark_of, phases_compare, wider_of
+from crankorder.orders.between_recordings import between_recordings, phase_reference_of, phases_compare, wider_of
 from crankorder.orders.intervals import amplitude_interval, is_seen, phase_interval_deg
 from crankorder.orders.like_speed import LikeSpeedFrames, like_speed_frames
 from crankorder.quantities import Bools, Complexes, Floats, Ints, channel_coords, flags_of, with_flags
@@ -146,7 +146,7 @@ def operating_shapes(
             values[:, row] = getattr(estimate, name)
     for name in ("amplitude", "low", "high"):
         made[name] *= scale
-    crank = mark_of(grouped.used)
+    crank = phase_reference_of(grouped.used)
     phase_from = [crank if place == CRANK else names[place] for place in origin]
     return _dataset(grouped, wanted, made, phase_from, reference=reference, speed_bin_rpm=settings.speed_bin_rpm)
 
@@ -319,7 +319,7 @@ def _dataset(
     kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
     shapes.attrs = {key: first.attrs[key] for key in kept}
     shapes.attrs |= {
-        "phase_reference": mark_of(grouped.used),
+        "phase_reference": phase_reference_of(grouped.used),
         "reference": reference or "",
         "speed_bin_rpm": speed_bin_rpm,
     }

@@ -392,13 +392,18 @@ def _prior(grid: Complexes, usual_rev: float) -> Floats:
     return np.asarray(-0.5 * np.square(np.abs(grid) / usual_rev))
 
 
-def _gains(sums: _Sums, grid: Complexes, settings: OrderSettings, *, slack: float) -> Floats:
-    """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
-    size = grid[:, None]
+def _seen_of(sums: _Sums, size: complex | Complexes) -> tuple[Floats, Complexes, Floats]:
+    """Power of what E_k of ``size`` makes of each target, how much of that is seen, and the spread about it."""
     power = np.maximum(_power(sums, size), 1e-300)
     ratio = _product(sums, size) / power
     rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
-    spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+    return power, ratio, np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+
+
+def _gains(sums: _Sums, grid: Complexes, settings: OrderSettings, *, slack: float) -> Floats:
+    """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
+    size = grid[:, None]
+    power, ratio, spread = _seen_of(sums, size)
     # beside the rows' own noise, what is of second order and how coarse the grid is
     variance = spread / power + slack**2
 
@@ -416,10 +421,7 @@ def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[comp
     size, error = start, np.inf
     weights = np.zeros(len(sums.own))
     for slack in (*SLACKS, *(settings.sideband_slack,) * LAST_STEPS):
-        power = np.maximum(_power(sums, size), 1e-300)
-        ratio = _product(sums, size) / power
-        rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
-        spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+        power, ratio, spread = _seen_of(sums, size)
         square = np.abs(ratio - 1.0) ** 2
         variance = spread / power + slack**2
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)

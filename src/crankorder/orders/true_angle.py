@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.between_recordings import one_mark
+from crankorder.orders.between_recordings import one_phase_reference
 from crankorder.orders.intervals import NORMAL
 from crankorder.orders.swing_evidence import (
     HARMONICS,
@@ -179,7 +179,7 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
     its teeth say that it is another. ``settings``: of orders, for what is taken of encoders.
     """
     used = [item for item in frames if float(item.attrs.get(LINES, 0.0)) > 0.0]
-    shared = bool(used) and one_mark(used) and same_teeth(used)
+    shared = bool(used) and one_phase_reference(used) and same_teeth(used)
     made: dict[str, tuple[Swing, ...]] = {}
     for group in [used] if shared else [[item] for item in used]:
         rows = rows_of(group)

@@ -61,7 +61,7 @@ def lock_of(
 
 
 def sure_half_width(order_error: float, degrees_of_freedom: float) -> float:
-    """Half width of the 99.9 % interval of an order: its standard ``order_error`` has so many ``degrees_of_freedom``."""
+    """Half width of the 99.9 % interval of an order whose standard ``order_error`` has these ``degrees_of_freedom``."""
     return half_width(degrees_of_freedom, level=NUMBERS.sure_level) * order_error
 
 

@@ -14,7 +14,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.passage import Passage, passage_of
-from crankorder.orders.between_recordings import WHOLE, one_mark, phases_compare
+from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.settings import MethodNumbers
 
@@ -68,7 +68,7 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     told = bool(np.isfinite(phase[known]).all())
     if told and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, phasor, wide)]
-    if told and one_mark([order_map]) and _is_half(agreed.order):
+    if told and one_phase_reference([order_map]) and _is_half(agreed.order):
         made = _block(agreed.order, names, speed, phasor, wide)
         return [made and replace(made, amplitude=_without_turns(made.amplitude), sign_free=True)]
     made = _block(agreed.order, names, speed, phasor, wide, power=True)
