@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from crankorder.findings import BearingFinding
-from made.typed import record_of
 from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.findings import BearingFinding
 from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
@@ -21,6 +20,7 @@ from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.settings import load_settings
 from crankorder.shaft.folding import Fold
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
+from made.typed import record_of
 
 SETTINGS = load_settings().identify
 FOUR_STROKE = Sources(revs_per_cycle=2)

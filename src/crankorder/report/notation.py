@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeGuard
 
 from crankorder.errors import printable
 from crankorder.findings import Findings, ModeFinding
-from crankorder.identify.said import ALIKE_SPEEDS
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import ReportSettings
 
 _TYPOGRAPHY = {
@@ -192,7 +192,7 @@ def least_of(record: object, key: str) -> float | None:
 def at_one_speed(findings: Findings) -> bool:
     """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
     low, high = findings.speed_range_rpm
-    return is_number(low) and is_number(high) and high <= ALIKE_SPEEDS * low
+    return is_number(low) and is_number(high) and high <= SAID.alike_speeds_ratio * low
 
 
 def is_number(value: object) -> TypeGuard[float]:

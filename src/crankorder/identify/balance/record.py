@@ -13,11 +13,17 @@ from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Balance
 from crankorder.identify.balance.transfer_path import Complex, Real
 from crankorder.identify.intervals import half_width
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="record"):
+    vague_deg: float
+
+
+NUMBERS = _Numbers.load()
 
 AGREE_CHI_SQUARE = 5.991
 """95 % point of χ² with two degrees of freedom: one complex difference."""
-VAGUE_DEG = 60.0
-"""An angle with a wider half interval is not stated."""
 NO_ACROSS = (
     "the path of forces across the cylinder is not identified: no order of known force acts there; state it "
     "([[transfer_paths]], direction X) or run a test with a known added mass"
@@ -68,7 +74,7 @@ def size_and_angle(balance: B, size_key: str, angle_key: str, value: complex, co
     half_deg = float(np.degrees(np.arcsin(min(1.0, t * across / size)))) if size else 180.0
     low = size - t * along if size > joint else 0.0
     told: Any = {size_key: size, f"{size_key}_ci95": (max(0.0, low), size + t * along)}
-    if angle_key and size > joint and half_deg < VAGUE_DEG:
+    if angle_key and size > joint and half_deg < NUMBERS.vague_deg:
         angle = float(np.degrees(np.angle(value)))
         told |= {angle_key: angle, f"{angle_key}_ci95": (angle - half_deg, angle + half_deg)}
     return replace(balance, **told)

@@ -12,9 +12,15 @@ from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.false_discovery import claimed
 from crankorder.identify.intervals import error_of, interval
 from crankorder.records import known
+from crankorder.settings import MethodNumbers
 
-_MODE_REACH = 3.0  # standard errors, or damping bandwidths, within which a natural frequency may have moved
-_LEAST_REACH = 0.05  # … and always this share of it
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mode_shifts"):
+    mode_reach: float
+    least_reach: float
+
+
+NUMBERS = _Numbers.load()
 
 
 def mode_shifts(base: Findings, new: Findings, *, q: float) -> list[dict[str, Any]]:
@@ -52,7 +58,8 @@ def _error_of(mode: ModeFinding, key: str) -> float:
 def _reach(mode: ModeFinding) -> float:
     frequency, damping = mode.frequency_hz, mode.damping_ratio or 0.0
     error = _error_of(mode, "frequency_hz")
-    return max(_MODE_REACH * error, _MODE_REACH * frequency * damping, _LEAST_REACH * frequency)
+    reach = NUMBERS.mode_reach
+    return max(reach * error, reach * frequency * damping, NUMBERS.least_reach * frequency)
 
 
 def _mode_record(one: ModeFinding, two: ModeFinding) -> dict[str, Any]:

@@ -16,12 +16,15 @@ from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.intervals import half_width, half_widths
 from crankorder.orders.between_recordings import LOCATED, WHOLE
 from crankorder.records import known
+from crankorder.settings import MethodNumbers
 
-CLEAR = 3.0
-"""Standard errors above zero from which the logarithm of an amplitude has a normal error."""
 
-MATCH = 0.02
-"""Orders found in two tests closer than this are one order."""
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="order_changes"):
+    clear_sigmas: float
+    same_order: float
+
+
+NUMBERS = _Numbers.load()
 
 ALWAYS = (1.0, 2.0)
 """Orders that are compared whether or not a test found them: where a change of mass shows."""
@@ -113,15 +116,17 @@ def orders_to_compare(
     for record in [*base, *new]:
         order, ends = record.order, known(record.order_ci95) or (record.order, record.order)
         half = round(2 * order) / 2
-        named = half if ends[0] <= half <= ends[1] or abs(order - half) < MATCH else order
+        named = half if ends[0] <= half <= ends[1] or abs(order - half) < NUMBERS.same_order else order
         locked = record.lock != "slips"
-        same = next((at for at, (called, _) in enumerate(groups) if abs(called - named) < MATCH), None)
+        same = next((at for at, (called, _) in enumerate(groups) if abs(called - named) < NUMBERS.same_order), None)
         if same is None:
             groups.append((named, locked))
         else:
             groups[same] = groups[same][0], groups[same][1] and locked
-    groups += [(order, True) for order in ALWAYS if all(abs(order - called) >= MATCH for called, _ in groups)]
-    return sorted(group for group in groups if 0 < group[0] <= highest + MATCH)
+    groups += [
+        (order, True) for order in ALWAYS if all(abs(order - called) >= NUMBERS.same_order for called, _ in groups)
+    ]
+    return sorted(group for group in groups if 0 < group[0] <= highest + NUMBERS.same_order)
 
 
 def order_changes(
@@ -284,7 +289,7 @@ def _p_values(
 
 
 def _clear(line: Line) -> NDArray[np.bool_]:
-    return np.asarray((line.amplitude > CLEAR * line.error) & (line.amplitude > 0))
+    return np.asarray((line.amplitude > NUMBERS.clear_sigmas * line.error) & (line.amplitude > 0))
 
 
 def _ratio_db_ci95(base: Line, new: Line) -> NDArray[np.float64]:
