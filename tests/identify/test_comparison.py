@@ -9,7 +9,7 @@ import pytest
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.findings import OrderFinding
+from crankorder.findings import BearingFinding, OrderFinding
 from crankorder.identify.changes.compared import compared
 from crankorder.identify.changes.map_difference import independent_frames, map_difference
 from crankorder.identify.changes.order_changes import Line, change, like_speeds, mean_ratio, orders_to_compare
