@@ -17,9 +17,16 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Literal, NewType, NotRequired, TypedDict
 
+import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.errors import SchemaError
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 Recording = NewType("Recording", xr.Dataset)
 """One file as measured: signal[channel, time | crank_angle] with encoder and index pulse times."""

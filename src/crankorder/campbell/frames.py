@@ -13,7 +13,7 @@ from crankorder.fft.band import band_limited
 from crankorder.fft.decimation import decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
 from crankorder.fft.windows import Window, window_named
-from crankorder.quantities import QualityFlag, channel_coords, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, with_flags
 from crankorder.settings import CampbellSettings
 from crankorder.shaft.angle import angle_at, knots_of
 
@@ -32,13 +32,11 @@ SQUARES_FIT = {"f": 1e8, "d": 1e100}
 class FrameSpeeds:
     """Mean speed and change of speed from begin to end of each frame (frames,), in rpm."""
 
-    mean_rpm: NDArray[np.float64]
-    change_rpm: NDArray[np.float64]
+    mean_rpm: Floats
+    change_rpm: Floats
 
 
-def frame_speeds(
-    band: xr.Dataset, shaft: xr.Dataset, starts: NDArray[np.int64], length: int, rate_hz: float
-) -> FrameSpeeds:
+def frame_speeds(band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> FrameSpeeds:
     """FrameSpeeds of the frames of ``length`` samples at ``rate_hz`` that begin at samples ``starts`` of ``band``.
 
     The mean is the revolutions that the ``shaft`` made over the time they took; the change is twice the difference of
@@ -50,7 +48,7 @@ def frame_speeds(
     return _speeds(shaft, begin, length / rate_hz)
 
 
-def _speeds(shaft: xr.Dataset, begin_s: NDArray[np.float64], length_s: float) -> FrameSpeeds:
+def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> FrameSpeeds:
     knots = knots_of(shaft)
     span = (float(shaft["time"].values[0]), float(shaft["time"].values[-1]))
     first, middle, last = (np.clip(begin_s + share * length_s, *span) for share in (0.0, 0.5, 1.0))
@@ -184,7 +182,7 @@ def _in_shown_band(band: xr.Dataset, settings: CampbellSettings) -> xr.Dataset:
     return band_limited(band, band_hz=shown, grid_hz=settings.resolution_hz)
 
 
-def _scales(signals: NDArray[np.floating]) -> NDArray[np.float64]:
+def _scales(signals: NDArray[np.floating]) -> Floats:
     """Power of two per channel that brings samples whose squares leave the range of their type near 1; else 1."""
     scales = np.ones(len(signals))
     fit = SQUARES_FIT.get(signals.dtype.char, SQUARES_FIT["d"])
@@ -196,9 +194,7 @@ def _scales(signals: NDArray[np.floating]) -> NDArray[np.float64]:
     return scales
 
 
-def _dataset(
-    band: xr.Dataset, power: NDArray[np.floating], frequency: NDArray[np.float64], speeds: FrameSpeeds
-) -> xr.Dataset:
+def _dataset(band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds) -> xr.Dataset:
     change = {"units": "min-1", "long_name": "change of speed within the frame"}
     return xr.Dataset(
         {

@@ -7,9 +7,8 @@ import math
 import numba as nb
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.shaft.speed_groups import speed_groups
 
 START_CHANCE = 5e-3
@@ -39,13 +38,12 @@ SAME_BINS = 200.0
 SHARED = 1.95
 """Factor by which neighbouring bins count the same noise twice."""
 
-Array = NDArray[np.float64]
 
 LEAST_LEFT = 0.25
 """Frames that must be left without a start transient."""
 
 
-def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
+def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
     """How many leading frames hold a start transient, by bin (bins,) of each of ``frames``; None where none does.
 
     Machines are switched on, loads are set: what rings then is the free decay of the modes, whose line in a frame is no
@@ -72,7 +70,7 @@ def _apart(item: xr.Dataset) -> int:
     return max(1, math.ceil(0.5 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 0.01))
 
 
-def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) -> None:
+def _count_leading(items: list[xr.Dataset], leading: list[Ints]) -> None:
     """Write into ``leading``, of recordings with like bins, how many frames take no part."""
     on = np.ones(items[0].sizes["frequency"], dtype=bool)
     for frame in range(max(item.sizes["frame"] for item in items)):
@@ -90,7 +88,7 @@ def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) ->
         on = seen
 
 
-def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
+def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
     """Chance (bins,) of noise so strong in the frames of number ``frame`` over later ones; None where too few are.
 
     The share u = P_0 / (P_0 + P_1 + … + P_n) of a frame in itself and n others has a beta distribution with the mean
@@ -98,7 +96,7 @@ def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
     """
     from scipy.special import ndtr
 
-    total: Array | float = 0.0
+    total: Floats | float = 0.0
     variance = 0.0
     for item in items:
         power, apart = item["power"].values, _apart(item)
@@ -121,13 +119,13 @@ def _middle_ratio(n: int) -> float:
     return float(n * (2.0 ** (1.0 / n) - 1.0))
 
 
-def _beside(power: Array) -> Array:
+def _beside(power: Floats) -> Floats:
     """Sum of ``power`` (C, B) over some bins."""
     padded = np.pad(power, ((0, 0), (BESIDE, BESIDE)), mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1).sum(axis=-1))
 
 
-def _level(ratio: Array) -> Array:
+def _level(ratio: Floats) -> Floats:
     """Running median of ``ratio`` (C, B), from every eighth bin."""
     half = min(LEVEL_BINS, ratio.shape[1] | 1) // 2
     padded = np.pad(ratio, ((0, 0), (half, half)), mode="reflect" if ratio.shape[1] > half else "edge")
@@ -201,7 +199,7 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     return with_flags(result, flags + _cut_flags(frames, n_shown, grid_hz))
 
 
-def _count(result: xr.Dataset, lengths: NDArray[np.int64], used: NDArray[np.int64]) -> None:
+def _count(result: xr.Dataset, lengths: Ints, used: Ints) -> None:
     """Add to ``result`` how many frames each group has and, where gaps keep some out, how many each channel used."""
     result["n_frames"] = (("speed",), lengths, {"units": "1", "long_name": "frames averaged"})
     if np.any(used != lengths):
@@ -228,8 +226,8 @@ def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> 
 
 
 def _group_means(
-    frames: list[xr.Dataset], groups: list[NDArray[np.int64]], frequency: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    frames: list[xr.Dataset], groups: list[Ints], frequency: Floats
+) -> tuple[Floats, Floats, Ints, Floats]:
     """Mean tone power and density (channel, group, frequency), frames used (channel, group), scale (channel, 1, 1).
 
     The signals were taken times ``scale``, a power of two, which keeps their squares in range.
@@ -258,12 +256,8 @@ def _group_means(
 
 
 def _settled(
-    frames: list[xr.Dataset],
-    groups: list[NDArray[np.int64]],
-    frequency: NDArray[np.float64],
-    density: NDArray[np.float64],
-    counts: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None:
+    frames: list[xr.Dataset], groups: list[Ints], frequency: Floats, density: Floats, counts: Ints
+) -> tuple[Ints, Floats, Floats] | None:
     """Bins at which recordings begin with a transient; density there without it, and the share of frames that it is of.
 
     Both (channel, group, bin), from the mean ``density`` (channel, group, frequency) of all ``counts`` (channel, group)
@@ -295,13 +289,7 @@ def _settled(
     return bins, made[..., bins], np.where(share > LEAST_LEFT, held, 0.0)[..., bins]
 
 
-def _add_settled(
-    result: xr.Dataset,
-    bins: NDArray[np.int64],
-    density: NDArray[np.float64],
-    share: NDArray[np.float64],
-    scale: NDArray[np.float64],
-) -> None:
+def _add_settled(result: xr.Dataset, bins: Ints, density: Floats, share: Floats, scale: Floats) -> None:
     """Add to ``result`` what is left at ``bins`` without start transients."""
     dims = ("channel", "speed", "settled_frequency")
     words = {"units": "Hz", "long_name": "frequency at which recordings begin with a transient"}
@@ -319,7 +307,7 @@ def _without_image(item: xr.Dataset) -> list[int]:
     return [0, n_bins - 1] if at_half and n_bins > 1 else [0]
 
 
-def _tone_on_grid(item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tone_on_grid(item: xr.Dataset, power: Floats, frequency: Floats) -> Floats:
     """Power of a tone near each of ``frequency``: that of the bins nearest to it, with their neighbours' shares.
 
     A bin half-way to the next frequency counts for both, so that no tone falls between; the peak amplitude of a
@@ -340,16 +328,14 @@ def _tone_on_grid(item: xr.Dataset, power: NDArray[np.float64], frequency: NDArr
     return np.asarray(made)
 
 
-def _density_on_grid(
-    item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _density_on_grid(item: xr.Dataset, power: Floats, frequency: Floats) -> Floats:
     """One-sided power spectral density at each of ``frequency``, linear between the bins."""
     density = power / (2.0 * _enbw_hz(item))
     density[..., _without_image(item)] *= 0.5
     return _on_grid(item, density, frequency)
 
 
-def _on_grid(item: xr.Dataset, density: NDArray[np.float64], frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_grid(item: xr.Dataset, density: Floats, frequency: Floats) -> Floats:
     """``density`` (channel, group, bin) at each of ``frequency``, linear between the bins."""
     bins_hz = item["frequency"].values
     at = np.minimum(frequency / float(item.attrs["resolution_hz"]), len(bins_hz) - 1.0)

@@ -13,9 +13,14 @@ from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
+from crankorder.settings import MethodNumbers
 
-MET_SHARE = 0.05
-"""An order that is largest within this share of the speed of an excited crossing is largest because of that mode."""
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="records"):
+    met_share: float
+
+
+NUMBERS = _Numbers.load()
 
 _NOT_LOCKED: dict[Evidence, str] = {
     "locked to the shaft": "its phase agrees from frame to frame",
@@ -131,7 +136,7 @@ def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[Mappin
         if record["excited"]
         and record["order"] == order
         and channel in record["channels"]
-        and abs(record["rpm"] - at_rpm) <= MET_SHARE * at_rpm
+        and abs(record["rpm"] - at_rpm) <= NUMBERS.met_share * at_rpm
     ]
     best = min(met, key=lambda record: abs(float(record["rpm"]) - at_rpm), default=None)
     return None if best is None else float(best["mode_hz"])

@@ -9,15 +9,12 @@ from pathlib import Path
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.fft.windows import hann
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import QualityFlag, Severity
+from crankorder.quantities import Bools, Floats, Ints, QualityFlag, Severity
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
-
-Floats = npt.NDArray[np.float64]
 
 _BLOCKS_PER_S = 300.0
 
@@ -68,15 +65,15 @@ _MOST_EVENTS = 5
 class Runs:
     """Samples ``starts`` (runs,) to before ``ends`` (runs,), in order."""
 
-    starts: npt.NDArray[np.int64]
-    ends: npt.NDArray[np.int64]
+    starts: Ints
+    ends: Ints
 
     @property
-    def lengths(self) -> npt.NDArray[np.int64]:
+    def lengths(self) -> Ints:
         """Samples of each run."""
         return self.ends - self.starts
 
-    def where(self, chosen: npt.NDArray[np.bool_]) -> Runs:
+    def where(self, chosen: Bools) -> Runs:
         """The ``chosen`` (runs,) alone."""
         return Runs(self.starts[chosen], self.ends[chosen])
 

@@ -9,10 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.ingest.channel_faults import (
-    Floats,
     Runs,
     SignalFault,
     Survey,
@@ -26,7 +24,7 @@ from crankorder.ingest.channel_faults import (
     survey,
 )
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import Floats, Ints, QualityFlag
 from crankorder.settings import IngestSettings
 
 _PIECE, _PIECES = 2048, 8
@@ -177,7 +175,7 @@ def find_spikes(
     return SignalFault("spikes", "suspect", detail, runs), runs, values
 
 
-def _candidates(signal: FloatArray, survey: Survey) -> npt.NDArray[np.int64]:
+def _candidates(signal: FloatArray, survey: Survey) -> Ints:
     """Samples that bend most in blocks with few large bends among small ones, each the largest of its neighbours."""
     group = max(_BLOCK // survey.size, 1)
     squares, fourths = grouped(survey.bend_squares, group), grouped(survey.bend_fourths, group)
@@ -210,8 +208,8 @@ def _prediction() -> tuple[Floats, Floats]:
 
 
 def _standing_out(
-    signal: FloatArray, places: npt.NDArray[np.int64], level: float, settings: IngestSettings
-) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+    signal: FloatArray, places: Ints, level: float, settings: IngestSettings
+) -> tuple[Ints, Floats, Floats]:
     """Those of ``places`` at which there is a spike: its deviations (place, 5) and what the neighbours predict."""
     to_middle, to_rest = _prediction()
     window = signal[places[:, None] + np.arange(-_OUT, _OUT + 1)].astype(np.float64)
@@ -232,7 +230,7 @@ def _standing_out(
     return places[found], deviations[found], (predicted + base)[found]
 
 
-def _look_like_pulses(places: npt.NDArray[np.int64], deviations: Floats) -> bool:
+def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
     if places.size < _PULSES:
         return False
     heights = np.take_along_axis(deviations, np.abs(deviations).argmax(axis=1)[:, None], axis=1)
@@ -317,7 +315,7 @@ def _of_one(
     return found if clipping is None else [*found, clipping]
 
 
-def _bridge(row: FloatArray, runs: Runs, values: npt.NDArray[np.float64]) -> None:
+def _bridge(row: FloatArray, runs: Runs, values: Floats) -> None:
     at = np.concatenate([np.arange(*ends) for ends in zip(runs.starts, runs.ends, strict=True)])
     row[at] = values
 

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, noise_correlation
-
-Array = NDArray[np.float64]
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 
 LARGEST_SHARE = 6
 """Slow waves over the frames, of each sign, whose power is the noise: 24 degrees of freedom, near enough to the line
@@ -54,15 +52,13 @@ class Contrasts:
     freedom of the mean of squares.
     """
 
-    rows: NDArray[np.float64]
+    rows: Floats
     mean_variance: float
     independent_powers: float
     dof: float
 
 
-def frame_correlation(
-    begin_rev: NDArray[np.float64], recording: NDArray[np.int64], *, revs_per_frame: float, window: str
-) -> NDArray[np.float64]:
+def frame_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
     """Correlation (frames, frames) of white noise in frames that overlap.
 
     Parameters
@@ -81,7 +77,7 @@ def frame_correlation(
     return np.asarray(np.where(recording[:, None] == recording, both, 0.0))
 
 
-def contrasts(correlation: NDArray[np.float64], trend: NDArray[np.float64] | None = None) -> Contrasts:
+def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
     """Slow waves over frames: what they show of a line's bin is the spectrum of the noise right beside the line.
 
     The mean of the frames is a spectrum of all of them at the line, far finer than that of one; a wave of j cycles
@@ -113,7 +109,7 @@ def contrasts(correlation: NDArray[np.float64], trend: NDArray[np.float64] | Non
     return Contrasts(rows * scale[:, None], mean_variance, powers, dof)
 
 
-def noise_of_mean(spectrum: NDArray[np.complex128], shape: Contrasts) -> NDArray[np.float64]:
+def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
     """Noise power (channels, orders) of the mean over the frames of ``spectrum`` (channels, frames, orders).
 
     ``shape`` says how the frames overlap. NaN where there are no contrasts.
@@ -127,12 +123,8 @@ def noise_of_mean(spectrum: NDArray[np.complex128], shape: Contrasts) -> NDArray
 
 
 def independent_by_memory(
-    scatter: NDArray[np.complex128],
-    owner: NDArray[np.int64],
-    count: NDArray[np.int64],
-    *,
-    chance: Literal["taken off", "passed"],
-) -> Array:
+    scatter: Complexes, owner: Ints, count: Ints, *, chance: Literal["taken off", "passed"]
+) -> Floats:
     """Independent complex spectra (channels, orders) that frames are worth, for their memory of one another.
 
     The scatter of a frame correlates with the next one's by their overlap and, where noise excites a resonance, by its
@@ -160,9 +152,7 @@ def independent_by_memory(
     return np.asarray(count * (1.0 - memory) / (1.0 + memory))
 
 
-def beside_bins(
-    order: NDArray[np.float64], *, line_step: float, count: int = BESIDE_BINS
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def beside_bins(order: Floats, *, line_step: float, count: int = BESIDE_BINS) -> tuple[Ints, Floats]:
     """Indices (orders, ``count``) of the nearest bins that hold noise, and how many independent ones they are worth.
 
     ``order`` (orders,) is the axis; bins within one of a multiple of ``line_step`` may hold lines and are left out
@@ -179,13 +169,13 @@ def beside_bins(
     return bins, bins.shape[1] ** 2 / alike.sum(axis=(1, 2))
 
 
-def noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> NDArray[np.float64]:
+def noise_beside(energy: Floats, bins: Ints) -> Floats:
     """Noise power (…, orders) of a frame from ``energy`` (…, orders) in ``bins`` (orders, several), lines left out."""
     beside, noise = _noise_bins(energy, bins)
     return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
 
 
-def steepest_noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> NDArray[np.float64]:
+def steepest_noise_beside(energy: Floats, bins: Ints) -> Floats:
     """Noise power (…, orders) as of :func:`noise_beside`, of the larger side alone where the noise slopes.
 
     ``energy`` (…, orders) of a frame in ``bins`` (orders, several) that grow. A line on the flank of a resonance lies
@@ -201,16 +191,14 @@ def steepest_noise_beside(energy: NDArray[np.float64], bins: NDArray[np.int64]) 
     return np.asarray(np.where(larger > SLOPE_RATIO * np.minimum(*sides), larger, level))
 
 
-def _noise_bins(energy: NDArray[np.float64], bins: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _noise_bins(energy: Floats, bins: Ints) -> tuple[Floats, Bools]:
     """Energies (…, orders, several) of ``bins``, and which of them are noise and no line."""
     beside = energy[..., bins]
     middle = np.partition(beside, beside.shape[-1] // 2, axis=-1)[..., beside.shape[-1] // 2, None]
     return beside, (beside <= NOISE_RATIO * middle) | ~np.isfinite(beside)
 
 
-def pooled(
-    power: Array, dof: Array, other: Array, other_dof: Array, *, where: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def pooled(power: Floats, dof: Floats, other: Floats, other_dof: Floats, *, where: Bools) -> tuple[Floats, Floats]:
     """Noise power and its degrees of freedom of two estimates together ``where`` one alone says too little.
 
     ``power`` with ``dof`` and ``other`` with ``other_dof`` are (…, orders); elsewhere the first stays alone.
@@ -221,14 +209,8 @@ def pooled(
 
 
 def helped_by_beside(
-    noise: NDArray[np.float64],
-    own: NDArray[np.float64],
-    *,
-    energy: NDArray[np.float64],
-    powers: NDArray[np.float64],
-    bins: NDArray[np.int64],
-    worth: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    noise: Floats, own: Floats, *, energy: Floats, powers: Floats, bins: Ints, worth: Floats
+) -> tuple[Floats, Floats]:
     """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
 
     Parameters
@@ -254,25 +236,25 @@ class Readings:
     ``per_rev`` is the bandwidth of the filter in cycles per revolution, NaN for frames that were fitted.
     """
 
-    values: NDArray[np.complex128]
-    errors: Array
-    dof: Array
-    revs: Array
-    owner: NDArray[np.int64]
-    begin_rev: Array
-    per_rev: Array
+    values: Complexes
+    errors: Floats
+    dof: Floats
+    revs: Floats
+    owner: Ints
+    begin_rev: Floats
+    per_rev: Floats
 
-    def of(self, which: NDArray[np.int64]) -> Readings:
+    def of(self, which: Ints) -> Readings:
         """Those of the frames that ``which`` picks."""
         frames = (self.revs[which], self.owner[which], self.begin_rev[which], self.per_rev[which])
         return Readings(self.values[:, which], self.errors[:, which], self.dof[:, which], *frames)
 
-    def channels(self, which: NDArray[np.int64]) -> Readings:
+    def channels(self, which: Ints) -> Readings:
         """Those of the channels that ``which`` picks."""
         frames = (self.revs, self.owner, self.begin_rev, self.per_rev)
         return Readings(self.values[which], self.errors[which], self.dof[which], *frames)
 
-    def summed(self, weights: Array, *, of_noise: bool) -> Array:
+    def summed(self, weights: Floats, *, of_noise: bool) -> Floats:
         """Sum (channels,) of weight · weight · correlation over all pairs of frames, ``weights`` (channels, frames).
 
         The correlation is that of the errors, or (``of_noise``) that of what is known of the noise.
@@ -285,7 +267,7 @@ class Readings:
             total += 2.0 * (weights[:, lag:] * weights[:, :-lag] * alike).sum(axis=1)
         return total
 
-    def _alike(self, lag: int, *, of_noise: bool) -> Array:
+    def _alike(self, lag: int, *, of_noise: bool) -> Floats:
         """Correlation (frames - lag,) of each frame with the one ``lag`` further on."""
         first, second = slice(None, -lag), slice(lag, None)
         same = self.owner[first] == self.owner[second]
@@ -304,9 +286,9 @@ class Readings:
 class Mean:
     """Coherent mean (channels,) of frames, the standard error of its parts, what is known of that, and its length."""
 
-    value: NDArray[np.complex128]
-    error: Array
-    dof: Array
+    value: Complexes
+    error: Floats
+    dof: Floats
     revs: float
 
 
@@ -325,7 +307,7 @@ def coherent_mean(part: Readings) -> Mean:
     return Mean((weight * part.values).sum(axis=1), error, np.floor(dof + 0.5), float(part.revs.sum()))
 
 
-def by_phase(mean: Mean, *, with_phase: bool) -> dict[str, Array]:
+def by_phase(mean: Mean, *, with_phase: bool) -> dict[str, Floats]:
     """What a track says of the coherent ``mean``; of its phase only ``with_phase``."""
     amplitude, power = np.abs(mean.value), 2.0 * mean.error**2
     low, high = amplitude_interval(amplitude, power, mean.dof)
@@ -341,7 +323,7 @@ def by_phase(mean: Mean, *, with_phase: bool) -> dict[str, Array]:
     }
 
 
-def by_energy(means: list[Mean]) -> dict[str, Array]:
+def by_energy(means: list[Mean]) -> dict[str, Floats]:
     """What a track says of the ``means`` of recordings whose phases say nothing of each other.
 
     The noise is taken off their power, which the 95 % interval is of as well.

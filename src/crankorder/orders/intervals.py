@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chndtr, ndtri, stdtrit
+
+from crankorder.quantities import Bools, Floats
 
 LEVEL = 0.95
 NORMAL = float(ndtri(0.5 + 0.5 * LEVEL))
@@ -15,7 +16,7 @@ LARGEST_DOF = 400
 """Student's t is the normal distribution to 0.3 % beyond."""
 
 
-def t_quantile(dof: NDArray[np.float64]) -> NDArray[np.float64]:
+def t_quantile(dof: Floats) -> Floats:
     """Half width of a 95 % interval in standard errors, of an estimate whose error has ``dof`` degrees of freedom."""
     dof = np.asarray(dof, dtype=np.float64)
     asked, where = np.unique(dof, return_inverse=True)
@@ -25,12 +26,8 @@ def t_quantile(dof: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def amplitude_interval(
-    amplitude: NDArray[np.float64],
-    noise_power: NDArray[np.float64],
-    dof: NDArray[np.float64],
-    *,
-    seen: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    amplitude: Floats, noise_power: Floats, dof: Floats, *, seen: Bools | None = None
+) -> tuple[Floats, Floats]:
     """Lower and upper end of the 95 % interval of the amplitude of a line in complex Gaussian noise.
 
     Far above the noise it is Student's t about the amplitude without what noise adds to it; near the noise the
@@ -66,13 +63,8 @@ def amplitude_interval(
 
 
 def energy_interval(
-    power: NDArray[np.float64],
-    *,
-    noise: NDArray[np.float64],
-    bias: NDArray[np.float64],
-    noise_variance: NDArray[np.float64],
-    dof: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    power: Floats, *, noise: Floats, bias: Floats, noise_variance: Floats, dof: Floats
+) -> tuple[Floats, Floats]:
     """Lower and upper end of the 95 % interval of an amplitude whose square was averaged without phase.
 
     Parameters
@@ -88,13 +80,7 @@ def energy_interval(
     return np.sqrt(np.maximum(line - reach, 0.0)), np.sqrt(line + reach)
 
 
-def phase_interval_deg(
-    amplitude: NDArray[np.float64],
-    noise_power: NDArray[np.float64],
-    dof: NDArray[np.float64],
-    *,
-    seen: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
+def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats, *, seen: Bools | None = None) -> Floats:
     """Half width [degree] of the 95 % interval of the phase; 180, unknown, where noise alone could be as large.
 
     The part of the error across the line is normal whatever the amplitude (Fieller 1954): the true phase is within
@@ -115,21 +101,19 @@ def phase_interval_deg(
     return np.where(np.isnan(amplitude), np.nan, half)
 
 
-def is_seen(
-    amplitude: NDArray[np.float64], noise_power: NDArray[np.float64], dof: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def is_seen(amplitude: Floats, noise_power: Floats, dof: Floats) -> Bools:
     """Whether ``amplitude`` is more than noise of ``noise_power``, known with ``dof``, alone makes once in forty."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.square(amplitude) > noise_power * beyond_chance(dof, 0.5 * (1.0 - LEVEL)))
 
 
-def beyond_chance(dof: NDArray[np.float64], chance: float) -> NDArray[np.float64]:
+def beyond_chance(dof: Floats, chance: float) -> Floats:
     """Power over the noise power that noise alone exceeds with ``chance``: the F distribution with 2 and ``dof``."""
     dof = np.maximum(dof, 0.1)
     return np.asarray(0.5 * dof * np.expm1(-2.0 / dof * np.log(chance)))
 
 
-def _rician_ends(ratio: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rician_ends(ratio: Floats) -> tuple[Floats, Floats]:
     """Ends of the interval of a line whose noisy amplitude is ``ratio``, both over the root of the noise power."""
     known, low, high = _rician_table()
     far = np.sqrt(np.maximum(ratio**2 - 0.5, 0.0))
@@ -142,7 +126,7 @@ def _rician_ends(ratio: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 
 
 @functools.cache
-def _rician_table() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _rician_table() -> tuple[Floats, Floats, Floats]:
     """Noisy amplitudes and the true ones above and below which they are 1 in 40, all over the root noise power.
 
     Twice the square of the ratio is a noncentral chi-square variable with two degrees of freedom.

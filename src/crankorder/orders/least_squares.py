@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
 from crankorder.orders.intervals import amplitude_interval, phase_interval_deg
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, speed_at_angle, time_at
 
@@ -30,7 +30,7 @@ NORMAL_CONDITION = 300.0
 LARGEST_CONDITION = 1e9
 """Condition from which components are not told apart: what noise-free numbers of 1e-16 cannot carry to 1e-6."""
 
-Spans = tuple[NDArray[np.float64], NDArray[np.float64]]
+Spans = tuple[Floats, Floats]
 """Crank angles [rev] at which frames begin and end."""
 
 _VARIABLES = (
@@ -55,14 +55,14 @@ class JointOrders:
     ``amplitude``, with ``degrees_of_freedom`` (components,) behind it; ``condition`` that of the scaled equations.
     """
 
-    amplitude: NDArray[np.complex128]
-    combined_amplitude: NDArray[np.complex128]
-    standard_error: NDArray[np.float64]
-    degrees_of_freedom: NDArray[np.float64]
+    amplitude: Complexes
+    combined_amplitude: Complexes
+    standard_error: Floats
+    degrees_of_freedom: Floats
     condition: float
     together: tuple[tuple[int, ...], ...]
 
-    def intervals(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def intervals(self) -> tuple[Floats, Floats, Floats]:
         """Ends of the 95 % intervals of the magnitudes, and half widths [degree] of those of the phases."""
         magnitude, power = np.abs(self.amplitude), 2.0 * self.standard_error**2
         dof = np.broadcast_to(self.degrees_of_freedom, magnitude.shape)
@@ -71,11 +71,7 @@ class JointOrders:
 
 
 def joint_orders(
-    signals: NDArray[np.floating],
-    phase_rev: NDArray[np.float64],
-    *,
-    weights: NDArray[np.float64] | None = None,
-    usable: NDArray[np.bool_] | None = None,
+    signals: NDArray[np.floating], phase_rev: Floats, *, weights: Floats | None = None, usable: Bools | None = None
 ) -> JointOrders:
     """Complex amplitudes of components of known phases, fitted to ``signals`` together, with their standard errors.
 
@@ -119,15 +115,13 @@ class _Products:
     """Sums over each block: of columns with columns, (blocks, unknowns, unknowns), once and twice weighted; of
     columns with signals (blocks, unknowns, channels)."""
 
-    own: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    seen: NDArray[np.float64]
+    own: Floats
+    noise: Floats
+    seen: Floats
     total_weight: float
 
 
-def _fitted(
-    signals: NDArray[np.floating], phases: NDArray[np.float64], weights: NDArray[np.float64] | None
-) -> JointOrders:
+def _fitted(signals: NDArray[np.floating], phases: Floats, weights: Floats | None) -> JointOrders:
     unknowns = 2 * len(phases)
     samples = signals.shape[1] if weights is None else int(np.count_nonzero(weights))
     if samples < unknowns:
@@ -166,16 +160,14 @@ def _fitted(
     return JointOrders(amplitude * shown, combined, error * unit * shown, dof, condition, together)
 
 
-def _exponents(signals: NDArray[np.floating]) -> NDArray[np.int64]:
+def _exponents(signals: NDArray[np.floating]) -> Ints:
     """Exponent (channels,) of the power of two that is taken out of each channel; 0 in the ordinary range."""
     largest = np.maximum(signals.max(axis=1), -signals.min(axis=1)).astype(np.float64)
     exponent = np.where(largest > 0.0, np.frexp(largest)[1], 0)
     return np.asarray(np.where(np.abs(exponent) > 64, exponent, 0), dtype=np.int64)
 
 
-def _columns(
-    phases: NDArray[np.float64], weights: NDArray[np.float64] | None, block: slice
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def _columns(phases: Floats, weights: Floats | None, block: slice) -> tuple[Floats, Floats | None]:
     """Columns (unknowns, samples) of a block: cosine and sine of each component."""
     wave = np.empty((len(phases), 2, block.stop - block.start))
     _waves(np.ascontiguousarray(phases[:, block]), wave)
@@ -205,11 +197,7 @@ def _waves(phase_rev, wave):  # type: ignore[no-untyped-def]
 
 
 def _products(
-    signals: NDArray[np.floating],
-    phases: NDArray[np.float64],
-    weights: NDArray[np.float64] | None,
-    edges: NDArray[np.int64],
-    exponent: NDArray[np.int64],
+    signals: NDArray[np.floating], phases: Floats, weights: Floats | None, edges: Ints, exponent: Ints
 ) -> _Products:
     """Sums of products over the blocks between ``edges``; the record is gone through once."""
     unknowns, n = 2 * len(phases), len(edges) - 1
@@ -229,13 +217,8 @@ def _products(
 
 
 def _triangle(
-    signals: NDArray[np.floating],
-    phases: NDArray[np.float64],
-    weights: NDArray[np.float64] | None,
-    edges: NDArray[np.int64],
-    exponent: NDArray[np.int64],
-    length: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    signals: NDArray[np.floating], phases: Floats, weights: Floats | None, edges: Ints, exponent: Ints, length: Floats
+) -> tuple[Floats, Floats]:
     """Triangle (unknowns, unknowns) of the QR decomposition of the scaled columns, and the signals turned with them."""
     unknowns = len(length)
     top = np.zeros((0, unknowns + len(signals)))
@@ -250,9 +233,7 @@ def _triangle(
     return top[:unknowns, :unknowns], top[:unknowns, unknowns:]
 
 
-def _by_rank(
-    triangle: NDArray[np.float64], right: NDArray[np.float64], alive: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+def _by_rank(triangle: Floats, right: Floats, alive: Bools) -> tuple[Floats, Floats, Floats, float]:
     """Shortest solution, its covariance, the directions (unknowns, several) that are not told, and the condition."""
     left, singular, across = np.linalg.svd(triangle)
     rank = int(np.count_nonzero(singular > singular[0] / LARGEST_CONDITION))
@@ -264,7 +245,7 @@ def _by_rank(
     return solved, inverse @ inverse.T, untold[:, np.abs(untold[alive]).max(axis=0, initial=0.0) > 1e-6], condition
 
 
-def _groups(linked: NDArray[np.float64], n_components: int) -> tuple[tuple[tuple[int, ...], ...], NDArray[np.bool_]]:
+def _groups(linked: Floats, n_components: int) -> tuple[tuple[tuple[int, ...], ...], Bools]:
     """Components that share a direction that is not told, as groups, and a mask (components,) of all in one."""
     share = np.square(linked).reshape(n_components, -1, linked.shape[1]).sum(axis=1) if linked.size else None
     if share is None:
@@ -280,9 +261,7 @@ def _groups(linked: NDArray[np.float64], n_components: int) -> tuple[tuple[tuple
     return tuple(tuple(sorted(group)) for group in sorted(groups, key=min)), members
 
 
-def _errors(
-    sums: _Products, found: NDArray[np.float64], inverse: NDArray[np.float64], n_components: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _errors(sums: _Products, found: Floats, inverse: Floats, n_components: int) -> tuple[Floats, Floats]:
     """Standard error (channels, components) and its degrees of freedom (components,).
 
     The residual is compared with each component's wave, turned by a few cycles over the record either way; what white
@@ -310,9 +289,7 @@ def _errors(
     return error.T, dof
 
 
-def _turned(
-    turn: NDArray[np.complex128], sums: _Products, cosine: int
-) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+def _turned(turn: Complexes, sums: _Products, cosine: int) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
     """Waves (waves, blocks, 2) in the component's cosine and sine, and their products with columns and themselves.
 
     cos(wave + turn) is cos(turn) cosine - sin(turn) sine of the component, sin(wave + turn) its quadrature.
@@ -358,7 +335,7 @@ def tracked_orders(
     return _dataset(band, shaft, named, spans, fits)
 
 
-def frame_spans(angle_rev: NDArray[np.float64], band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> Spans:
+def frame_spans(angle_rev: Floats, band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> Spans:
     """Frames of whole cycles, of ``settings.revs_per_frame`` or a little more each: where they begin and end [rev].
 
     They take in all whole cycles of ``angle_rev`` (samples,), that of the samples of ``band`` by its ``shaft``. Where
@@ -383,7 +360,7 @@ def frame_spans(angle_rev: NDArray[np.float64], band: xr.Dataset, shaft: xr.Data
     return edges[:-parts], edges[parts:]
 
 
-def _angle_of_samples(band: xr.Dataset, shaft: xr.Dataset) -> NDArray[np.float64]:
+def _angle_of_samples(band: xr.Dataset, shaft: xr.Dataset) -> Floats:
     """Crank angle [rev] of every sample, NaN where it is not known."""
     n = band["signal"].shape[1]
     if band.attrs["domain"] == "crank_angle":
@@ -393,13 +370,8 @@ def _angle_of_samples(band: xr.Dataset, shaft: xr.Dataset) -> NDArray[np.float64
 
 
 def _fit(
-    band: xr.Dataset,
-    angles: NDArray[np.float64],
-    part: slice,
-    orders: NDArray[np.float64],
-    begin: float,
-    end: float,
-) -> tuple[NDArray[np.int64], list[JointOrders | None]]:
+    band: xr.Dataset, angles: Floats, part: slice, orders: Floats, begin: float, end: float
+) -> tuple[Ints, list[JointOrders | None]]:
     """Numbers of the orders carried in the frame from ``begin`` to ``end`` [rev], and the fit of each channel.
 
     ``part`` are the samples whose angle is known. The fit is None where too little is usable. Every sample weighs as
@@ -445,11 +417,7 @@ def _channel(whole: JointOrders, k: int) -> JointOrders:
 
 
 def _dataset(
-    band: xr.Dataset,
-    shaft: xr.Dataset,
-    orders: NDArray[np.float64],
-    spans: Spans,
-    fits: list[tuple[NDArray[np.int64], list[JointOrders | None]]],
+    band: xr.Dataset, shaft: xr.Dataset, orders: Floats, spans: Spans, fits: list[tuple[Ints, list[JointOrders | None]]]
 ) -> xr.Dataset:
     shape = (band.sizes["channel"], len(orders), len(fits))
     amplitude, combined = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan, dtype=complex)
@@ -504,13 +472,7 @@ def _remarks(beyond: list[float], shortest_rev: float, groups: set[tuple[float, 
 
 
 def tracks_in_frames(
-    band: xr.Dataset,
-    shaft: xr.Dataset,
-    orders: NDArray[np.float64],
-    spans: Spans,
-    values: dict[str, NDArray[Any]],
-    *,
-    method: str,
+    band: xr.Dataset, shaft: xr.Dataset, orders: Floats, spans: Spans, values: dict[str, NDArray[Any]], *, method: str
 ) -> xr.Dataset:
     """Tracks of ``orders`` in frames of ``spans`` (begin and end, rev), with the 95 % intervals of ``values``.
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
 from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, time_at
 
@@ -61,7 +62,7 @@ class TimeSamples:
     rate_hz: float
     start_s: float
     content: float
-    usable: NDArray[np.bool_] | None = None
+    usable: Bools | None = None
 
     @property
     def double(self) -> bool:
@@ -88,9 +89,9 @@ class SignalsByAngle(NamedTuple):
     """
 
     signals: NDArray[np.floating]
-    angle_rev: NDArray[np.float64]
+    angle_rev: Floats
     samples_per_rev: int
-    usable: NDArray[np.bool_] | None
+    usable: Bools | None
     predicted_error: float
 
 
@@ -135,8 +136,8 @@ def covered_angles(samples: TimeSamples, shaft: xr.Dataset, *, margin: int) -> t
 
 
 def signals_at(
-    samples: TimeSamples, shaft: xr.Dataset, angle_rev: NDArray[np.float64], kernel: Kernel
-) -> tuple[NDArray[np.floating], NDArray[np.bool_] | None]:
+    samples: TimeSamples, shaft: xr.Dataset, angle_rev: Floats, kernel: Kernel
+) -> tuple[NDArray[np.floating], Bools | None]:
     """Values (channels, angles) of ``samples`` at ``angle_rev`` (angles,) of ``shaft`` by ``kernel``; which are usable.
 
     The second is None where ``samples`` have no gap.
@@ -148,7 +149,7 @@ def signals_at(
     return values, ~touches_gap(samples.usable, positions - kernel.margin, positions + kernel.margin)
 
 
-def touches_gap(usable: NDArray[np.bool_], begin: NDArray[Any], end: NDArray[Any]) -> NDArray[np.bool_]:
+def touches_gap(usable: Bools, begin: NDArray[Any], end: NDArray[Any]) -> Bools:
     """Whether (channels, spans) a sample from ``begin`` to ``end`` (spans,) is not ``usable`` (channels, samples)."""
     before = np.zeros((len(usable), usable.shape[1] + 1), dtype=np.int64)
     np.cumsum(~usable, axis=1, out=before[:, 1:])
@@ -177,7 +178,7 @@ def _is_smooth(number: int) -> bool:
     return number == 1
 
 
-def rev_frequencies(shaft: xr.Dataset, edges_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+def rev_frequencies(shaft: xr.Dataset, edges_rev: Floats) -> Floats:
     """Mean rotational frequencies [Hz] of ``shaft`` between the crank angles ``edges_rev``: one fewer than these."""
     elapsed = np.diff(time_at(edges_rev, **knots_of(shaft)))
     return np.asarray(np.diff(edges_rev) / np.maximum(elapsed, 1e-12))
@@ -232,7 +233,7 @@ class FrameLayout:
     method: OrderMethod
     revs: int
     hop_rev: int
-    begin_rev: NDArray[np.float64]
+    begin_rev: Floats
     shortened: bool = False
     left_out: int = 0
 
@@ -296,7 +297,7 @@ def frame_layout(
     )
 
 
-def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, course: SpeedCourse) -> NDArray[np.bool_]:
+def _turning(begin_rev: Floats, revs: int, shaft: xr.Dataset, course: SpeedCourse) -> Bools:
     """Whether the shaft turns throughout each frame, and its speed changes little or as fast as mostly; or all."""
     knots = knots_of(shaft)
     ends = np.minimum(begin_rev + revs, knots["knot_angle_rev"][-1])

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from crankorder.identify.mains import is_electric, multiple_in
-from crankorder.identify.said import CLEARLY_EXCITED, IF_WRONG, MAY_BE_ALL
+from crankorder.identify.said import IF_WRONG, MAY_BE_ALL
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.quantities import QualityFlag
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
@@ -212,7 +213,7 @@ def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
 def _is_felt(crossing: dict[str, Any]) -> bool:
     """Whether an excited crossing may make an order so much larger that nobody would call its speed free."""
     ends = interval_of(crossing, "amplification")
-    return bool(crossing.get("excited")) and (ends is None or ends[1] >= CLEARLY_EXCITED)
+    return bool(crossing.get("excited")) and (ends is None or ends[1] >= SAID.clearly_excited_ratio)
 
 
 def _of_speeds(findings: dict[str, Any]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, TypeGuard
 
 from crankorder.errors import printable
-from crankorder.identify.said import ALIKE_SPEEDS
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import ReportSettings
 
 _TYPOGRAPHY = {
@@ -185,7 +185,7 @@ def least_of(record: dict[str, Any], key: str) -> float | None:
 def at_one_speed(findings: dict[str, Any]) -> bool:
     """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
     low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    return is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
+    return is_number(low) and is_number(high) and float(high) <= SAID.alike_speeds_ratio * float(low)
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -12,11 +12,17 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.transfer_path import Complex, Real
 from crankorder.identify.intervals import half_width
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="record"):
+    vague_deg: float
+
+
+NUMBERS = _Numbers.load()
 
 AGREE_CHI_SQUARE = 5.991
 """95 % point of χ² with two degrees of freedom: one complex difference."""
-VAGUE_DEG = 60.0
-"""An angle with a wider half interval is not stated."""
 KEYS = (
     "residual_reciprocating_g",
     "residual_second_order_g",
@@ -77,7 +83,7 @@ def size_and_angle(
     joint = np.sqrt(AGREE_CHI_SQUARE) * max(along, across)
     half_deg = float(np.degrees(np.arcsin(min(1.0, t * across / size)))) if size else 180.0
     low = size - t * along if size > joint else 0.0
-    stated = size > joint and half_deg < VAGUE_DEG
+    stated = size > joint and half_deg < NUMBERS.vague_deg
     angle = float(np.degrees(np.angle(value)))
     return {
         size_key: size,

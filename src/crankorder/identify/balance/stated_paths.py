@@ -15,11 +15,17 @@ from crankorder.engine.transfer_paths import StatedPath
 from crankorder.identify.balance.record import Split, rotor_record, split_record
 from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, accelerance_of, measured_orders
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="stated_paths"):
+    largest_misfit_share: float
+
+
+NUMBERS = _Numbers.load()
 
 ROTOR_RADIUS_M = 1e-3
 """Radius at which the mass of a rotor's unbalance is counted: 1 kg there is 1000 g·mm."""
-LARGEST_MISFIT = 0.3
-"""Share of the response that stated paths may miss, beyond their uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +106,7 @@ def _forces(
     chi_square = float(left.sum() / max(2 * (own**2).mean() * own.size / np.count_nonzero(usable) * free, 1e-300))
     missed = float(np.sqrt(max(0.0, left.sum() - 2 * (own**2).sum()) / max((np.abs(target) ** 2).sum(), 1e-300)))
     doubt = max((path.uncertainty_percent for path in stated), default=0.0) / 100
-    if missed > LARGEST_MISFIT + doubt:
+    if missed > NUMBERS.largest_misfit_share + doubt:
         return (
             f"the stated paths miss {100 * missed:.0f} % of order {order}: they are not those of this machine, or "
             "something else makes that order"

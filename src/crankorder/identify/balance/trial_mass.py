@@ -15,10 +15,16 @@ from crankorder.identify.balance.record import AGREE_CHI_SQUARE, KEYS, added_wor
 from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import PER_M_S2, Complex, MeasuredOrders, Real, measured_orders
 from crankorder.identify.intervals import half_width
+from crankorder.settings import MethodNumbers
 
-SAME_SPEED = 0.005
-"""Speeds of the two tests pair up where they differ by no more than this share."""
-LARGEST_MISFIT = 0.3
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="trial_mass"):
+    same_speed_share: float
+    largest_misfit_share: float
+
+
+NUMBERS = _Numbers.load()
+
 SCATTER = 2.1
 """Three times 0.7: mean square errors scatter by that over the root of the number of speeds, channels being alike."""
 VIBRATION = ("accel", "veloc", "displace", "vibration", "force")
@@ -119,7 +125,7 @@ class _Multiple:
 def _paired(base: MeasuredOrders, new: MeasuredOrders) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Places of the speeds that both tests have."""
     nearest = np.abs(base.speed_rpm[:, None] - new.speed_rpm).argmin(axis=1)
-    same = np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= SAME_SPEED
+    same = np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= NUMBERS.same_speed_share
     return np.flatnonzero(same), nearest[same]
 
 
@@ -183,7 +189,7 @@ def _solved(base: MeasuredOrders, after: Complex, error: Real) -> _Multiple | st
     sound = chi_square < 1 + SCATTER / np.sqrt(np.count_nonzero(usable.any(axis=0)))
     size = (np.abs(y * (1 + value)) ** 2 / ((abs(1 + value) * y_error) ** 2 + (abs(value) * z_error) ** 2)).sum()
     missed = float(np.sqrt(0.0 if sound else (2 * fit.cost - 2 * n) / max(float(size), 1e-300)))
-    if missed > LARGEST_MISFIT:
+    if missed > NUMBERS.largest_misfit_share:
         return (
             f"the residual does not act where the mass was added: no multiple of it explains order {base.orders[0]}, "
             f"{100 * missed:.0f} % stay; add one elsewhere (on the piston, in another plane)"

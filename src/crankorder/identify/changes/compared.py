@@ -17,14 +17,8 @@ from crankorder.identify.changes.map_difference import MapDifference, cell_recor
 from crankorder.identify.changes.mark_turn import mark_turn
 from crankorder.identify.changes.mass_change import Unbalance, Weighed, unbalance_change, weighed
 from crankorder.identify.changes.mode_shifts import mode_shifts
-from crankorder.identify.changes.order_changes import (
-    MATCH,
-    TO_DB,
-    OrderChange,
-    like_speeds,
-    order_changes,
-    orders_to_compare,
-)
+from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
+from crankorder.identify.changes.order_changes import TO_DB, OrderChange, like_speeds, order_changes, orders_to_compare
 from crankorder.identify.changes.run_trends import run_trends
 from crankorder.identify.intervals import Z95, half_width
 
@@ -215,7 +209,7 @@ def _cause(
 def _explained(one: OrderChange, base: Tested, new: Tested) -> str | None:
     """What the findings of the second test, else of the first, say that makes the order; None for neither."""
     for test in (new, base):
-        near = [r for r in test.findings["orders"] if abs(float(r["order"]) - one.order) < MATCH]
+        near = [r for r in test.findings["orders"] if abs(float(r["order"]) - one.order) < ORDER_CHANGES.same_order]
         near.sort(key=lambda record: (record["channel"] != one.channel, -float(record["amplitude"])))
         if near:
             return str(near[0].get("explained_by") or "") or None

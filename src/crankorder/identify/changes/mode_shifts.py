@@ -11,9 +11,15 @@ from scipy.special import ndtr
 from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.false_discovery import claimed
 from crankorder.identify.intervals import error_of, interval
+from crankorder.settings import MethodNumbers
 
-_MODE_REACH = 3.0  # standard errors, or damping bandwidths, within which a natural frequency may have moved
-_LEAST_REACH = 0.05  # … and always this share of it
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mode_shifts"):
+    mode_reach: float
+    least_reach: float
+
+
+NUMBERS = _Numbers.load()
 
 
 def mode_shifts(base: Mapping[str, Any], new: Mapping[str, Any], *, q: float) -> list[dict[str, Any]]:
@@ -45,7 +51,11 @@ def mode_shifts(base: Mapping[str, Any], new: Mapping[str, Any], *, q: float) ->
 def _reach(mode: Mapping[str, Any]) -> float:
     frequency, ends = float(mode["frequency_hz"]), mode["frequency_hz_ci95"]
     error = error_of(frequency, ends)
-    return max(_MODE_REACH * error, _MODE_REACH * frequency * float(mode["damping_ratio"]), _LEAST_REACH * frequency)
+    return max(
+        NUMBERS.mode_reach * error,
+        NUMBERS.mode_reach * frequency * float(mode["damping_ratio"]),
+        NUMBERS.least_reach * frequency,
+    )
 
 
 def _mode_record(one: Mapping[str, Any], two: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,12 +15,15 @@ from crankorder.identify.changes.order_in_map import Line, line_of
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.intervals import half_width, half_widths
 from crankorder.orders.between_recordings import LOCATED, WHOLE
+from crankorder.settings import MethodNumbers
 
-CLEAR = 3.0
-"""Standard errors above zero from which the logarithm of an amplitude has a normal error."""
 
-MATCH = 0.02
-"""Orders found in two tests closer than this are one order."""
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="order_changes"):
+    clear_sigmas: float
+    same_order: float
+
+
+NUMBERS = _Numbers.load()
 
 ALWAYS = (1.0, 2.0)
 """Orders that are compared whether or not a test found them: where a change of mass shows."""
@@ -112,15 +115,17 @@ def orders_to_compare(
     for record in [*base, *new]:
         order, ends = float(record["order"]), record.get("order_ci95") or [record["order"]] * 2
         half = round(2 * order) / 2
-        named = half if ends[0] <= half <= ends[1] or abs(order - half) < MATCH else order
+        named = half if ends[0] <= half <= ends[1] or abs(order - half) < NUMBERS.same_order else order
         locked = bool(record.get("locked", True)) and record.get("lock", "locked") != "slips"
-        same = next((at for at, (known, _) in enumerate(groups) if abs(known - named) < MATCH), None)
+        same = next((at for at, (known, _) in enumerate(groups) if abs(known - named) < NUMBERS.same_order), None)
         if same is None:
             groups.append((named, locked))
         else:
             groups[same] = groups[same][0], groups[same][1] and locked
-    groups += [(order, True) for order in ALWAYS if all(abs(order - known) >= MATCH for known, _ in groups)]
-    return sorted(group for group in groups if 0 < group[0] <= highest + MATCH)
+    groups += [
+        (order, True) for order in ALWAYS if all(abs(order - known) >= NUMBERS.same_order for known, _ in groups)
+    ]
+    return sorted(group for group in groups if 0 < group[0] <= highest + NUMBERS.same_order)
 
 
 def order_changes(
@@ -283,7 +288,7 @@ def _p_values(
 
 
 def _clear(line: Line) -> NDArray[np.bool_]:
-    return np.asarray((line.amplitude > CLEAR * line.error) & (line.amplitude > 0))
+    return np.asarray((line.amplitude > NUMBERS.clear_sigmas * line.error) & (line.amplitude > 0))
 
 
 def _ratio_db_ci95(base: Line, new: Line) -> NDArray[np.float64]:

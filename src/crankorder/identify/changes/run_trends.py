@@ -15,9 +15,14 @@ from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.changes.order_in_map import line_of
 from crankorder.identify.false_discovery import claimed
 from crankorder.identify.intervals import error_of, interval
+from crankorder.settings import MethodNumbers
 
-LEAST_RUNS = 3
-"""Two runs are a comparison; a trend needs one more."""
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="run_trends"):
+    least_runs: int
+
+
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +61,7 @@ def run_trends(
     q : false-discovery rate over all lines, 0 to 1
     """
     series = _bearing_series(findings, envelopes, channels)
-    if len(order_maps) >= LEAST_RUNS:
+    if len(order_maps) >= NUMBERS.least_runs:
         series = [*_order_series(order_maps, orders, channels, within_rpm), *series]
     records = [
         _record(one)

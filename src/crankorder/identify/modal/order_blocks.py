@@ -14,7 +14,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.passage import Passage, passage_of
-from crankorder.orders.between_recordings import WHOLE, one_mark, phases_compare
+from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.settings import MethodNumbers
 
@@ -56,19 +56,19 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     column = int(np.argmin(np.abs(grid - agreed.order)))
     if agreed.lock == "slips" or abs(grid[column] - agreed.order) > NUMBERS.on_bin_share * max(1.0, agreed.order):
         return [_of_sizes(agreed.order, line) for line in agreed.lines]
-    size, phase, error, freedom = (
+    size, phase, error, degrees_of_freedom = (
         order_map[variable].values[:, :, column].astype(np.float64)
         for variable in ("coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
     )
     speed = order_map["speed"].values
-    known = np.isfinite(size) & (error > 0.0) & (freedom >= NUMBERS.least_degrees_of_freedom) & (speed > 0.0)
-    wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
+    known = np.isfinite(size) & (error > 0.0) & (degrees_of_freedom >= NUMBERS.least_degrees_of_freedom) & (speed > 0.0)
+    wide = np.where(known, error * np.sqrt(degrees_of_freedom / np.maximum(degrees_of_freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
     phasor = size * np.exp(1j * np.radians(np.nan_to_num(phase)))
     told = bool(np.isfinite(phase[known]).all())
     if told and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, phasor, wide)]
-    if told and one_mark([order_map]) and _is_half(agreed.order):
+    if told and one_phase_reference([order_map]) and _is_half(agreed.order):
         made = _block(agreed.order, names, speed, phasor, wide)
         return [made and replace(made, amplitude=_without_turns(made.amplitude), sign_free=True)]
     made = _block(agreed.order, names, speed, phasor, wide, power=True)

@@ -14,7 +14,7 @@ from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
 from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
-from crankorder.identify.said import ALIKE_SPEEDS
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -247,7 +247,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
 def _moves(floor: Floor) -> bool:
     """Whether several speeds were tested, between which an order would have moved: one cannot tell what stays."""
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
-    return len(speed) > 1 and bool(speed.max() > ALIKE_SPEEDS * speed.min())
+    return len(speed) > 1 and bool(speed.max() > SAID.alike_speeds_ratio * speed.min())
 
 
 def _same_at(floor: Floor) -> str:
