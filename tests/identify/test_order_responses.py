@@ -74,7 +74,7 @@ def test_linear_terms_are_recovered_within_their_errors() -> None:
         for channel in range(3):
             inverse = np.linalg.inv(part.covariance[channel])
             chi2.append(float((off[channel].conj() @ inverse @ off[channel]).real))
-        assert part.chi2 == pytest.approx(part.freedom, abs=5.0 * np.sqrt(2.0 * part.freedom))
+        assert part.chi2 == pytest.approx(part.degrees_of_freedom, abs=5.0 * np.sqrt(2.0 * part.degrees_of_freedom))
     # 3 complex terms: 6 squares of standard normals, whose variance is 12
     assert np.mean(chi2) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / len(chi2)))
 
@@ -172,7 +172,7 @@ def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -
     amplitude[1, ::3] = 0.0
     part = project(replace(block, error=error, amplitude=amplitude), TRUE)
     assert np.abs(part.linear[:, 1:] - residue).max() < 0.02
-    assert part.freedom == 2 * (3 * 60 - 20 - 9)
+    assert part.degrees_of_freedom == 2 * (3 * 60 - 20 - 9)
 
 
 def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_without_a_mode() -> None:

@@ -197,7 +197,7 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
     both = with_and_without(response, number, np.array([rpm]), modal)
-    sigmas = half_width(float(response.freedom))
+    sigmas = half_width(float(response.degrees_of_freedom))
     size, size_error, without, without_error, least = (
         float(one.flat[0]) for one in (both.with_mode, both.with_error, both.without, both.without_error, both.least)
     )
@@ -243,7 +243,10 @@ def _unless_excited(
     near = rpm * (1.0 + mode.damping_ratio * np.linspace(-1.0, 1.0, 5))
     known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
-        ends = [with_and_without(item, number, near, modal).ends(half_width(float(item.freedom)))[1] for item in known]
+        ends = [
+            with_and_without(item, number, near, modal).ends(half_width(float(item.degrees_of_freedom)))[1]
+            for item in known
+        ]
         quiet |= max(float(high.max()) for high in ends) < SAID.clearly_excited_ratio
     by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
     quiet &= all(one.ratio_low < SAID.clearly_excited_ratio for one in by_fit)
@@ -277,11 +280,16 @@ def amplification(response: OrderResponse, number: int, modal: ModalFit) -> floa
 def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[Seen]:
     """What the residue of mode ``number`` says: its F test against none; [] where the fit does not hold the mode."""
     place = np.flatnonzero(response.reached == number)
-    if not response.fits or not len(place) or response.freedom < 1 or amplification(response, number, modal) <= 1.0:
+    if (
+        not response.fits
+        or not len(place)
+        or response.degrees_of_freedom < 1
+        or amplification(response, number, modal) <= 1.0
+    ):
         return []
     at = len(response.smooth) + int(place[0])
     squared = abs(response.residue[number]) ** 2 / max(float(response.covariance[at, at].real), 1e-300)
-    return [Seen(response.channel, float(fdtrc(2.0, float(response.freedom), 0.5 * squared)))]
+    return [Seen(response.channel, float(fdtrc(2.0, float(response.degrees_of_freedom), 0.5 * squared)))]
 
 
 def _decided(found: list[Crossing], seen_of: list[list[Seen]]) -> list[Crossing]:

@@ -51,7 +51,7 @@ def _peak_of(response: OrderResponse, modal: ModalFit) -> HeldPeak:
     rpm = _speeds(response, modal)
     amplitude, error = held_amplitudes(response, rpm, modal)
     at = int(np.argmax(amplitude))
-    return HeldPeak(float(rpm[at]), float(amplitude[at]), float(error[at]), float(max(response.freedom, 1)))
+    return HeldPeak(float(rpm[at]), float(amplitude[at]), float(error[at]), float(max(response.degrees_of_freedom, 1)))
 
 
 def _speeds(response: OrderResponse, modal: ModalFit) -> NDArray[np.float64]:

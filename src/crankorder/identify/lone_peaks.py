@@ -53,7 +53,9 @@ def lone_peaks(
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
             item = _avoided(agreed.order, line, place, ratio, modal, worst, in_unit)
-            reach = 1.0 if line.worth is None else 1.0 + NUMBERS.around_share  # a sweep rings behind a resonance
+            reach = (
+                1.0 if line.n_independent is None else 1.0 + NUMBERS.around_share
+            )  # a sweep rings behind a resonance
             if not any(_holds(other, item, reach) for other in (*avoided, *made)):
                 made.append(item)
     return made

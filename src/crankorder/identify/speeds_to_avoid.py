@@ -244,7 +244,9 @@ def _fitted_peak(response: OrderResponse, rpm: float, modal: ModalFit, mode: Mod
         return None
     size, error = (float(one[0]) for one in held_amplitudes(response, np.array([rpm]), modal))
     return (
-        size if half_width(float(response.freedom)) * error <= (1.0 - 1.0 / NUMBERS.peak_within_ratio) * size else None
+        size
+        if half_width(float(response.degrees_of_freedom)) * error <= (1.0 - 1.0 / NUMBERS.peak_within_ratio) * size
+        else None
     )
 
 

@@ -40,7 +40,7 @@ class _Left:
 
     turn: float
     error: float
-    freedom: float
+    degrees_of_freedom: float
 
 
 def with_locks_through_modes(
@@ -65,7 +65,7 @@ def with_locks_through_modes(
     measured = [_measured(one, modal, sweeps, order_map, cycle) if one.lock == "undecided" else None for one in orders]
     if source == "stated" and not any(one.lock == "locked" for one in orders):
         numbers = [
-            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.freedom)
+            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.degrees_of_freedom)
             for one, left in zip(orders, measured, strict=True)
             if left is not None
         ]
@@ -105,15 +105,15 @@ def _measured(
 def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     """``agreed``, which is locked where what is ``left`` proves it."""
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    error, freedom = left.error, left.freedom
-    lock = lock_of(multiple + left.turn, error, freedom, revs_per_cycle=cycle, by_phase=True)
+    error, degrees_of_freedom = left.error, left.degrees_of_freedom
+    lock = lock_of(multiple + left.turn, error, degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
     if lock != "locked":
         return agreed
     return replace(
         agreed,
         order=multiple,
         order_error=error,
-        degrees_of_freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
         lock="locked",
         needed_revs=None,
         reservation="; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP),
@@ -126,8 +126,8 @@ def _joined(found: Sequence[_Left]) -> _Left:
     weight: Array = np.array([1.0 / one.error**2 for one in found])
     mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
     scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
-    error, freedom = float(np.sqrt(scatter / information)), min(one.freedom for one in found)
-    return _Left(mean, error, freedom)
+    error, degrees_of_freedom = float(np.sqrt(scatter / information)), min(one.degrees_of_freedom for one in found)
+    return _Left(mean, error, degrees_of_freedom)
 
 
 def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:

@@ -257,7 +257,7 @@ def _told(held: Held, bins: NDArray[np.int64], fit: _Fit, rest: float = 0.0) -> 
     return made
 
 
-FREEDOM = 40.0
+DEGREES_OF_FREEDOM = 40.0
 """Degrees of freedom of an error that some 24 places beside a line tell."""
 
 SOLVED = "lines within a quarter order, solved together"
@@ -381,7 +381,7 @@ def lines_at(close: CloseLines, one: SolvedLine, order_map: xr.Dataset) -> list[
                 speed_rpm=np.asarray(order_map["speed"].values, dtype=np.float64),
                 amplitude=np.array([size]),
                 amplitude_error=np.array([error]),
-                degrees_of_freedom=np.array([FREEDOM]),
+                degrees_of_freedom=np.array([DEGREES_OF_FREEDOM]),
                 phase_deg=np.array([np.nan]),
                 evidence="steady, not locked",
                 level_over_floor_db=float(20.0 * np.log10(size / max(error, 1e-300))),

@@ -60,8 +60,8 @@ def narrower_than_fitted(problem: Problem, fit: SurfaceFit, number: int) -> bool
     if not flank.any():
         return False
     share = problem.psd[channel, flank] / fit.model[channel, flank]
-    freedom = 2.0 * float(problem.averages[channel, flank].sum()) / HANN_CORRELATION
-    low = float(chdtr(freedom, freedom * min(float(share.mean()), 1.0)))
+    degrees_of_freedom = 2.0 * float(problem.averages[channel, flank].sum()) / HANN_CORRELATION
+    low = float(chdtr(degrees_of_freedom, degrees_of_freedom * min(float(share.mean()), 1.0)))
     return float(share.mean()) < NUMBERS.flank_share and low < NUMBERS.flank_chance
 
 

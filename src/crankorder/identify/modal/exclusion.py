@@ -125,9 +125,9 @@ def _bound(
 ) -> UnseenBound:
     block, part = with_scatter(block, poles)
     speed = _asked(block)
-    if part.freedom < len(block.channels) * block.parts or block.scatter > ORDER_RESPONSES.most_scatter:
+    if part.degrees_of_freedom < len(block.channels) * block.parts or block.scatter > ORDER_RESPONSES.most_scatter:
         return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
-    spread = float(np.sqrt(max(1.0, part.chi2 / part.freedom)))
+    spread = float(np.sqrt(max(1.0, part.chi2 / part.degrees_of_freedom)))
     added = np.zeros((len(block.channels), len(speed)))
     for times in NUMBERS.tried_damping_ratios:
         added = np.maximum(added, _added(block, part, speed, least_damping * times, reach * spread))

@@ -77,10 +77,10 @@ def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple
     size, error = (
         order_map[name].values[:, :, half].astype(float) for name in ("coherent_amplitude", "standard_error")
     )
-    freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
+    degrees_of_freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
     with np.errstate(invalid="ignore", divide="ignore"):
-        chance = fdtrc(2.0, np.maximum(freedom, 1.0), 0.5 * (size / error) ** 2)
-    seen = (np.where((freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < NUMBERS.line_chance).any(axis=0)
+        chance = fdtrc(2.0, np.maximum(degrees_of_freedom, 1.0), 0.5 * (size / error) ** 2)
+    seen = (np.where((degrees_of_freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < NUMBERS.line_chance).any(axis=0)
     seen &= speed[:, None] / 60.0 * order[half] < top_hz
     return [(float(order[half[j]]), float(speed[k])) for k, j in np.argwhere(seen)]
 
@@ -103,11 +103,11 @@ def quiet_floor(
     if not known.any():
         known = (averages > 0.0).any(axis=0)
     psd, averages, speed = psd[:, known], averages[:, known], campbell["speed"].values[known]
-    worth = averages[:, :, None] * share[:, known]
+    independent = averages[:, :, None] * share[:, known]
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
-    whole = _mean(psd, worth)[0]
+    whole = _mean(psd, independent)[0]
     # a line that leaves its bins within a recording is none of the settled cells, but it leaks all the same
     every = campbell["psd"].values[..., used][:, known].astype(np.float64)
     moving = _order_mask(psd, every, frequency[used], speed, orders, campbell, seen)
@@ -118,11 +118,11 @@ def quiet_floor(
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
     psd, gain = _at_unit_gain(psd, averages)
     if psd.shape[1] > 1:
-        _mask_feet(psd, worth, moving)
+        _mask_feet(psd, independent, moving)
     unclipped = psd.copy()
     if psd.shape[1] > 2:
-        _clip(psd, worth)
-    mean, total = _mean(psd, worth)
+        _clip(psd, independent)
+    mean, total = _mean(psd, independent)
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
@@ -154,8 +154,8 @@ def _independent(campbell: xr.Dataset) -> Array:
     frames = campbell["n_frames"].values[None, :] * np.ones((campbell.sizes["channel"], 1), dtype=np.int64)
     if "n_frames_used" in campbell:
         frames = campbell["n_frames_used"].values
-    worth = {int(n): window.independent_frames(hop, int(n), power=True) if n else 0.0 for n in np.unique(frames)}
-    return np.array([[worth[int(n)] for n in row] for row in frames])
+    independent = {int(n): window.independent_frames(hop, int(n), power=True) if n else 0.0 for n in np.unique(frames)}
+    return np.array([[independent[int(n)] for n in row] for row in frames])
 
 
 def _order_mask(

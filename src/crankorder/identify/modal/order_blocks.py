@@ -56,13 +56,13 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     column = int(np.argmin(np.abs(grid - agreed.order)))
     if agreed.lock == "slips" or abs(grid[column] - agreed.order) > NUMBERS.on_bin_share * max(1.0, agreed.order):
         return [_of_sizes(agreed.order, line) for line in agreed.lines]
-    size, phase, error, freedom = (
+    size, phase, error, degrees_of_freedom = (
         order_map[variable].values[:, :, column].astype(np.float64)
         for variable in ("coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
     )
     speed = order_map["speed"].values
-    known = np.isfinite(size) & (error > 0.0) & (freedom >= NUMBERS.least_degrees_of_freedom) & (speed > 0.0)
-    wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
+    known = np.isfinite(size) & (error > 0.0) & (degrees_of_freedom >= NUMBERS.least_degrees_of_freedom) & (speed > 0.0)
+    wide = np.where(known, error * np.sqrt(degrees_of_freedom / np.maximum(degrees_of_freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
     phasor = size * np.exp(1j * np.radians(np.nan_to_num(phase)))
     told = bool(np.isfinite(phase[known]).all())

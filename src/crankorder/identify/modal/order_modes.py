@@ -145,7 +145,7 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArr
 
 def _locates(block: Block, part: Projected, poles: Poles, number: int) -> bool:
     """Whether ``block`` alone finds pole ``number`` where it is: one step from there is small, and its error too."""
-    if part.freedom < 2 or number not in part.reached:
+    if part.degrees_of_freedom < 2 or number not in part.reached:
         return False
     slopes = jacobian(block, poles, part)[:, 2 * number : 2 * number + 2]
     information = slopes.T @ slopes
@@ -153,7 +153,7 @@ def _locates(block: Block, part: Projected, poles: Poles, number: int) -> bool:
         return False
     inverse = np.linalg.inv(information)
     step = float((inverse @ slopes.T @ as_real(part.left, block))[0])
-    error = float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.freedom, 1.0)))
+    error = float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.degrees_of_freedom, 1.0)))
     return error <= NUMBERS.located_widths * float(poles.damping[number]) and abs(step) <= NUMBERS.agrees_sigmas * error
 
 
@@ -177,13 +177,13 @@ def residue_chances(block: Block, part: Projected, number: int) -> Array:
     from scipy.special import fdtrc
 
     place = np.flatnonzero(part.reached == number)
-    if not len(place) or part.freedom < len(block.channels):
+    if not len(place) or part.degrees_of_freedom < len(block.channels):
         return np.ones(len(block.channels))
     at = block.degree + 1 + block.columns_per_mode * int(place[0]) + np.arange(block.columns_per_mode)
     value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
     squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
-    scale = max(part.chi2 / part.freedom, 1.0)
-    return np.asarray(fdtrc(2.0, part.freedom / len(block.channels), squared / 2.0 / scale))
+    scale = max(part.chi2 / part.degrees_of_freedom, 1.0)
+    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / len(block.channels), squared / 2.0 / scale))
 
 
 def proven_by(proof: Proof) -> str:

@@ -333,8 +333,8 @@ class Projected:
 
     ``basis`` (C, K, terms) is an orthonormal basis of the weighted columns, ``triangle`` (C, terms, terms) takes the
     linear terms, each times its ``scale`` (C, terms), to it (what is below its diagonal counts for nothing), ``along``
-    (C, terms) what was measured; ``left`` (C, K) is the weighted residual, ``chi2`` its square and ``freedom`` the real
-    numbers that it holds beyond the terms.
+    (C, terms) what was measured; ``left`` (C, K) is the weighted residual, ``chi2`` its square, with
+    ``degrees_of_freedom``: the real numbers that it holds beyond the terms.
     """
 
     reached: NDArray[np.int64]
@@ -344,7 +344,7 @@ class Projected:
     along: Complex
     left: Complex
     chi2: float
-    freedom: int
+    degrees_of_freedom: int
 
     @cached_property
     def linear(self) -> Complex:
@@ -390,8 +390,8 @@ def _eliminated(block: Block, reached: NDArray[np.int64], design: Complex) -> Pr
     measured = block.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
-    freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
-    return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), freedom)
+    degrees_of_freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
+    return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), degrees_of_freedom)
 
 
 def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
@@ -411,7 +411,7 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
         turned[..., offset::2] = made.reshape(*made.shape[:2], len(reached), per).sum(axis=3)
     turned *= block.weight[..., None]
     turned = beyond(part.basis, turned)
-    if part.freedom >= ORDER_TERMS.enough_degrees_of_freedom:
+    if part.degrees_of_freedom >= ORDER_TERMS.enough_degrees_of_freedom:
         turned = beyond_law(turned, bent(block, part, max(len(block.law), 1)), power=block.power)
     places = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
     every[:, places] = as_real(turned, block)
@@ -445,12 +445,12 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
     """
     block, part = _with_signs(block, poles)
     for _ in range(MOST_ROUNDS):
-        if part.freedom < 1:
+        if part.degrees_of_freedom < 1:
             break
         weight = block.weight
         squared = np.square(np.abs(part.left) / np.where(weight > 0.0, weight, np.inf))
         scatter, noise = scatter_of(
-            squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom
+            squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.degrees_of_freedom
         )
         settled = abs(scatter - block.scatter) <= 0.05 * scatter and abs(noise - block.noise) <= 0.05 * noise
         if scatter == block.scatter and noise == block.noise:
@@ -551,7 +551,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
             continue
         item, part = with_scatter(block, modes)
         first = item.degree + 1
-        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.freedom, 1))
+        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.degrees_of_freedom, 1))
         slopes = _terms_by_poles(item, modes, part)
         for number, channel in enumerate(item.channels):
             residue = np.zeros(len(modes), dtype=complex)
@@ -568,9 +568,9 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     residue,
                     part.reached,
                     np.asarray(covariance[number], dtype=np.complex128),
-                    part.freedom // len(item.channels),
+                    part.degrees_of_freedom // len(item.channels),
                     item.noise * float(np.median(item.error[number][np.isfinite(item.error[number])])),
-                    part.freedom > 0 and item.scatter <= NUMBERS.most_scatter,
+                    part.degrees_of_freedom > 0 and item.scatter <= NUMBERS.most_scatter,
                     item.recording,
                     slopes[number],
                 )

@@ -254,7 +254,7 @@ class Fitted:
             if (after.scatter, after.noise) == (before.scatter, before.noise) == (ORDER_TERMS.least_scatter, 1.0):
                 saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
-            share = max(many.freedom, 0) / (after.parts * int(after.rows.sum()))
+            share = max(many.degrees_of_freedom, 0) / (after.parts * int(after.rows.sum()))
             if after.passage is not None:
                 share *= _independent_share(many)
             saved += (missed(before, few) - missed(after, many)) * share
@@ -385,7 +385,7 @@ def _gains(state: Fitted, tried: Tried) -> Array:
     """
     total = np.zeros(len(tried.frequency_hz))
     for block, part in zip(state.blocks, state.projected, strict=True):
-        if block.rows.min() < NUMBERS.fewest_rows or part.freedom < 4:
+        if block.rows.min() < NUMBERS.fewest_rows or part.degrees_of_freedom < 4:
             continue
         low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
@@ -396,13 +396,13 @@ def _gains(state: Fitted, tried: Tried) -> Array:
         else:
             block, part = _anew(block, part, state.poles)
         columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
-        freedom = max(part.freedom / len(block.channels) - 2.0, 0.0)
+        degrees_of_freedom = max(part.degrees_of_freedom / len(block.channels) - 2.0, 0.0)
         for weight, basis, left in zip(block.weight, part.basis, part.left, strict=True):
             made = columns * weight[:, None]
             made -= basis @ (basis.conj().T @ made)
             explained = _explained(made, left, block.columns_per_mode)
             share = np.minimum(explained / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
-            gain = explained if settled else -freedom * np.log1p(-share)
+            gain = explained if settled else -degrees_of_freedom * np.log1p(-share)
             total[near] += np.maximum(gain - NUMBERS.expected_gain, 0.0)
     return total
 
@@ -479,8 +479,8 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
     """
     from scipy.special import chdtri
 
-    freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
-    return float(chdtri(freedom, chance / NUMBERS.independent_trials**number))
+    degrees_of_freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
+    return float(chdtri(degrees_of_freedom, chance / NUMBERS.independent_trials**number))
 
 
 def _pruned(state: Fitted, *, chance: float) -> Fitted:

@@ -121,22 +121,22 @@ FRACTIONS = np.arange(CUTS + 1) / CUTS
 """Where those cuts lie, as shares of the range."""
 
 
-def scatter_of(squared: Array, error: Array, size: Array, freedom: int) -> tuple[float, float]:
-    """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is ``freedom``.
+def scatter_of(squared: Array, error: Array, size: Array, degrees_of_freedom: int) -> tuple[float, float]:
+    """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is as expected.
 
-    n is one as long as s is more than the least.
+    That is the ``degrees_of_freedom``. n is one as long as s is more than the least.
     """
     known = np.isfinite(error)
     squared, error, size = squared[known], error[known], size[known]
 
     def above(scatter: Array, noise: Array) -> NDArray[np.bool_]:
         sizes = np.square(noise)[:, None] * error + np.square(scatter)[:, None] * size
-        return np.asarray(np.sum(squared / sizes, axis=1) > freedom)
+        return np.asarray(np.sum(squared / sizes, axis=1) > degrees_of_freedom)
 
     least, whole = np.array([NUMBERS.least_scatter]), np.ones(1)
     if above(least, whole)[0]:
         return _halved(lambda scatter: above(scatter, whole), NUMBERS.least_scatter, 1e3), 1.0
-    if freedom < NUMBERS.enough_degrees_of_freedom:
+    if degrees_of_freedom < NUMBERS.enough_degrees_of_freedom:
         return NUMBERS.least_scatter, 1.0
     return NUMBERS.least_scatter, _halved(lambda noise: above(least, noise), NUMBERS.least_noise_share, 1.0)
 

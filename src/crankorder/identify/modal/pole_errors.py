@@ -48,10 +48,10 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
     alone: list[Cell] = []
     inner, beside = np.zeros((size, size)), np.zeros((size, size))
     for block, part in zip(blocks, parts, strict=True):
-        if block.scatter > ORDER_RESPONSES.most_scatter or part.freedom < 1:
+        if block.scatter > ORDER_RESPONSES.most_scatter or part.degrees_of_freedom < 1:
             continue
         rows = jacobian(block, poles, part)[:, own].reshape(block.parts, *block.amplitude.shape, size)
-        spare = block.parts * int(block.rows.sum()) / part.freedom
+        spare = block.parts * int(block.rows.sum()) / part.degrees_of_freedom
         left = np.stack([part.left.real] if block.power else [part.left.real, part.left.imag])
         norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
@@ -92,9 +92,10 @@ def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
     )
     excess = np.maximum(scattered - known, 0.0)
     few = np.maximum(1.0 / squared - 1.0, 1.0)
-    freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
+    degrees_of_freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
     return np.asarray(
-        np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(freedom) / Z95, 1.0), dtype=np.float64
+        np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0),
+        dtype=np.float64,
     )
 
 

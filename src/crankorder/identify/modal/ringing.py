@@ -120,7 +120,9 @@ def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles)
             took = _taken(block, other, f, zeta)
             column = other.degree + 1 + place
             residue = part.linear[from_rows, column]
-            spread = part.covariance[from_rows, column, column].real * max(1.0, part.chi2 / max(part.freedom, 1))
+            spread = part.covariance[from_rows, column, column].real * max(
+                1.0, part.chi2 / max(part.degrees_of_freedom, 1)
+            )
             total[shared] += residue[:, None] * took
             variance[shared] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
     return total, variance

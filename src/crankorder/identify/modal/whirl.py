@@ -165,8 +165,8 @@ def _evaluated(cells: Cells, line: Line, fixed: Array, power: Array) -> LineFit:
     )
     deviance = gamma_deviance(cells.psd, cells.averages, model).sum(axis=2)
     left = np.where(used, cells.averages * (cells.psd / model - 1.0) ** 2, 0.0)
-    freedom = int(np.count_nonzero(used)) - power.size - fixed.size - 3
-    scatter = float(left.sum()) / float(max(freedom, 1))
+    degrees_of_freedom = int(np.count_nonzero(used)) - power.size - fixed.size - 3
+    scatter = float(left.sum()) / float(max(degrees_of_freedom, 1))
     return LineFit(line, power, fixed, deviance, np.zeros((3, 3)), model, part, scatter)
 
 
@@ -359,9 +359,9 @@ def _best_line(excess: Array, cells: Cells) -> tuple[_Candidate | None, int]:
     tried = len(slopes) * excess.shape[1] * len(BOXES)
     best, found = float(np.sqrt(2.0 * np.log(tried))), None
     for box in BOXES:
-        along, worth = _boxed(sums, box), _boxed(counts, box)
-        enough = worth >= 0.5 * box * len(excess)
-        score = np.where(enough, along / np.sqrt(np.maximum(HANN_CORRELATION * worth, 1.0)), 0.0)
+        along, independent = _boxed(sums, box), _boxed(counts, box)
+        enough = independent >= 0.5 * box * len(excess)
+        score = np.where(enough, along / np.sqrt(np.maximum(HANN_CORRELATION * independent, 1.0)), 0.0)
         score /= max(1.0, 1.4826 * float(np.median(np.abs(score[enough]))) if enough.any() else 1.0)
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
         if score[row, column] > best:
@@ -509,9 +509,9 @@ def _without(told: _Told, floor: Floor) -> Floor:
     fit, weight = told.fit, told.cells.averages
     share = np.where(weight > 0.0, np.minimum(fit.fixed[:, None] / np.maximum(fit.model, 1e-300), 1.0), 0.0)
     psd, averages, cells = floor.psd.copy(), floor.averages.copy(), floor.cells.copy()
-    worth = (weight * share**2).sum(axis=1)
-    psd[:, told.bins] = np.where(worth >= NUMBERS.least_averages, fit.fixed, np.nan)
-    averages[:, told.bins] = np.where(worth >= NUMBERS.least_averages, worth, 0.0)
+    independent = (weight * share**2).sum(axis=1)
+    psd[:, told.bins] = np.where(independent >= NUMBERS.least_averages, fit.fixed, np.nan)
+    averages[:, told.bins] = np.where(independent >= NUMBERS.least_averages, independent, 0.0)
     strong = fit.part > NUMBERS.masked_share * fit.fixed[:, None]
     cells[:, :, told.bins] *= np.where(strong, np.nan, 1.0 - fit.part / np.maximum(fit.model, 1e-300))
     return replace(floor, cells=cells, psd=psd, averages=averages)
