@@ -406,13 +406,11 @@ def _fit(
 
 def _channel(whole: JointOrders, k: int) -> JointOrders:
     one = slice(k, k + 1)
-    return JointOrders(
-        whole.amplitude[one],
-        whole.combined_amplitude[one],
-        whole.standard_error[one],
-        whole.degrees_of_freedom,
-        whole.condition,
-        whole.together,
+    return replace(
+        whole,
+        amplitude=whole.amplitude[one],
+        combined_amplitude=whole.combined_amplitude[one],
+        standard_error=whole.standard_error[one],
     )
 
 
