@@ -14,15 +14,16 @@ from crankorder.fft.decimation import decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
 from crankorder.fft.windows import Window, window_named
 from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, with_flags
-from crankorder.settings import CampbellSettings
+from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
-RUNNING_SHARE = 0.9
-"""Share of the frames whose speed changes less than the one that sets the length: a start or stop sets nothing."""
 
-PADDING = 8
-"""A record shorter than 1 / resolution is padded to this many times its length, at least: bins close enough that a
-tone reads right to 0.02 dB on the nearest one."""
+class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="frames"):
+    running_share: float
+    padding: int
+
+
+NUMBERS = _Numbers.load()
 
 SQUARES_FIT = {"f": 1e8, "d": 1e100}
 """Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
@@ -71,7 +72,7 @@ def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_
     first, last = float(shaft["time"].values[0]), float(shaft["time"].values[-1])
     begin = np.arange(first, max(first + 1e-12, last - length_s * (1 - 1e-9)), 0.5 * length_s)
     change_hz = np.abs(_speeds(shaft, begin, min(length_s, last - first)).change_rpm) / 60.0
-    sweep = order * float(np.quantile(change_hz, RUNNING_SHARE)) / length_s
+    sweep = order * float(np.quantile(change_hz, NUMBERS.running_share)) / length_s
     return math.sqrt(enbw_bins / sweep) if sweep > 0.0 else math.inf
 
 
@@ -154,7 +155,7 @@ def frame_plan(
     times = next((n for n in range(times, int(1.25 * times) + 1) if whole % n == 0), times)
     if held < whole // times:
         window = _window(settings, held)
-        times = -(-PADDING * held // whole)
+        times = -(-NUMBERS.padding * held // whole)
         weights = (window.response(np.array([0.0, 0.5 * held / (times * whole)])).prod() ** -1.0, 0.0)
         return FramePlan(window, times * whole, held, 0, weights)
     length = max(2, whole // times)

@@ -9,38 +9,25 @@ import numpy as np
 import xarray as xr
 
 from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import speed_groups
 
-START_CHANCE = 5e-3
-"""Chance that noise alone makes the first frames so strong at a bin that they take no part in the floor there.
 
-A mode that rings too weakly to be sure of already looks far narrower than it is; a bin that loses a frame loses little.
-"""
-
-NEXT_CHANCE = 0.02
-"""Chance of the same in the frame after one that takes no part."""
-
-LATER_FRAMES = 24
-"""Frames that one is compared with at most: what came later belongs to other speeds in a sweep."""
-
-FEWEST_LATER = 1
-"""Frames that it is compared with at least."""
-
-LEVEL_BINS = 61
-"""Bins around one over which a change of the whole level is taken off: what runs up or down is no transient."""
-
-BESIDE = 1
-"""Bins on each side that share what is seen."""
-
-SAME_BINS = 200.0
-"""Bins whose widths differ by less than one part in so many are alike."""
-
-SHARED = 1.95
-"""Factor by which neighbouring bins count the same noise twice."""
+class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="map"):
+    start_chance: float
+    next_chance: float
+    later_frames: int
+    fewest_later: int
+    level_bins: int
+    beside_bins: int
+    same_bins_parts: float
+    least_left_share: float
 
 
-LEAST_LEFT = 0.25
-"""Frames that must be left without a start transient."""
+NUMBERS = _Numbers.load()
+
+HANN_CORRELATION = 1.95
+"""Factor by which neighbouring bins of a Hann window count the same noise twice: 1 + 2 (4/9 + 1/36), rounded up."""
 
 
 def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
@@ -56,9 +43,9 @@ def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
     made = [np.zeros(item.sizes["frequency"], dtype=np.int64) for item in frames]
     alike: dict[tuple[int, int], list[int]] = {}
     for number, item in enumerate(frames):
-        later = _apart(item) + FEWEST_LATER
+        later = _apart(item) + NUMBERS.fewest_later
         if item.sizes["frame"] >= later and np.isfinite(item["speed"].values).any():
-            finest = round(SAME_BINS * math.log(float(item.attrs["resolution_hz"])))
+            finest = round(NUMBERS.same_bins_parts * math.log(float(item.attrs["resolution_hz"])))
             alike.setdefault((item.sizes["frequency"], finest), []).append(number)
     for numbers in alike.values():
         _count_leading([frames[number] for number in numbers], [made[number] for number in numbers])
@@ -77,13 +64,13 @@ def _count_leading(items: list[xr.Dataset], leading: list[Ints]) -> None:
         chance = _chance(items, frame)
         if chance is None:
             break
-        seen = on & (chance < (NEXT_CHANCE if frame else START_CHANCE))
+        seen = on & (chance < (NUMBERS.next_chance if frame else NUMBERS.start_chance))
         if frame == 0:
-            seen = np.convolve(seen, np.ones(2 * BESIDE + 1), mode="same") > 0.5
+            seen = np.convolve(seen, np.ones(2 * NUMBERS.beside_bins + 1), mode="same") > 0.5
         if not seen.any():
             break
         for item, count in zip(items, leading, strict=True):
-            if item.sizes["frame"] >= frame + _apart(item) + FEWEST_LATER:
+            if item.sizes["frame"] >= frame + _apart(item) + NUMBERS.fewest_later:
                 count[seen] = frame + 1
         on = seen
 
@@ -100,15 +87,15 @@ def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
     variance = 0.0
     for item in items:
         power, apart = item["power"].values, _apart(item)
-        beyond = power[:, frame + apart : frame + apart + LATER_FRAMES : apart]
+        beyond = power[:, frame + apart : frame + apart + NUMBERS.later_frames : apart]
         n = beyond.shape[1]
-        if n < FEWEST_LATER or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
+        if n < NUMBERS.fewest_later or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
             continue
         mean = np.maximum(beyond.mean(axis=1, dtype=np.float64), np.finfo(np.float64).tiny)
         ratio = power[:, frame] / mean
         ratio = ratio / _level(ratio) * _middle_ratio(n)
         total = total + _beside(ratio / (ratio + n) - 1.0 / (n + 1.0))
-        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * BESIDE + 1) * SHARED
+        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * NUMBERS.beside_bins + 1) * HANN_CORRELATION
     if not variance:
         return None
     return np.asarray(ndtr(-np.asarray(total) / np.sqrt(variance)).min(axis=0))
@@ -121,13 +108,15 @@ def _middle_ratio(n: int) -> float:
 
 def _beside(power: Floats) -> Floats:
     """Sum of ``power`` (C, B) over some bins."""
-    padded = np.pad(power, ((0, 0), (BESIDE, BESIDE)), mode="edge")
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1).sum(axis=-1))
+    padded = np.pad(power, ((0, 0), (NUMBERS.beside_bins, NUMBERS.beside_bins)), mode="edge")
+    return np.asarray(
+        np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.beside_bins + 1, axis=1).sum(axis=-1)
+    )
 
 
 def _level(ratio: Floats) -> Floats:
     """Running median of ``ratio`` (C, B), from every eighth bin."""
-    half = min(LEVEL_BINS, ratio.shape[1] | 1) // 2
+    half = min(NUMBERS.level_bins, ratio.shape[1] | 1) // 2
     padded = np.pad(ratio, ((0, 0), (half, half)), mode="reflect" if ratio.shape[1] > half else "edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=1)
     at = np.arange(0, ratio.shape[1], 8)
@@ -284,9 +273,9 @@ def _settled(
             share[:, into] -= _on_grid(item, used[:, None].astype(np.float64), frequency)[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         held = share / counts[..., None]
-        made = np.where(share > LEAST_LEFT, np.maximum(left, 0.0) / share, np.nan)
+        made = np.where(share > NUMBERS.least_left_share, np.maximum(left, 0.0) / share, np.nan)
     bins = np.flatnonzero((held < 1.0 - 1e-9).any(axis=(0, 1)))
-    return bins, made[..., bins], np.where(share > LEAST_LEFT, held, 0.0)[..., bins]
+    return bins, made[..., bins], np.where(share > NUMBERS.least_left_share, held, 0.0)[..., bins]
 
 
 def _add_settled(result: xr.Dataset, bins: Ints, density: Floats, share: Floats, scale: Floats) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.search import HANN_CORRELATION
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit
 from crankorder.identify.modal.tones import NUMBERS as TONES
 from crankorder.identify.modal.tones import at_one_speed, on_order

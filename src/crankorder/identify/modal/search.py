@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.pole_errors import free_of, score_covariance
 from crankorder.identify.modal.surface_fit import (
@@ -173,9 +174,6 @@ def local_maxima(level: Array) -> NDArray[np.int64]:
     inner = np.arange(len(level))
     return np.flatnonzero((level >= highest) & (inner > 1) & (inner < len(level) - 2))
 
-
-HANN_CORRELATION = 1.95
-"""Factor by which the likelihood counts neighbouring bins of a Hann window twice."""
 
 PAIRS = ((0.5, 0.6), (1.0, 0.4))
 """Distance from a pole and half width, in its half widths, of the two that are tried in its place."""

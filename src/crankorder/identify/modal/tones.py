@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
 from crankorder.identify.mains import multiple_on, nearest_multiple
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
+from crankorder.identify.modal.search import dispersion
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
 from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, evaluate, fit_surface

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.search import HANN_CORRELATION
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
 from crankorder.identify.modal.surface_fit import Sight, gamma_deviance, seen_pole
 from crankorder.settings import IdentifySettings, MethodNumbers

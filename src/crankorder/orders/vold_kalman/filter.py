@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -71,13 +71,8 @@ def closest(
             wide = float(width[i] * width[j]) ** 0.5
             if i != j:
                 apart = _distance(frequency[i] - frequency[j], rate_hz)
-                found.append(
-                    (
-                        apart / wide,
-                        f"components {i} and {j}" if names is None else f"{called[i]} and {called[j]}",
-                        apart,
-                    )
-                )
+                both = f"components {i} and {j}" if names is None else f"{called[i]} and {called[j]}"
+                found.append((apart / wide, both, apart))
             apart = _distance(frequency[i] + frequency[j], rate_hz)
             image = "its own image" if i == j else f"the image of {called[j]}"
             found.append((apart / wide, f"{called[i]} and {image} at minus the frequency", apart))
@@ -500,18 +495,9 @@ def _together(parts: list[VoldKalmanTracks], groups: list[list[int]]) -> VoldKal
     """Tracks of all channels from those of groups with equal gaps."""
     order = np.argsort([channel for group in groups for channel in group])
     worst = max(parts, key=lambda part: part.condition)
-    stacked = {
-        name: np.concatenate([getattr(part, name) for part in parts])[order]
+    amplitude, residual, offset, error = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("amplitude", "residual", "offset", "error")
-    }
-    return VoldKalmanTracks(
-        stacked["amplitude"],
-        stacked["residual"],
-        stacked["offset"],
-        worst.error_place,
-        stacked["error"],
-        worst.noise_magnification,
-        worst.condition,
-        worst.method,
-        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
+    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+    return replace(worst, amplitude=amplitude, residual=residual, offset=offset, error=error, notes=notes)
