@@ -560,13 +560,7 @@ class Findings(Record):
         return _NOT_SOUGHT if self.not_asked_for else ()
 
 
-_NOT_SOUGHT = (
-    "speed_doubt",
-    "free_bands",
-    "energy",
-    "levels",
-    "looked_for",
-)
+_NOT_SOUGHT = ("speed_doubt", "free_bands", "energy", "levels", "looked_for")
 
 
 def quality_of(flags: Iterable[Mapping[str, object]]) -> tuple[Quality, ...]:
@@ -582,7 +576,10 @@ def nothing_sought(
     speed_range_rpm: Interval = (None, None),
     quality: tuple[Quality, ...] = (),
 ) -> Findings:
-    """Findings of the ``test`` of that name with nothing in them but why: the ``reason`` that nobody asked for any."""
+    """Findings of the ``test`` of that name with nothing in them but why: the ``reason`` that nobody asked for any.
+
+    ``channels``, ``speed_range_rpm`` and ``quality`` are those of its recordings.
+    """
     return Findings(
         schema_version=SCHEMA_VERSION,
         test=test,

@@ -92,10 +92,8 @@ def find(
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
-    energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
-    above = level_records(levels)
-    balance, balance_reason = _balance(order_map, orders, modal, sources, causes)
-    return Findings(
+    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    told = Findings(
         schema_version=SCHEMA_VERSION,
         test=test,
         channels=tuple(Channel(name=name, unit=unit[name], quantity=quantity[name]) for name in unit),
@@ -104,20 +102,38 @@ def find(
         orders=records,
         modes=mode_records(modal, causes, meetings),
         crossings=meetings,
-        speeds_to_avoid=avoided_records(speeds),
-        free_bands=free_records(speeds.free),
-        open_bands=open_records(speeds.open),
         bearings=bearings,
-        motor=None if motor is None else motor_record(motor),
         lines=line_records(records, modal, causes, channels=list(unit)),
-        unexplained_energy_fraction=unexplained,
-        energy=_with_above(energy, above),
-        levels=above,
-        balance=balance,
-        balance_reason=None if balance is not None else balance_reason,
+        unexplained_energy_fraction=shares[1],
+        balance=None,
         looked_for=("orders", "modes", "bearings", *(("envelope",) if _has_spectra(envelope) else ())),
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
+    )
+    closed = _balance(order_map, orders, modal, sources, causes)
+    return _with_sums(told, speeds, motor, shares[0], level_records(levels), closed)
+
+
+def _with_sums(
+    told: Findings,
+    speeds: SpeedVerdicts,
+    motor: MotorFound | None,
+    energy: Energy,
+    levels: tuple[Level, ...],
+    closed: tuple[Balance | None, str],
+) -> Findings:
+    """What was ``told`` of lines, with what these make of the speeds, the motor, the energy and the balance."""
+    balance, reason = closed
+    return replace(
+        told,
+        speeds_to_avoid=avoided_records(speeds),
+        free_bands=free_records(speeds.free),
+        open_bands=open_records(speeds.open),
+        motor=None if motor is None else motor_record(motor),
+        energy=_with_above(energy, levels),
+        levels=levels,
+        balance=balance,
+        balance_reason=None if balance is not None else reason,
     )
 
 
