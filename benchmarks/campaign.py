@@ -32,7 +32,7 @@ from crankorder.identify.findings import find
 from crankorder.orders.envelope import envelope_map
 from crankorder.orders.map import order_map
 from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_recording
 
 HERE = Path(__file__).parent

@@ -40,7 +40,7 @@ from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
 from crankorder.report.netcdf import findings_datasets, plain_attrs
 from crankorder.settings import Settings, load_settings
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_shaft
 from crankorder.synth.write import write_scene
 

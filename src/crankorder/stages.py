@@ -69,10 +69,9 @@ from crankorder.quantities import (
 )
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
-from crankorder.shaft.decode import encoder_pattern, flags_named, shaft_angle
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge, encoder_pattern, flags_named, shaft_angle
 from crankorder.shaft.line_pattern import LinePattern
-from crankorder.shaft.silent_ends import silent_ends
+from crankorder.shaft.standstill import silent_ends
 from crankorder.shaft.summary import shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)

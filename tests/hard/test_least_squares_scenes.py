@@ -13,8 +13,7 @@ from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.orders.least_squares import tracked_orders
 from crankorder.settings import load_settings
-from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge, shaft_angle
 
 SETTINGS = load_settings()
 """Speed of the second shaft of `two-shafts`, which its manifest may not say."""

@@ -17,7 +17,7 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.settings import load_settings
-from crankorder.shaft.folding import Fold
+from crankorder.shaft.aliasing import Fold
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
 
 SETTINGS = load_settings().identify

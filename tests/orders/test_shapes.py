@@ -15,7 +15,7 @@ from crankorder.orders.frames import order_frames
 from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes, unbiased_coherence
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import band, ingest, shaft
 from made.frames import frames_of
 from made.recordings import line, steady

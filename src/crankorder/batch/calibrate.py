@@ -12,8 +12,7 @@ from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError
 from crankorder.quantities import QualityFlag
 from crankorder.shaft.calibration import calibrate, mass_lag
-from crankorder.shaft.decode import PULSE_KINDS, flags_named
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import PULSE_KINDS, ShaftKnowledge, flags_named
 from crankorder.shaft.line_pattern import LinePattern
 from crankorder.stages import analyse_encoder
 

@@ -31,7 +31,7 @@ from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.settings import Settings, toml_table
-from crankorder.shaft.swing import speed_swing
+from crankorder.shaft.tooth_errors import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test
 
 Progress = Callable[[str, int, int], None]

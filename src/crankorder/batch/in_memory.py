@@ -16,7 +16,7 @@ from crankorder.errors import CrankorderError, InputError, NoUsableRecordingErro
 from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import RecordingResult, analyse_recording
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]

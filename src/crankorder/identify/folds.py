@@ -13,7 +13,7 @@ from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise
 from crankorder.quantities import QualityFlag
 from crankorder.settings import MethodNumbers, Settings
-from crankorder.shaft.folding import Fold, FoldedLine, find_folds, folded_lines
+from crankorder.shaft.aliasing import Fold, FoldedLine, find_folds, folded_lines
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="folds"):

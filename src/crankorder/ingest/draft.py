@@ -19,8 +19,8 @@ from crankorder.ingest.rawfile import Contents, RawFile
 from crankorder.ingest.units import known_unit
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
-from crankorder.shaft.pattern_search import FoundPattern, find_pattern
 from crankorder.shaft.pulses import FloatArray, find_pulses
+from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
 # Samples that are enough to see a wheel.
 MOST_SAMPLES = 4_000_000

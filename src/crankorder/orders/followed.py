@@ -25,8 +25,7 @@ from crankorder.orders.vold_kalman.bandwidth import level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.smoothed_speed import smoothed_speed, speed_course
+from crankorder.shaft.angle import angle_at, knots_of, smoothed_speed, speed_course, time_at
 
 LEAST_USABLE = 0.5
 """Share of a frame's samples that must be usable for the filter to be read in its middle."""

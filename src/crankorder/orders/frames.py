@@ -23,8 +23,7 @@ from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_b
 from crankorder.orders.true_angle import stated_errors
 from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import knots_of, time_at
-from crankorder.shaft.smoothed_speed import SpeedCourse, speed_at_angle, speed_course
+from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_course, time_at
 
 SWEPT_SHARE = 0.1
 """Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""

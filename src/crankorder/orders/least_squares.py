@@ -16,8 +16,7 @@ from crankorder.errors import InputError, RequestError
 from crankorder.orders.intervals import amplitude_interval, phase_interval_deg
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.smoothed_speed import speed_at_angle
+from crankorder.shaft.angle import angle_at, knots_of, speed_at_angle, time_at
 
 BLOCKS = 64
 """Blocks of a record whose products are kept: they give the residual's spectrum up to a few cycles from each order."""

@@ -14,8 +14,7 @@ from crankorder.errors import InputError, RequestError
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.smoothed_speed import SpeedCourse
+from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, time_at
 
 MOST_CONTENT = 0.4
 """Share of the sample rate up to which content is resampled; beyond it, kernels become long."""

@@ -27,7 +27,7 @@ from crankorder.orders.swing_evidence import (
 from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of
-from crankorder.shaft.reference_errors import reference_of
+from crankorder.shaft.audit import reference_of
 from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel
 
 ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"

@@ -1,8 +1,8 @@
-"""What folds where in a recording sampled by crank angle, and which of its lines are folds of something else.
+"""What is aliased where in a recording sampled by crank angle, and which of its lines are aliases of something else.
 
 Sampled samples_per_rev times a revolution, whatever lies above half of that order shows at |order - n samples_per_rev|,
-unless a filter stopped it. A line of fixed frequency f is at order 60 f / speed, so its fold runs through the orders
-with speed far faster than any true line; an order folds to an order, where its place alone does not betray it.
+unless a filter stopped it. A line of fixed frequency f is at order 60 f / speed, so its alias runs through the orders
+with speed far faster than any true line; an order's alias is an order, where its place alone does not betray it.
 """
 
 from __future__ import annotations
