@@ -19,8 +19,8 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from crankorder.findings import Findings
+from crankorder.plot.axes import decade_text
 from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
-from crankorder.report.drawing.ticks import decade_text
 from crankorder.report.drawing.typeface import drawable
 
 __all__ = [

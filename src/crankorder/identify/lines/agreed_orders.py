@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
@@ -378,6 +377,8 @@ def _between(order: Floats, variance: Floats) -> float:
 
     if over(0.0) <= 0.0:
         return 0.0
+    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
+
     return float(brentq(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, xtol=1e-24, rtol=1e-9))
 
 

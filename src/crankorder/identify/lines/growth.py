@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import fdtri, gammaincc, stdtr
 
 from crankorder.identify.found import OrderLine
@@ -287,6 +286,8 @@ def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
 
     if over(0.0) <= 0.0:
         return 0.0
+    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
+
     return float(brentq(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, xtol=1e-9))
 
 
@@ -375,6 +376,8 @@ def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: f
         return -wide
     if above(wide) <= 0.0:
         return wide
+    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
+
     return float(brentq(above, -wide, wide, xtol=1e-6))
 
 
