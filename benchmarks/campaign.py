@@ -25,14 +25,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from published import publish, table
 
-from crankorder.batch.execute import _engine, _sources
+from crankorder.batch.execute import _engine, sources_of
 from crankorder.batch.plan import plan_tests
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.findings import find
 from crankorder.orders.envelope import envelope_map
 from crankorder.orders.map import order_map
 from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_recording
 
 HERE = Path(__file__).parent
@@ -125,7 +125,7 @@ def identification_s(recordings: Path, scratch: Path, *, repeats: int) -> float:
     (plan,) = plan_tests([recordings], scratch / "identification")
     knowledge = ShaftKnowledge(engine=_engine(plan))
     made = [analyse_recording(path, plan.manifest, plan.settings, knowledge).frames for path in plan.recordings]
-    settings, sources = plan.settings, _sources(plan)
+    settings, sources = plan.settings, sources_of(plan.manifest, _engine(plan), plan.settings)
     width_rpm = settings.orders.speed_bin_rpm
     frames = [one[OrderFrames] for one in made]
     maps = (

@@ -19,12 +19,10 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter, lsim
 
 from crankorder.synth.analogue import low_pass
-from crankorder.synth.driven import driven_signal
-from crankorder.synth.integration import STENCILS, Integration, advance, integration_for, interpolation_error
+from crankorder.synth.driven import STENCILS, Integration, advance, driven_signal, integration_for, interpolation_error
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines, force_at
-from crankorder.synth.poles import Poles, poles_of
-from crankorder.synth.response import Structure
+from crankorder.synth.poles import Poles, Structure, poles_of
 
 SUBSTEPS = (1, 2, 4, 8)
 RATES_HZ = (51_200.0, 5_120.0)

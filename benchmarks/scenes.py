@@ -19,7 +19,9 @@ from matplotlib.figure import Figure
 from published import publish, table
 
 from crankorder.engine.definition import load_engine
-from crankorder.synth.effects import (
+from crankorder.synth.load import load_scene
+from crankorder.synth.noise import floor_of
+from crankorder.synth.parts import (
     Acquisition,
     BearingImpacts,
     ColouredNoise,
@@ -29,8 +31,6 @@ from crankorder.synth.effects import (
     Tone,
     Wander,
 )
-from crankorder.synth.floor import floor_of
-from crankorder.synth.load import load_scene
 from crankorder.synth.recording import synthesise
 from crankorder.synth.scene import Scene
 from crankorder.synth.write import recording_image

@@ -16,9 +16,14 @@ from matplotlib.figure import Figure
 from numba import njit
 from published import publish, table
 
-from crankorder.engine.fast_acceleration import fast_sine_cosine, fill_acceleration
 from crankorder.engine.harmonics import acceleration_harmonics, orders_for, peak_acceleration
-from crankorder.engine.slider_crank import SliderCrank, piston_acceleration, plain_piston_acceleration
+from crankorder.engine.slider_crank import (
+    SliderCrank,
+    fast_sine_cosine,
+    fill_acceleration,
+    piston_acceleration,
+    plain_piston_acceleration,
+)
 
 RATIOS = (0.1, 0.25, 44.9 / 152, 0.5, 0.9, 0.99)
 ORDERS = (1, 2, 4, 6, 8, 10, 12, 14, 16, 20, 24, 32, 48, 64, 96, 128, 192, 256)

@@ -1,4 +1,4 @@
-"""README pages of ``pipeline/`` and ``data_schema/``, made from the files that they describe.
+"""README pages of ``pipeline/`` and ``data_schema/`` and the schema of the findings, made from what they describe.
 
 Run ``python reports/make_readmes.py`` after a change there; a house test compares the pages with a fresh rendering.
 """
@@ -15,6 +15,7 @@ from typing import Any
 from model_keys import tables_of
 
 from crankorder.engine.definition import Engine
+from crankorder.findings import Findings
 from crankorder.synth.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -242,9 +243,23 @@ ENGINE_NOTES = (
 )
 
 
+def findings_schema() -> str:
+    """The JSON Schema of ``findings.json``, as the types of the findings give it."""
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Findings",
+        "description": "What a test says (findings.json). Every estimate x may have x_ci95, its 95 % interval; null "
+        "stands for not known. More keys are allowed.",
+        "per": "test",
+        **Findings.json_schema(),
+    }
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
 def pages(root: Path = ROOT) -> dict[Path, str]:
     """Path and text of every generated page of the tree at ``root``."""
     return {
+        root / "data_schema" / "findings.json": findings_schema(),
         root / "pipeline" / "README.md": render_pipeline_readme(root),
         root / "data_schema" / "README.md": render_schema_readme(root),
         root / "pipeline" / "scenes" / "README.md": render_keys(
@@ -255,6 +270,7 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
 
 
 if __name__ == "__main__":
+    (ROOT / "data_schema" / "findings.json").write_text(findings_schema(), encoding="utf-8")  # a page is made of it
     for page, text in pages().items():
         page.write_text(text, encoding="utf-8")
         print(page.relative_to(ROOT))

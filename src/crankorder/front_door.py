@@ -31,6 +31,7 @@ from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import DONE
 from crankorder.batch.store import json_bytes
 from crankorder.errors import InputError, RequestError
+from crankorder.findings import Findings
 from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, shaft_of, units_of
 from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
@@ -39,7 +40,7 @@ from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
 from crankorder.report.netcdf import findings_datasets, plain_attrs
 from crankorder.settings import Settings, load_settings
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_shaft
 from crankorder.synth.write import write_scene
 
@@ -291,8 +292,8 @@ def diagnose(
     motor: Mapping[str, Any] | None = None,
     test: str = "test",
     recipe: str | None = None,
-) -> dict[str, Any]:
-    """What ``recordings`` of one test say, with intervals and evidence (``data_schema/findings.json``).
+) -> Findings:
+    """What ``recordings`` of one test say, with intervals and evidence; ``as_dict`` is what ``findings.json`` holds.
 
     ``engine``: a shipped engine or the path of a TOML file. ``bearings``, ``gears``, ``motor``: tables of the manifest,
     with its keys. ``test``: its name. ``recipe`` is that of :func:`order_map`. Raises ManyErrors where a table is
@@ -302,7 +303,7 @@ def diagnose(
     >>> rng, time = np.random.default_rng(1), np.arange(80_000) / 10_000.0
     >>> signal = 2.0 * np.cos(2 * np.pi * 75.0 * time) + 0.1 * rng.standard_normal(80_000)
     >>> found = co.diagnose(co.recording(signal, rate_hz=1e4, speed_rpm=1500.0))
-    >>> [round(line["order"], 2) for line in found["orders"]]
+    >>> [round(line.order, 2) for line in found.orders]
     [3.0]
     """
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
@@ -483,13 +484,13 @@ def _plain(value: Any) -> Any:
 
 def _analysed(
     recordings: Recordings, settings: Settings, *, tables: Mapping[str, Any] | None = None, **options: Any
-) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
+) -> tuple[dict[str, xr.Dataset], Findings]:
     """Groups and findings of ``recordings``; what was left out and what is suspect is warned of."""
     groups, findings, faults = analysed(recordings, settings, tables=tables or {}, **options)
     _warn(faults)
-    suspect = [flag for flag in findings["quality"] if flag["severity"] == "suspect" and flag["flag"] != NO_MARK]
-    _warn([f"{flag['recording']}: {flag['flag']}: {flag['detail']}" for flag in suspect])
-    return groups, _document(json_bytes(findings))
+    suspect = [flag for flag in findings.quality if flag.severity == "suspect" and flag.flag != NO_MARK]
+    _warn([f"{flag.recording}: {flag.flag}: {flag.detail}" for flag in suspect])
+    return groups, Findings.from_dict(_document(json_bytes(findings.as_dict())))
 
 
 def _tree(file: Path) -> xr.DataTree:

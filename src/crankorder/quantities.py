@@ -17,9 +17,16 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Literal, NewType, NotRequired, TypedDict
 
+import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.errors import SchemaError
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 Recording = NewType("Recording", xr.Dataset)
 """One file as measured: signal[channel, time | crank_angle] with encoder and index pulse times."""
@@ -70,7 +77,6 @@ RecordingLevels = NewType("RecordingLevels", xr.Dataset)
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 
-Findings = NewType("Findings", dict[str, Any])
 """What the test says: orders, modes, crossings, bearings, lines, each with a 95 % interval and evidence."""
 
 Truth = NewType("Truth", dict[str, Any])

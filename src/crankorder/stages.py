@@ -21,6 +21,7 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.fft.band import band_limited
+from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.lines.swept_orders import swept_orders
@@ -48,7 +49,6 @@ from crankorder.quantities import (
     CampbellMap,
     CycleAverage,
     EnvelopeMap,
-    Findings,
     FrequencyFrames,
     OperatingShapes,
     OrderFrames,
@@ -69,10 +69,9 @@ from crankorder.quantities import (
 )
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
-from crankorder.shaft.decode import encoder_pattern, flags_named, shaft_angle
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge, encoder_pattern, flags_named, shaft_angle
 from crankorder.shaft.line_pattern import LinePattern
-from crankorder.shaft.silent_ends import silent_ends
+from crankorder.shaft.standstill import silent_ends
 from crankorder.shaft.summary import shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
@@ -308,7 +307,7 @@ def findings(
     from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
 
     maps = (order_map, campbell, frames, envelope)
-    return Findings(find(*maps, test=test, sources=sources, settings=settings, followed=followed, levels=levels))
+    return find(*maps, test=test, sources=sources, settings=settings, followed=followed, levels=levels)
 
 
 @stage
@@ -491,7 +490,12 @@ def analyse_test(
     ``sources`` says what the machine is made of; ``settings`` are those of all stages.
     """
     results = settings.report.results
-    given: dict[Any, Any] = {TestName: test, Sources: sources, Settings: settings, Findings: {"orders": []}}
+    given: dict[Any, Any] = {
+        TestName: test,
+        Sources: sources,
+        Settings: settings,
+        Findings: nothing_sought(test, reason=""),
+    }
     given[AllShaftAngles] = [item.shaft for item in recordings]
     for gathered, noun in FRAMES_OF.items():
         given[gathered] = [item.frames[noun] for item in recordings if noun in item.frames]

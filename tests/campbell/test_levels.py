@@ -23,6 +23,9 @@ from crankorder.quantities import check_dataset
 from crankorder.report.sentences.of_levels import GEAR_ORDER, GEAR_RECIPE
 from crankorder.settings import load_settings
 from made.recordings import named, shaft
+from made.typed import as_dicts
+
+level_records = as_dicts(level_records)
 
 SETTINGS = load_settings()
 RATE_HZ = 25_600.0

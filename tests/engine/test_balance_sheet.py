@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine
+from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, speed_key
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
-from crankorder.engine.residual_tables import speed_key
 from crankorder.errors import RequestError
 from crankorder.settings import shipped
 

@@ -15,10 +15,11 @@ from crankorder.engine.balancing import (
     equivalent_masses,
     force_by_order,
     frame_force,
+    phasor,
+    polar_diagram,
     rod_counterweight_couple,
     with_counterweights,
 )
-from crankorder.engine.polar import phasor, polar_diagram
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import RequestError
 

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.crank_torque import (
+from crankorder.engine.hinged_crank import (
     CrankTorque,
     TorqueBranch,
     crank_torque,
+    load_hinged_engine,
     potential_torque,
     torque_extrema,
     torque_harmonics,
 )
-from crankorder.engine.hinge_definition import load_hinged_engine
 from crankorder.errors import RequestError
 
 CURVE = load_hinged_engine("elastic-hinge").curve

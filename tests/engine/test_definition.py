@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from crankorder.engine.definition import load_engine
-from crankorder.engine.reverse_cranks import GearTrain
-from crankorder.engine.shafts import ShaftPairParts
+from crankorder.engine.shafts import GearTrain, ShaftPairParts
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import shipped
 

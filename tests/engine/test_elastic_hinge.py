@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.crank_torque import potential_torque
 from crankorder.engine.elastic_hinge import (
     PinHinge,
     branch_quadrature,
@@ -14,13 +13,12 @@ from crankorder.engine.elastic_hinge import (
     hinge_moment,
     mean_gas_moment,
     mean_rod_cosine,
+    pin_hinge_work,
     side_force,
     side_force_without_hinge,
     withheld_moment,
 )
-from crankorder.engine.hinge_definition import load_hinged_engine
-from crankorder.engine.hinge_inertia import pin_hinge_work
-from crankorder.engine.hinged_crank import HingedCrank, Kinematics, rod_motion
+from crankorder.engine.hinged_crank import HingedCrank, Kinematics, load_hinged_engine, potential_torque, rod_motion
 from crankorder.errors import RequestError
 
 ENGINE = load_hinged_engine("elastic-hinge")

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from crankorder.engine.hinge_definition import load_hinged_engine
+from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.errors import ManyErrors, RequestError
 
 GOOD = """

@@ -6,17 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.crank_torque import potential_torque
-from crankorder.engine.elastic_hinge import PinHinge, branch_quadrature, hinge_moment, side_force
-from crankorder.engine.hinge_definition import load_hinged_engine
-from crankorder.engine.hinge_inertia import (
+from crankorder.engine.elastic_hinge import (
+    PinHinge,
+    branch_quadrature,
     half_inertia_slope,
+    hinge_moment,
     reduced_inertia,
+    side_force,
     strut_hinge_moment,
     strut_hinge_work,
     weight_moment,
 )
-from crankorder.engine.hinged_crank import HingedCrank
+from crankorder.engine.hinged_crank import HingedCrank, load_hinged_engine, potential_torque
 
 ENGINE = load_hinged_engine("elastic-hinge")
 CURVE = ENGINE.curve

@@ -6,21 +6,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.crank_torque import CrankTorque, TorqueBranch
-from crankorder.engine.elastic_hinge import hinge_moment, side_force, withheld_moment
-from crankorder.engine.hinge_definition import load_hinged_engine
-from crankorder.engine.hinge_inertia import shaking_force, strut_hinge_moment, weight_moment
-from crankorder.engine.hinge_solutions import (
+from crankorder.engine.elastic_hinge import (
     Joint,
     Weight,
     air_spring_pressure,
     balanced_crank,
     crank_angle_of_hinge,
+    hinge_moment,
     hinge_table,
+    shaking_force,
+    side_force,
+    strut_hinge_moment,
     vertical_counterweight,
+    weight_moment,
     weight_without_side_force,
+    withheld_moment,
 )
-from crankorder.engine.hinged_crank import Kinematics, rod_motion
+from crankorder.engine.hinged_crank import CrankTorque, Kinematics, TorqueBranch, load_hinged_engine, rod_motion
 from crankorder.errors import RequestError
 
 ENGINE = load_hinged_engine("elastic-hinge")

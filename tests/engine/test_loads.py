@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments, inertia_torque_by_order
-from crankorder.engine.gas import gas_torque
-from crankorder.engine.loads import cylinder_loads, main_bearing_loads
+from crankorder.engine.forces import (
+    DIRECTIONS,
+    crankcase_forces,
+    crankcase_moments,
+    cylinder_loads,
+    gas_torque,
+    inertia_torque_by_order,
+    main_bearing_loads,
+)
 from crankorder.engine.slider_crank import piston_acceleration, rod_angle, sine_cosine
 from crankorder.errors import RequestError
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.engine.polar import OrderForce, phasor, polar_diagram, sum_by_order, unbalance_force_n
+from crankorder.engine.balancing import OrderForce, phasor, polar_diagram, sum_by_order, unbalance_force_n
 
 PARTS = st.complex_numbers(max_magnitude=1e6, allow_nan=False, allow_infinity=False)
 ANGLES = np.arange(360) / 360

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import load_balanced_engine, reduced_masses
-from crankorder.engine.balancing import force_by_order
-from crankorder.engine.harmonics import even_harmonics
-from crankorder.engine.polar import unbalance_force_n
-from crankorder.engine.residuals import (
+from crankorder.engine.balance_data import (
     added_mass_force_n,
     leading_harmonics,
+    load_balanced_engine,
     offset_couple_n_m,
     offset_effects,
+    reduced_masses,
     unbalance_class,
 )
+from crankorder.engine.balancing import force_by_order, unbalance_force_n
+from crankorder.engine.harmonics import even_harmonics
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import RequestError
 

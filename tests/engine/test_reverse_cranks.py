@@ -7,9 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from crankorder.engine.balance_data import load_balanced_engine, reduced_masses
-from crankorder.engine.balancing import ReducedMasses
-from crankorder.engine.polar import sum_by_order
-from crankorder.engine.reverse_cranks import (
+from crankorder.engine.balancing import ReducedMasses, sum_by_order
+from crankorder.engine.shafts import (
     Gear,
     GearTolerances,
     GearTrain,

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.engine.balance_data import load_balanced_engine
-from crankorder.engine.balancing import ReducedMasses, force_by_order
-from crankorder.engine.polar import unbalance_force_n
-from crankorder.engine.rod_split import RodSplit, cut_consequences, split_by_scale, two_mass_inertia_g_mm2
+from crankorder.engine.balancing import ReducedMasses, force_by_order, unbalance_force_n
+from crankorder.engine.rod import RodSplit, cut_consequences, split_by_scale, two_mass_inertia_g_mm2
 
 OPTICAL = load_balanced_engine("msu-optical")
 SPLITS = OPTICAL.balance.rod_split

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.engine.balance_data import load_balanced_engine, reduced_masses
-from crankorder.engine.balancing import ReducedMasses
-from crankorder.engine.polar import polar_diagram, unbalance_force_n
+from crankorder.engine.balancing import ReducedMasses, polar_diagram, unbalance_force_n
 from crankorder.engine.shafts import (
     Shaft,
     opposing_pair,

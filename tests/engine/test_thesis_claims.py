@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from crankorder.engine.balance_data import load_balanced_engine, reduced_masses
-from crankorder.engine.balancing import force_by_order
-from crankorder.engine.polar import unbalance_force_n
-from crankorder.engine.residuals import added_mass_force_n, leading_harmonics
+from crankorder.engine.balance_data import added_mass_force_n, leading_harmonics, load_balanced_engine, reduced_masses
+from crankorder.engine.balancing import force_by_order, unbalance_force_n
 from crankorder.engine.slider_crank import SliderCrank, piston_acceleration, rod_angle
 
 OPTICAL = load_balanced_engine("msu-optical").engine.mechanism

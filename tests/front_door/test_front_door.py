@@ -146,8 +146,8 @@ def test_recordings_in_memory_give_what_their_files_give(folder: Path, tmp_path:
                 np.testing.assert_allclose(variable.values, given, rtol=0.0, atol=1e-6 * largest + 1e-300)
     found = co.diagnose(recordings, test="rotor")
     table = on_disk["findings/orders"]
-    assert [record["order"] for record in found["orders"]] == pytest.approx(table["order"].values, rel=1e-9)
-    assert [record["amplitude"] for record in found["orders"]] == pytest.approx(table["amplitude"].values, rel=1e-9)
+    assert [record.order for record in found.orders] == pytest.approx(table["order"].values, rel=1e-9)
+    assert [record.amplitude for record in found.orders] == pytest.approx(table["amplitude"].values, rel=1e-9)
     again = co.run(folder, out=tmp_path / "out", jobs=1)
     xr.testing.assert_identical(again["order_map"].to_dataset(), on_disk["order_map"].to_dataset())
 

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from crankorder import stages
 from crankorder.cli import main
+from crankorder.findings import Findings
 from golden.cases import DEFAULT, MANIFESTS, SHARED, Case
 from golden.summary import Summary, summary_of_findings, summary_of_results
 
@@ -33,7 +34,9 @@ def summary_of(case: Case, folder: Path) -> Summary:
         made["stages"] = stages_of(results.parent)
         made["results"] = summary_of_results(results)
         findings = results.parent / "findings.json"
-        made["findings"] = summary_of_findings(json.loads(findings.read_bytes())) if findings.exists() else {}
+        document = json.loads(findings.read_bytes()) if findings.exists() else {}
+        assert not document or Findings.from_dict(document).as_dict() == document
+        made["findings"] = summary_of_findings(document)
     return made
 
 

@@ -9,6 +9,9 @@ from crankorder.engine.definition import BalanceShafts, Cylinder, GasCurve
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.closure import closure
 from made.order_amplitudes import Structure, engine_of, made_orders
+from made.typed import as_dicts
+
+closure = as_dicts(closure)
 
 OFFSET_GAIN = 1.002325  # of the first order by an offset of 10 mm: truth sheet 2.6
 

@@ -9,6 +9,9 @@ import pytest
 
 from crankorder.identify.changes.balance_change import balance_changes, factor_of
 from crankorder.identify.changes.mass_change import Unbalance
+from made.typed import from_dicts
+
+balance_changes = from_dicts(balance_changes)
 
 
 def unbalance(order: float, factor: complex, error: float, channel: str = "Z") -> Unbalance:

@@ -14,6 +14,9 @@ from crankorder.identify.bearings.trend import kendall_p_value, run_amplitudes, 
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.strikes import strikes
+from made.typed import as_dicts
+
+bearing_records = as_dicts(bearing_records)
 
 SETTINGS = load_settings()
 

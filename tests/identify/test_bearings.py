@@ -16,6 +16,9 @@ from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line
 from made.strikes import recording, strikes
+from made.typed import as_dicts
+
+bearing_records = as_dicts(bearing_records)
 
 SETTINGS = load_settings()
 NINE = Bearing(name="drive end", designation="6205-2RS")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
+from crankorder.findings import BearingFinding, OrderFinding
 from crankorder.identify.changes.compared import compared
 from crankorder.identify.changes.map_difference import independent_frames, map_difference
 from crankorder.identify.changes.order_changes import Line, change, like_speeds, mean_ratio, orders_to_compare
 from made.recordings import steady
 from made.two_tests import RATE_HZ, SETTINGS, SPEEDS_RPM, made_test
+from made.typed import record_of
 
 Q = 0.05
 BASE = {1.0: lambda rpm: 0.5 * (rpm / 1000) ** 2, 2.0: lambda rpm: 0.3j, 5.5: lambda rpm: 0.4}
@@ -37,7 +41,7 @@ def test_speeds_are_matched_nearest_first_and_none_is_used_twice():
 
 def test_orders_within_their_intervals_are_one_and_a_slipping_one_is_not_locked():
     def record(order, half, lock="locked"):
-        return {"order": order, "order_ci95": [order - half, order + half], "locked": lock == "locked", "lock": lock}
+        return record_of(OrderFinding, {"order": order, "order_ci95": [order - half, order + half], "lock": lock})
 
     found = orders_to_compare([record(1.01, 0.02), record(5.47, 0.001, "slips")], [record(5.475, 0.001)], 20.0)
     assert found == [(1.0, True), (2.0, True), (5.47, False)]
@@ -145,13 +149,12 @@ def test_a_bearing_line_that_grows_from_run_to_run_is_the_cause_where_no_order_c
     for number in range(4):
         test = made_test({1.0: lambda rpm: 0.5}, name=f"run {number}", seed=40 + number, speeds=SPEEDS_RPM[:2])
         size = 0.02 * 1.5**number
-        test.findings["bearings"].append(
-            {
-                "name": "jack shaft", "line": "BPFO", "order": 2.183, "channel": "A", "seen_in": "vibration",
-                "amplitude": size, "amplitude_ci95": [0.9 * size, 1.1 * size],
-            }
-        )  # fmt: skip
-        runs.append(test)
+        told = {
+            "name": "jack shaft", "line": "BPFO", "order": 2.183, "channel": "A", "seen_in": "vibration",
+            "amplitude": size, "amplitude_ci95": [0.9 * size, 1.1 * size],
+        }  # fmt: skip
+        findings = replace(test.findings, bearings=(record_of(BearingFinding, told),))
+        runs.append(replace(test, findings=findings))
     document = compared(runs, q=0.01).document
     assert document["cause"] == {"cause": "growing line", "orders": [2.183]}
     (record,) = [one for one in document["trend"] if one["changed"]]

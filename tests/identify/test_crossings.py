@@ -13,6 +13,9 @@ from crankorder.identify.responses import held_amplitudes, shapes
 from crankorder.identify.speed_records import crossing_records
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
+from made.typed import as_dicts
+
+crossing_records = as_dicts(crossing_records)
 
 SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)

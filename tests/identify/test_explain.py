@@ -10,6 +10,7 @@ import pytest
 from scipy.io import loadmat
 
 from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.findings import BearingFinding
 from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
@@ -17,8 +18,9 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.settings import load_settings
-from crankorder.shaft.folding import Fold
+from crankorder.shaft.aliasing import Fold
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
+from made.typed import record_of
 
 SETTINGS = load_settings().identify
 FOUR_STROKE = Sources(revs_per_cycle=2)
@@ -44,13 +46,9 @@ def texts(orders, sources, **given):
 
 
 def bearing_record(bearing, name, order, *, half=1e-3, seen_in="vibration"):
-    return {
-        "name": bearing.name,
-        "line": name,
-        "order": order,
-        "order_ci95": [order - half, order + half],
-        "seen_in": seen_in,
-    }
+    ends = (order - half, order + half)
+    told = {"name": bearing.name, "line": name, "order": order, "order_ci95": ends, "seen_in": seen_in}
+    return record_of(BearingFinding, told)
 
 
 def test_orders_of_the_moving_masses_are_engine_kinematics_and_others_are_not():

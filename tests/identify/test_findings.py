@@ -14,6 +14,9 @@ from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
+from made.typed import as_dicts
+
+find = as_dicts(find)
 
 SETTINGS = load_settings()
 SPEEDS_RPM = np.arange(600.0, 2001.0, 100.0)

@@ -7,7 +7,7 @@ import xarray as xr
 
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.settings import load_settings
-from crankorder.shaft.folding import folded_order
+from crankorder.shaft.aliasing import folded_order
 from made.found_lines import line
 
 SPEEDS = np.arange(1150.0, 1260.0, 10.0)

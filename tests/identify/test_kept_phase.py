@@ -64,7 +64,7 @@ def test_a_resonance_that_noise_excites_keeps_no_phase() -> None:
         for k in range(1, 30):
             phasor[k] = kept * phasor[k - 1] + np.sqrt(1.0 - kept**2) * phasor[k]
         hits += keeps_its_phase(
-            [(phasor, centre, float(HOP))], order=5.5, worth=0.95, slips=False, false_alarm_probability=1e-2
+            [(phasor, centre, float(HOP))], order=5.5, independent_share=0.95, slips=False, false_alarm_probability=1e-2
         )
     assert hits <= 25
 
@@ -73,4 +73,4 @@ def test_a_blow_that_rings_in_one_frame_is_no_line() -> None:
     phasor = np.zeros(30, complex)
     phasor[14:16] = 1.0, 0.4
     given = [(phasor, HOP * np.arange(30.0), float(HOP))]
-    assert not keeps_its_phase(given, order=12.0, worth=0.95, slips=False, false_alarm_probability=1e-3)
+    assert not keeps_its_phase(given, order=12.0, independent_share=0.95, slips=False, false_alarm_probability=1e-3)

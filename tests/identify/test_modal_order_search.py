@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode
-from crankorder.identify.modal.order_modes import mode_of
-from crankorder.identify.modal.order_proof import OrderPole, Proof
+from crankorder.identify.modal.order_modes import OrderPole, Proof, mode_of
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.order_search import poles_of_orders, settled
 from crankorder.identify.modal.surface_fit import NO_POLES

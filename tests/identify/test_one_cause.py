@@ -12,6 +12,7 @@ from crankorder.identify.said import MAY_BE_ALL
 from crankorder.report.sentences.of_lines import tone_sentences
 from crankorder.report.sentences.of_modes import mode_sentences
 from made.found_lines import agreed, fit, line, mode
+from made.typed import findings_of
 
 GRID_HZ = np.arange(0.0, 200.0, 0.5)
 
@@ -43,7 +44,7 @@ def test_a_doubtful_natural_frequency_names_the_line_that_stands_there() -> None
         | {"undecided": one.undecided}
         for one in said.modes
     ] + [{"frequency_hz": 49.984, "explained_by": "mains"}]
-    findings = {"modes": records, "lines": [], "orders": []}
+    findings = findings_of({"modes": records})
     text = "\n".join(mode_sentences(findings))
     assert text.count(MAY_BE_ALL) == 1 and "1 more line is not decided" in text
     assert "a natural frequency may be there too" in tone_sentences(findings)[0]

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
 from crankorder.identify.modal import order_responses
-from crankorder.identify.modal.bases import orthonormal
 from crankorder.identify.modal.order_responses import (
     Block,
     Blocks,
@@ -23,7 +22,8 @@ from crankorder.identify.modal.order_responses import (
     with_best_law,
     with_scatter,
 )
-from crankorder.identify.modal.scatter import ENOUGH_FREEDOM, LEAST_NOISE, LEAST_SCATTER, scatter_of
+from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modal.order_terms import orthonormal, scatter_of
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
 from crankorder.identify.responses import held_amplitudes, with_and_without
 from made.found_lines import mode, poles_of
@@ -74,7 +74,7 @@ def test_linear_terms_are_recovered_within_their_errors() -> None:
         for channel in range(3):
             inverse = np.linalg.inv(part.covariance[channel])
             chi2.append(float((off[channel].conj() @ inverse @ off[channel]).real))
-        assert part.chi2 == pytest.approx(part.freedom, abs=5.0 * np.sqrt(2.0 * part.freedom))
+        assert part.chi2 == pytest.approx(part.degrees_of_freedom, abs=5.0 * np.sqrt(2.0 * part.degrees_of_freedom))
     # 3 complex terms: 6 squares of standard normals, whose variance is 12
     assert np.mean(chi2) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / len(chi2)))
 
@@ -116,7 +116,8 @@ def test_noise_alone_is_no_scatter() -> None:
 
 @pytest.mark.parametrize("power", [False, True])
 def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(order_responses, "ENOUGH_FREEDOM", 10**9)  # the law of the force stays as it is
+    # the law of the force stays as it is
+    monkeypatch.setitem(ORDER_TERMS.__dict__, "enough_degrees_of_freedom", 10**9)
     block, _, _ = _block(3, error=0.05, power=power)
     poles = Poles(np.array([60.4, 74.5]), np.array([0.025, 0.012]), np.zeros(2, dtype=bool))
     (slopes,), (left,), cost = Blocks((block,)).evaluate(poles)
@@ -171,7 +172,7 @@ def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -
     amplitude[1, ::3] = 0.0
     part = project(replace(block, error=error, amplitude=amplitude), TRUE)
     assert np.abs(part.linear[:, 1:] - residue).max() < 0.02
-    assert part.freedom == 2 * (3 * 60 - 20 - 9)
+    assert part.degrees_of_freedom == 2 * (3 * 60 - 20 - 9)
 
 
 def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_without_a_mode() -> None:
@@ -209,17 +210,19 @@ def _halved_plainly(squared: NDArray, error: NDArray, size: NDArray, freedom: in
     def too_little(scatter: float, noise: float) -> bool:
         return bool(np.sum(squared / (noise**2 * error + scatter**2 * size)) > freedom)
 
-    by_scatter = too_little(LEAST_SCATTER, 1.0)
-    if not by_scatter and freedom < ENOUGH_FREEDOM:
-        return LEAST_SCATTER, 1.0
-    first, last = (np.log(LEAST_SCATTER), np.log(1e3)) if by_scatter else (np.log(LEAST_NOISE), 0.0)
+    by_scatter = too_little(ORDER_TERMS.least_scatter, 1.0)
+    if not by_scatter and freedom < ORDER_TERMS.enough_degrees_of_freedom:
+        return ORDER_TERMS.least_scatter, 1.0
+    first, last = (
+        (np.log(ORDER_TERMS.least_scatter), np.log(1e3)) if by_scatter else (np.log(ORDER_TERMS.least_noise_share), 0.0)
+    )
     for _ in range(20):
         middle = 0.5 * (first + last)
         at = float(np.exp(middle))
-        below = too_little(at, 1.0) if by_scatter else too_little(LEAST_SCATTER, at)
+        below = too_little(at, 1.0) if by_scatter else too_little(ORDER_TERMS.least_scatter, at)
         first, last = (middle, last) if below else (first, middle)
     told = float(np.exp(0.5 * (first + last)))
-    return (told, 1.0) if by_scatter else (LEAST_SCATTER, told)
+    return (told, 1.0) if by_scatter else (ORDER_TERMS.least_scatter, told)
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -10,11 +10,15 @@ import pytest
 from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
 from crankorder.identify.responses import held_amplitudes
-from crankorder.identify.speed_records import avoided_records, band_records
+from crankorder.identify.speed_records import avoided_records, open_records
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
+from made.typed import as_dicts
+
+avoided_records = as_dicts(avoided_records)
+open_records = as_dicts(open_records)
 
 SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)
@@ -222,7 +226,7 @@ def test_free_and_open_bands_and_speeds_to_avoid_cover_the_tested_range():
         beside = [(item.rpm * 0.96, item.rpm * 1.04) for item in verdicts.avoid]  # not free, and named by what they are
         assert all(any(low <= rpm <= high for low, high in [*covered, *beside]) for rpm in at)
         assert not any(f[0] < o[1] and o[0] < f[1] for f in ends(verdicts.free) for o in ends(verdicts.open))
-        assert band_records(verdicts.open) == [
+        assert open_records(verdicts.open) == [
             {"low_rpm": item.low_rpm, "high_rpm": item.high_rpm, "remark": item.remark} for item in verdicts.open
         ]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.modal.order_proof import named
+from crankorder.identify.modal.order_modes import named
 from crankorder.identify.modal.order_responses import Block, project
 from crankorder.identify.modal.order_search import NO_PRIOR, Fitted
 from crankorder.identify.modal.passage import Passage, passage_of

@@ -9,6 +9,9 @@ from crankorder.engine.transfer_paths import PathMode, StatedPath
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
+from made.typed import as_dicts
+
+closure = as_dicts(closure)
 
 RPM = np.arange(300.0, 2001.0, 50.0)
 ORDER = np.arange(8, 49) / 16

@@ -7,6 +7,9 @@ from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.trial_mass import trial_mass
 from made.order_amplitudes import Structure, engine_of, made_orders
+from made.typed import as_dicts
+
+trial_mass = as_dicts(trial_mass)
 
 ROTOR = engine_of(cycle="rotor", reciprocating_mass_kg=0.0, shafts=BalanceShafts(), offset_m=0.0)
 

@@ -26,7 +26,11 @@ from crankorder.settings import load_settings
 from made.floors import no_orders
 from made.found_lines import agreed, fit, line
 from made.recordings import steady
+from made.typed import as_dicts, from_dicts
 from made.whirls import Moving, Rotor, signals, whirling_campbell
+
+mode_records = as_dicts(mode_records)
+find = as_dicts(find)
 
 SETTINGS = load_settings().identify
 FORWARD = Moving(hz=56.0, slope=0.12, damping=0.02)
@@ -200,7 +204,9 @@ def test_records_and_sentences_tell_the_whirl() -> None:
     (record,) = mode_records(fit(whirls=(_known(-0.12),)), causes, [])
     assert record["explained_by"] == "whirl" and record["reference_rpm"] == 2500.0
     assert record["speed_slope_ci95"][0] < -0.12 < record["speed_slope_ci95"][1]
-    assert mode_sentences({"modes": [record]}) == ["Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."]
+    assert from_dicts(mode_sentences)({"modes": [record]}) == [
+        "Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."
+    ]
 
 
 def _rotor_test(seed: int) -> dict[str, Any]:

@@ -20,7 +20,9 @@ from crankorder.identify.bearings.records import bearing_records
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from machines.bearing_rig import FAULTS, LINE_OF, BearingRig, draw_rig, recorded, samples
+from made.typed import as_dicts
 
+bearing_records = as_dicts(bearing_records)
 SETTINGS = load_settings()
 QUIET = {"orders": (), "mains": (), "mesh": None, "colour": 0.0, "swell": 0.0, "shocks_per_s": 0.0}
 LEAST_FOUND = {"outer": 0.9, "inner": 0.6, "ball": 0.6, "cage": 0.4}

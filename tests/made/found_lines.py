@@ -89,7 +89,7 @@ def made_response(
         residue=np.array(residue, dtype=complex),
         reached=np.arange(len(modal.modes)),
         covariance=np.zeros((terms, terms), dtype=complex),
-        freedom=2 * (len(SPEEDS_RPM) - terms),
+        degrees_of_freedom=2 * (len(SPEEDS_RPM) - terms),
         error=0.0,
         fits=True,
     )

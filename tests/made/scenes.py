@@ -12,8 +12,8 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.orders.frames import order_frames
 from crankorder.settings import Settings
 from crankorder.synth.crank import start_angle_rev
-from crankorder.synth.floor import floor_of
 from crankorder.synth.load import load_scene
+from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Speeds, TimeSampling
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene

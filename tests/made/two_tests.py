@@ -20,6 +20,7 @@ from crankorder.orders.map import order_map
 from crankorder.report.netcdf import results_bytes
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
+from made.typed import findings_of
 
 SETTINGS = load_settings(
     asked={"campbell": {"max_frequency_hz": 300.0, "resolution_hz": 2.0}, "orders": {"max_order": 12.0}}
@@ -61,7 +62,9 @@ def made_test(
     maps = {
         key: one.assign_coords(channel=list(channels)) if "channel" in one.sizes else one for key, one in maps.items()
     }
-    return Tested(name, findings(lines, channels, name, modes), {**stated(name, channels), **(run or {})}, maps)
+    return Tested(
+        name, findings_of(findings(lines, channels, name, modes)), {**stated(name, channels), **(run or {})}, maps
+    )
 
 
 def _shaft(speeds: Sequence[float]) -> xr.Dataset:
@@ -130,7 +133,7 @@ def written(test: Tested, out: Path) -> Path:
     folder = out / test.name.replace(" ", "-")
     files = {
         "results.nc": results_bytes(dict(test.maps), attrs={"title": test.name}),
-        "findings.json": json_bytes(dict(test.findings)),
+        "findings.json": json_bytes(test.findings.as_dict()),
         "run.json": json_bytes({**test.run, "test": test.name}),
     }
     publish(folder, files, key="made")

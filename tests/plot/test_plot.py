@@ -464,7 +464,9 @@ def test_cells_and_words_are_those_of_the_report() -> None:
     assert bin_edges(np.array([0.0, 1.0, 3.0])).tolist() == [-0.5, 0.5, 2.0, 4.0]
     for order, ends in ((1.99973, [1.9995, 2.0003]), (3.58, [3.57, 3.59]), (5.5, None), (1.005, [1.004, 1.006])):
         record = {"order": order, "order_ci95": ends}
-        assert nominal_order(record) == pytest.approx(report_notation.nominal_order(record), abs=1e-3)
+        assert nominal_order(record) == pytest.approx(
+            report_notation.nominal_order(SimpleNamespace(**record)), abs=1e-3
+        )
     assert order_texts([1.0, 1.0002, 2.5]) == ["1", "1.0002", "2.5"]
 
 

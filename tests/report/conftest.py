@@ -118,6 +118,13 @@ def _order_map(speeds: np.ndarray, coords: dict[str, Any], gains: np.ndarray) ->
     return xr.Dataset(variables, coords | axes, dict.fromkeys(schema["attrs"]["required"], "stated"))
 
 
+def _met_hz(order: float, rpm: float) -> float | None:
+    """Natural frequency within 3 % of the order's line at that speed."""
+    line_hz = order * rpm / 60
+    near = [mode_hz for mode_hz in MODES_HZ if abs(mode_hz - line_hz) <= 0.03 * mode_hz]
+    return min(near, key=lambda mode_hz: abs(mode_hz - line_hz), default=None)
+
+
 def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
     records = []
     for channel in tracks.channel.values.tolist():
@@ -139,6 +146,7 @@ def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
                     "speed_rpm_at_max": float(track.speed[peak]),
                     "speed_exponent": exponent,
                     "speed_exponent_ci95": [exponent - 0.2, exponent + 0.2],
+                    "meets_hz": _met_hz(order, float(track.speed[peak])),
                     "speed_range_rpm": [float(track.speed[0]), float(track.speed[-1])],
                     "explained_by": "bearing jack shaft N*fs" if order == 5.5 else "engine order",
                 }

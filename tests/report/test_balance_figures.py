@@ -12,9 +12,8 @@ from matplotlib.text import Text
 
 from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, reduced_masses
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.balancing import frame_force
-from crankorder.engine.hinge_definition import load_hinged_engine
-from crankorder.engine.polar import unbalance_force_n
+from crankorder.engine.balancing import frame_force, unbalance_force_n
+from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.dataset import balance_dataset
 from crankorder.report.balance.figures import force_figure

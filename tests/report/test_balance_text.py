@@ -9,10 +9,9 @@ import pytest
 
 from crankorder.engine.balance_data import load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.hinge_definition import load_hinged_engine
 from crankorder.engine.hinge_sheet import hinge_sheet
-from crankorder.report.balance.hinge_text import hinge_text
-from crankorder.report.balance.text import balance_text, shown_orders
+from crankorder.engine.hinged_crank import load_hinged_engine
+from crankorder.report.balance.text import balance_text, hinge_text, shown_orders
 from crankorder.report.text_table import MISSING, WIDTH, paragraph, short_number, text_table
 from crankorder.settings import shipped
 

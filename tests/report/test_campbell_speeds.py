@@ -9,6 +9,9 @@ import pytest
 
 from crankorder.report.campbell_figure import campbell_figure
 from crankorder.report.drawing.drawn import Drawing, Field
+from made.typed import from_dicts
+
+campbell_figure = from_dicts(campbell_figure)
 
 
 def _box(figure: Drawing) -> tuple[float, float, float, float]:

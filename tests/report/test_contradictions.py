@@ -9,6 +9,12 @@ from typing import Any
 import pytest
 
 from crankorder.report.contradictions import contradiction_flags, contradictions
+from made.typed import from_dicts
+
+contradiction_flags, contradictions = map(
+    from_dicts,
+    (contradiction_flags, contradictions),
+)
 
 Findings = dict[str, Any]
 
@@ -165,7 +171,7 @@ def test_each_contradiction_is_told(full: Findings, make: Callable[[Findings], N
     told = contradictions(full)
     assert any(MADE[make] in words for words in told), told
     flags = contradiction_flags(json.loads(json.dumps(full)))
-    assert {flag["flag"] for flag in flags} == {"contradiction"} and len(flags) == len(told)
+    assert {flag.flag for flag in flags} == {"contradiction"} and len(flags) == len(told)
 
 
 def test_a_crossing_that_is_seen_but_hardly_felt_may_lie_in_a_free_band() -> None:

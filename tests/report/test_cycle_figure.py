@@ -14,6 +14,9 @@ from crankorder.report.cycle_figure import cycle_figure
 from crankorder.report.figures import png_bytes
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
+from made.typed import from_dicts
+
+cycle_figure = from_dicts(cycle_figure)
 
 ORDERS = load_settings().orders
 HOSTILE = "Ba$$in <script>alert(1)</script>"

@@ -12,6 +12,12 @@ from crankorder.report.drawing.drawn import Drawing, Rings
 from crankorder.report.envelope_figure import envelope_figure
 from crankorder.report.figures import png_bytes
 from crankorder.report.pictures import pictures_of
+from made.typed import from_dicts
+
+envelope_figure, pictures_of = map(
+    from_dicts,
+    (envelope_figure, pictures_of),
+)
 
 
 def _rings(figure: Drawing) -> list[Rings]:

@@ -28,6 +28,12 @@ from crankorder.report.figures import (
 from crankorder.report.pictures import pictures_of
 from crankorder.report.speed_figure import changing_recordings
 from crankorder.shaft.summary import speed_trace, trace_variables
+from made.typed import from_dicts
+
+campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of = map(
+    from_dicts,
+    (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of),
+)
 
 HARD = [
     "one speed", "two speeds", "run-up", "hostile", "all zero", "thirty orders", "sixty orders", "eight channels",

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crankorder.plot.axes import decade_text
 from crankorder.plot.cells import speed_cells
 from crankorder.plot.spreading import spread
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
 from crankorder.report.drawing.labels import EdgeLabel, fitted
-from crankorder.report.drawing.ticks import decade_text, linear_texts, linear_ticks
+from crankorder.report.drawing.ticks import linear_texts, linear_ticks
 from crankorder.report.drawing.typeface import drawable, text_width_in
 
 

@@ -7,6 +7,12 @@ from typing import Any
 from crankorder.report.sentences.of_lines import strongest_sentence, tone_sentences
 from crankorder.report.sentences.of_motor import FIELD_SIDES, SHAFT_SIDES, motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
+from made.typed import from_dicts
+
+strongest_sentence, tone_sentences, motor_sentences, law_sentences, lock_sentences = map(
+    from_dicts,
+    (strongest_sentence, tone_sentences, motor_sentences, law_sentences, lock_sentences),
+)
 
 
 def line(name: str, hertz: float, size: float, *, side: str = "", others: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -17,6 +17,9 @@ import xarray as xr
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.quantities import check_dataset
 from crankorder.report.netcdf import findings_datasets, read_results, results_bytes
+from made.typed import from_dicts
+
+findings_datasets = from_dicts(findings_datasets)
 
 _READ_BY_NETCDF4 = """
 import json, sys, netCDF4
@@ -38,10 +41,12 @@ spec = importlib.util.spec_from_file_location("drawn", sys.argv[1])
 drawn = importlib.util.module_from_spec(spec)
 sys.modules["drawn"] = drawn
 spec.loader.exec_module(drawn)
+from crankorder.findings import Findings
 from crankorder.report.netcdf import findings_datasets, results_bytes
 test = drawn.drawn_test(np.arange(300.0, 2001.0, 50.0))
 groups = {"order_map": test.order_map, "campbell_map": test.campbell, "order_tracks": test.tracks}
-print(hashlib.sha256(results_bytes(groups | findings_datasets(test.findings), attrs={"title": "t"})).hexdigest())
+findings = findings_datasets(Findings.from_dict(test.findings))
+print(hashlib.sha256(results_bytes(groups | findings, attrs={"title": "t"})).hexdigest())
 """
 
 

@@ -14,6 +14,12 @@ from crankorder.quantities import schema_of
 from crankorder.report.page import index_page, report_page
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
+from made.typed import from_dicts
+
+report_page, headline, story_of, tables_of = map(
+    from_dicts,
+    (report_page, headline, story_of, tables_of),
+)
 
 HOSTILE = (
     "</script><script>alert(1)</script>",

@@ -14,6 +14,9 @@ from crankorder.report.figures import png_bytes
 from crankorder.report.shapes_figure import shapes_figure
 from crankorder.settings import load_settings
 from made.frames import frames_of
+from made.typed import from_dicts
+
+shapes_figure = from_dicts(shapes_figure)
 
 ORDERS = load_settings().orders
 ALL = tuple(np.arange(1, 17) / 2)

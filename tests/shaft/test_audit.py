@@ -8,9 +8,8 @@ import xarray as xr
 
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_knots, knots_of, time_at
-from crankorder.shaft.audit import reference_audit
+from crankorder.shaft.audit import Modulation, reference_audit, reference_of, seen_motion
 from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.reference_errors import Modulation, reference_of, seen_motion
 from crankorder.synth.motion import Motion
 
 SETTINGS = load_settings().shaft

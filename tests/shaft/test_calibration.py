@@ -13,10 +13,10 @@ from crankorder.shaft.line_pattern import even_line_times, line_pattern
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.crank import crank_motion
-from crankorder.synth.effects import Encoder, InCycleSpeed, SpeedOrder
 from crankorder.synth.encoder import encoder_signals
 from crankorder.synth.load import load_scene
 from crankorder.synth.motion import Motion
+from crankorder.synth.parts import Encoder, InCycleSpeed, SpeedOrder
 from crankorder.synth.wheel import wheel_of
 
 SETTINGS = load_settings().shaft

@@ -9,10 +9,9 @@ import xarray as xr
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from crankorder.shaft.angle import angle_at
+from crankorder.shaft.angle import angle_at, integrated_speed
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.speed_signal import integrated_speed
 
 SETTINGS = load_settings().shaft
 

@@ -13,9 +13,16 @@ from crankorder.engine.in_cycle import Lag, lag_from_torque
 from crankorder.errors import RequestError
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import AngleKnots, angle_at, angle_knots, time_at
-from crankorder.shaft.fill import filled, lag_parts, mean_pulse_times, mean_rate
-from crankorder.shaft.in_cycle import InCycleModel, in_cycle_model, knots_with_model
 from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.torsion import (
+    InCycleModel,
+    filled,
+    in_cycle_model,
+    knots_with_model,
+    lag_parts,
+    mean_pulse_times,
+    mean_rate,
+)
 from crankorder.synth.motion import Motion
 
 SETTINGS = load_settings().shaft

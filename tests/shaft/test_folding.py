@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.shaft.folding import find_folds, folded_lines, folded_order
-from crankorder.synth.floor import floor_of
+from crankorder.shaft.aliasing import find_folds, folded_lines, folded_order
 from crankorder.synth.load import load_scene
+from crankorder.synth.noise import floor_of
 from crankorder.synth.recording import sensed
 
 SPEEDS = np.array([800.0, 1000.0, 1500.0, 2000.0])

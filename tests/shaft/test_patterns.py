@@ -15,8 +15,8 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pattern import angles_fault, grid_of, known_names, pattern_of
-from crankorder.shaft.pattern_search import find_pattern
 from crankorder.shaft.repair import running_part
+from crankorder.shaft.uneven_wheel import find_pattern
 from crankorder.shaft.wheel import number_teeth
 
 SETTINGS = load_settings().shaft

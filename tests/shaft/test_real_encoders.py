@@ -11,10 +11,9 @@ import pytest
 
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
-from crankorder.shaft.angle import angle_at
+from crankorder.shaft.angle import angle_at, integrated_speed
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.speed_signal import integrated_speed
 
 SETTINGS = load_settings().shaft
 LOADED = ["full_load.txt", "E0FULLOAD1.txt", "E0FULLOAD2.txt", "E0HALFLOAD1.txt", "E0NOLOAD1.txt", "E10FULLLOAD1.txt"]

@@ -20,8 +20,8 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, time_at
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pattern import pattern_of
-from crankorder.shaft.pattern_search import find_pattern
 from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.uneven_wheel import find_pattern
 
 SETTINGS = load_settings().shaft
 COUNT_FAULTS = {"encoder_missing_pulse", "encoder_double_pulse", "encoder_slip", "encoder_gap"}

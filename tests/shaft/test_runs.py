@@ -8,7 +8,7 @@ import pytest
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots
 from crankorder.shaft.repair import running_parts
-from crankorder.shaft.runs import ShaftRun, joined
+from crankorder.shaft.standstill import ShaftRun, joined
 
 
 @pytest.mark.parametrize(("teeth", "still_s"), [(60, 0.5), (360, 1.5), (120, 0.8)])

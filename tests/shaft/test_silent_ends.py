@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.shaft.silent_ends import silent_ends
+from crankorder.shaft.standstill import silent_ends
 
 RATE_HZ, LENGTH_S = 2048.0, 20.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from crankorder.settings import load_settings
-from crankorder.shaft.speed_signal import integrated_speed
+from crankorder.shaft.angle import integrated_speed
 
 SETTINGS = load_settings().shaft
 RATE_HZ = 2000.0

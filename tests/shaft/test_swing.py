@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.shaft.swing import speed_swing
+from crankorder.shaft.tooth_errors import speed_swing
 
 
 def swinging(

@@ -8,8 +8,7 @@ import pytest
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.swing import speed_swing
-from crankorder.shaft.tooth_errors import same_wheel, stated_teeth, tooth_errors
+from crankorder.shaft.tooth_errors import same_wheel, speed_swing, stated_teeth, tooth_errors
 from crankorder.shaft.wheel import number_teeth
 
 SETTINGS = load_settings().shaft

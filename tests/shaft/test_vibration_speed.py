@@ -21,8 +21,8 @@ from crankorder.shaft.vibration_speed import (
     speed_from_vibration,
     trusted_angle,
 )
-from crankorder.synth.floor import floor_of
 from crankorder.synth.load import load_scene
+from crankorder.synth.noise import floor_of
 from crankorder.synth.recording import synthesise
 
 SETTINGS = load_settings().shaft

@@ -9,8 +9,8 @@ import pytest
 from crankorder.ingest import hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
-from crankorder.synth.acquisition import recorded, true_rate_hz
-from crankorder.synth.effects import Acquisition
+from crankorder.synth.analogue import recorded, true_rate_hz
+from crankorder.synth.parts import Acquisition
 
 RNG = np.random.default_rng(5)
 PER_SAMPLE = 0.02 * (np.sqrt(5) - 1) / 2

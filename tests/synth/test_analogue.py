@@ -6,7 +6,7 @@ from scipy import signal as scipy_signal
 
 from crankorder.errors import RequestError
 from crankorder.synth.analogue import AnalogueFilter, analogue_filter, high_pass, in_series, low_pass
-from crankorder.synth.effects import Acquisition
+from crankorder.synth.parts import Acquisition
 
 
 def decibels(filter_: AnalogueFilter, *frequency_hz: float) -> np.ndarray:

@@ -7,9 +7,8 @@ import pytest
 
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.cycle import lines_in_angle, lines_in_time
 from crankorder.synth.motion import Motion
-from crankorder.synth.order_forces import ForceLines
+from crankorder.synth.order_forces import ForceLines, lines_in_angle, lines_in_time
 
 ORDERS = np.array([0.0, 0.5, 1.0, 2.0, 2.0, 4.0, 5.3])
 RPM = 1300.0

@@ -14,8 +14,7 @@ from crankorder.synth.analogue import in_series, low_pass
 from crankorder.synth.driven import driven_signal
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines
-from crankorder.synth.poles import poles_of
-from crankorder.synth.response import Structure, accelerance
+from crankorder.synth.poles import Structure, accelerance, poles_of
 
 RATE_HZ = 5000.0
 OMEGA, ZETA = 2 * np.pi * np.array([60.0, 115.0, 400.0]), np.array([0.15, 0.1, 0.05])

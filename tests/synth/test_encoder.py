@@ -9,9 +9,9 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.synth.effects import Encoder
 from crankorder.synth.encoder import EncoderSignals, encoder_signals, sampled_encoder
 from crankorder.synth.motion import Motion
+from crankorder.synth.parts import Encoder
 from crankorder.synth.wheel import encoder_turn, wheel_of
 
 RATE_HZ = 50_000.0

@@ -10,20 +10,19 @@ from crankorder.errors import InputError
 from crankorder.settings import load_settings
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import NumberedTeeth, number_teeth
-from crankorder.synth.effects import Encoder
-from crankorder.synth.encoder import EncoderSignals, encoder_signals
-from crankorder.synth.encoder_faults import Record
-from crankorder.synth.faults import (
+from crankorder.synth.encoder import EncoderSignals, Record, encoder_signals
+from crankorder.synth.motion import Motion
+from crankorder.synth.parts import (
     AnyEncoderFault,
     DamagedLine,
     DoublePulses,
+    Encoder,
     EncoderDropout,
     ExtraIndex,
     IndexSlip,
     LostIndex,
     LostPulses,
 )
-from crankorder.synth.motion import Motion
 
 RATE_HZ = 50_000.0
 SHAFT = load_settings().shaft

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from crankorder.errors import RequestError
 from crankorder.synth.analogue import high_pass, in_series, low_pass
-from crankorder.synth.impacts import modulation, ringing, ringing_s, slipping_line, strike_angles
+from crankorder.synth.lines import modulation, ringing, ringing_s, slipping_line, strike_angles
 from crankorder.synth.noise import seed_stream
 
 BPFO = 2.2

@@ -9,11 +9,10 @@ import pytest
 
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.crank import crank_motion
-from crankorder.synth.effects import InCycleSpeed, SpeedOrder
-from crankorder.synth.in_cycle import lag_by_order
+from crankorder.synth.crank import crank_motion, lag_by_order
 from crankorder.synth.load import load_scene
 from crankorder.synth.motion import Motion
+from crankorder.synth.parts import InCycleSpeed, SpeedOrder
 from crankorder.synth.scene import Scene
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from crankorder.errors import RequestError
-from crankorder.synth.integration import (
+from crankorder.synth.driven import (
     STENCILS,
     Integration,
     advance,

@@ -7,11 +7,18 @@ import pytest
 
 from crankorder.engine.definition import Engine
 from crankorder.synth.crank import crank_motion
-from crankorder.synth.effects import Acquisition, EngineForces, InCycleSpeed, InjectedOrder, SpeedOrder
-from crankorder.synth.floor import floor_of
 from crankorder.synth.lines import crank_forces, driven_lines, order_lines
+from crankorder.synth.noise import floor_of
 from crankorder.synth.order_forces import force_at
-from crankorder.synth.parts import AXES, SpeedProfile
+from crankorder.synth.parts import (
+    AXES,
+    Acquisition,
+    EngineForces,
+    InCycleSpeed,
+    InjectedOrder,
+    SpeedOrder,
+    SpeedProfile,
+)
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene
 from crankorder.synth.truth import truth_of

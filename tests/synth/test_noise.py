@@ -6,7 +6,6 @@ from scipy import signal as scipy_signal
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from crankorder.synth.analogue import high_pass, low_pass
-from crankorder.synth.effects import ColouredNoise
 from crankorder.synth.noise import (
     coloured_noise,
     density_through_points,
@@ -17,6 +16,7 @@ from crankorder.synth.noise import (
     white_noise,
     white_spectrum,
 )
+from crankorder.synth.parts import ColouredNoise
 
 RATE_HZ = 8000.0
 

@@ -5,8 +5,7 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.synth.analogue import AnalogueFilter, high_pass, in_series, low_pass
-from crankorder.synth.poles import poles_of, steady_state
-from crankorder.synth.response import Structure, accelerance
+from crankorder.synth.poles import Structure, accelerance, poles_of, steady_state
 from made.responses import frequency_response
 
 RNG = np.random.default_rng(4)

@@ -7,11 +7,10 @@ import pytest
 
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
 from crankorder.synth.crank import crank_motion, start_angle_rev
-from crankorder.synth.effects import Acquisition, InCycleSpeed, SpeedOrder, Wander, Wobble
-from crankorder.synth.floor import floor_of
 from crankorder.synth.lines import order_lines
 from crankorder.synth.load import load_scene
-from crankorder.synth.parts import SpeedProfile
+from crankorder.synth.noise import floor_of
+from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander, Wobble
 from crankorder.synth.recording import sensed, synthesise
 from crankorder.synth.scene import Run, Scene
 from crankorder.synth.truth import truth_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.synth.response import Structure, accelerance, tones
+from crankorder.synth.poles import Structure, accelerance, tones
 
 STRUCTURE = Structure(
     frequency_hz=np.array([60.0, 115.0]),

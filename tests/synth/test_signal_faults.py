@@ -9,9 +9,9 @@ import pytest
 from crankorder.errors import InputError
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.settings import load_settings
-from crankorder.synth.acquisition import recorded
-from crankorder.synth.effects import Acquisition
-from crankorder.synth.faults import (
+from crankorder.synth.analogue import recorded
+from crankorder.synth.parts import (
+    Acquisition,
     AnySignalFault,
     Clipping,
     Drift,

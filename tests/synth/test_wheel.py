@@ -5,9 +5,9 @@ import pytest
 
 from crankorder.settings import load_settings
 from crankorder.shaft.wheel import number_teeth
-from crankorder.synth.effects import Encoder
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import seed_stream
+from crankorder.synth.parts import Encoder
 from crankorder.synth.wheel import Pulses, encoder_turn, index_wheel, jittered, passed_pulses, wheel_of
 
 RUN_UP = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 3000.0)), wobbles=((1.3, 40.0, 20.0),))

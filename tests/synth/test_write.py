@@ -12,8 +12,7 @@ from crankorder.engine.definition import load_engine
 from crankorder.errors import EnvironmentFailure, ManyErrors, RequestError
 from crankorder.synth import write
 from crankorder.synth.load import load_scene
-from crankorder.synth.manifest import toml_text
-from crankorder.synth.write import write_scene
+from crankorder.synth.write import toml_text, write_scene
 
 
 def contents(folder: Path) -> dict[str, bytes]:

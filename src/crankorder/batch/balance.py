@@ -18,11 +18,10 @@ from crankorder.batch.result_folder import publish
 from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.hinge_definition import HingedEngine, load_hinged_engine
 from crankorder.engine.hinge_sheet import hinge_sheet
+from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError
-from crankorder.report.balance.hinge_text import hinge_text
-from crankorder.report.balance.text import balance_text
+from crankorder.report.balance.text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from crankorder.batch.result_folder import DONE, publish
+from crankorder.batch.result_folder import DONE, publish, read_document, read_findings
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
 from crankorder.errors import InputError, RequestError
 from crankorder.identify.changes.compared import Compared, Tested, compared
@@ -19,8 +19,6 @@ from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
 
 NAME = "comparison.json"
-VERSION = 1
-"""Of findings.json and run.json, as this program writes them."""
 MAPS = ("order_map", "campbell_map", "envelope_map", "shaft")
 
 
@@ -96,8 +94,8 @@ def _test_folder(folder: Path) -> Path:
 
 
 def _tested(folder: Path) -> Tested:
-    findings, run = (_document(folder / name) for name in ("findings.json", "run.json"))
-    if not isinstance(findings.get("channels"), list) or "orders" not in run.get("settings", {}) or "test" not in run:
+    findings, run = read_findings(folder), read_document(folder / "run.json")
+    if "orders" not in run.get("settings", {}) or "test" not in run:
         raise InputError("not the results of a run", file=folder, remedy="Run the analysis again")
     groups = read_results(folder / "results.nc")
     if not {"order_map", "campbell_map"} & set(groups):
@@ -109,25 +107,6 @@ def _tested(folder: Path) -> Tested:
             remedy="Run the analysis again, with the stages that make a map",
         )
     return Tested(str(run["test"]), findings, run, {key: groups[key] for key in MAPS if key in groups})
-
-
-def _document(path: Path) -> dict[str, Any]:
-    """One JSON document of a run, of the version that this program reads."""
-    remedy = "Run the analysis again"
-    try:
-        made = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise InputError("results that cannot be read", file=path, found=error, remedy=remedy) from error
-    stated = made.get("schema_version") if isinstance(made, dict) else None
-    if stated != VERSION or not isinstance(made, dict):
-        raise InputError(
-            "results of another version of the program",
-            file=path,
-            found=f"schema_version {stated}",
-            allowed=f"schema_version {VERSION}",
-            remedy=f"{remedy} with this version",
-        )
-    return made
 
 
 def document_text(comparison: Comparison) -> str:

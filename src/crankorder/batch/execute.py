@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,7 +22,15 @@ from crankorder.batch.locks import locked
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import CampaignPlan, RunOptions
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.result_folder import TIMINGS, finished_with, publish, refuse_foreign, refuse_others, settle
+from crankorder.batch.result_folder import (
+    TIMINGS,
+    finished_with,
+    publish,
+    read_findings,
+    refuse_foreign,
+    refuse_others,
+    settle,
+)
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
@@ -30,6 +38,7 @@ from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
+from crankorder.findings import Findings, Quality, SpeedSwing, quality_of
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.orders.true_angle import NAMES
@@ -37,10 +46,9 @@ from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.settings import Settings, toml_table
 from crankorder.shaft.calibration import calibrate, mass_lag
-from crankorder.shaft.decode import PULSE_KINDS, flags_named
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import PULSE_KINDS, ShaftKnowledge, flags_named
 from crankorder.shaft.line_pattern import LinePattern
-from crankorder.shaft.swing import speed_swing
+from crankorder.shaft.tooth_errors import speed_swing
 from crankorder.stages import RecordingResult, analyse_encoder, analyse_recording, analyse_test, frames_wanted
 
 Progress = Callable[[str, int, int], None]
@@ -96,7 +104,7 @@ def run_test(
             refuse_others(plan.out, plan.owner)
         if not options.fresh and not plan.faults and finished_with(plan.out, key):
             outcome.status, outcome.kept = "done", True
-            outcome.findings = json.loads((plan.out / "findings.json").read_bytes())
+            outcome.findings = read_findings(plan.out)
             return outcome
         made_by = text_sha256(code, json.dumps(versions, sort_keys=True))
         results = _analyse(plan, options, hashes, made_by, outcome, progress)
@@ -164,7 +172,7 @@ def _finish(
     outcome.faults += left_out
     clock.lap("test")
     outcome.accuracy = _accuracy_text(groups.get("order_map"))
-    stated = {**provenance, "quality": findings["quality"]}
+    stated = {**provenance, "quality": [flag.as_dict() for flag in findings.quality]}
     files = reporting.files_of_test(groups, findings, stated, plan.settings.report)
     clock.lap("report")
     outcome.findings = findings
@@ -189,27 +197,24 @@ def results_of_test(
     settings: Settings,
     flags: list[QualityFlag],
     faults: list[CrankorderError],
-) -> tuple[dict[str, xr.Dataset], dict[str, Any], list[CrankorderError]]:
+) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
     """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
 
     ``results`` of its recordings by file; ``sources``: what the machine is made of; ``settings`` of all stages;
     ``flags`` and ``faults`` of the test so far, which the findings tell too.
     """
     made = analyse_test(list(results.values()), test=test, sources=sources, settings=settings)
-    if made.findings is not None:
-        findings = dict(made.findings)
-    else:
-        findings = unsought_findings(made.datasets, test=test, settings=settings)
+    findings = made.findings or unsought_findings(made.datasets, test=test, settings=settings)
     left_out: list[CrankorderError] = [
-        InputError("left out of the order map", file=flag["recording"], found=flag["detail"])
-        for flag in findings["quality"]
-        if flag["flag"] == "frame_length_differs"
+        InputError("left out of the order map", file=flag.recording, found=flag.detail)
+        for flag in findings.quality
+        if flag.flag == "frame_length_differs"
     ]
-    told = [flag for result in results.values() for flag in result.flags if flag not in findings["quality"]]
-    findings["quality"] = [*findings["quality"], *told, *flags, *_fault_flags([*faults, *left_out])]
+    told = [flag for flag in quality_of(_flags_of(results)) if flag not in findings.quality]
+    quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out])))
     most_deg = settings.orders.largest_eccentricity_deg
-    findings["speed_swing"] = _swing_records(results, findings["quality"], most_deg=most_deg)
-    findings["quality"] += contradiction_flags(findings)
+    findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
+    findings = replace(findings, quality=(*quality, *contradiction_flags(findings)))
     return made.datasets, findings, left_out
 
 
@@ -490,15 +495,19 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
     )
 
 
+def _flags_of(results: dict[Path, RecordingResult]) -> list[QualityFlag]:
+    return [flag for result in results.values() for flag in result.flags]
+
+
 def _swing_records(
-    results: dict[Path, RecordingResult], flags: list[QualityFlag], *, most_deg: float
-) -> list[dict[str, Any]]:
+    results: dict[Path, RecordingResult], flags: Sequence[Quality], *, most_deg: float
+) -> tuple[SpeedSwing, ...]:
     """Swing of the speed of every recording within its cycle, by order, the largest first; only what is certain.
 
     What ``flags`` say that the encoder itself makes is no motion of the shaft. An encoder that is off by ``most_deg``
     once per turn, by 1/k² of it at harmonic k, could show those that are no larger.
     """
-    of_encoder = {order for order, name in NAMES.items() if any(flag["flag"] == f"encoder_{name}" for flag in flags)}
+    of_encoder = {order for order, name in NAMES.items() if any(flag.flag == f"encoder_{name}" for flag in flags)}
     records = []
     for path, result in results.items():
         swing = speed_swing(result.shaft)
@@ -509,16 +518,16 @@ def _swing_records(
             order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
             off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
             records.append(
-                {
-                    "recording": printable(path.name),
-                    "speed_rpm": swing.speed_rpm,
-                    "order": order,
-                    "amplitude_rpm": amplitude_rpm,
-                    "may_be_encoder": order in NAMES and bool(off_deg <= most_deg / order**2),
-                    "steady_rpm": float(swing.steady_rpm[place]),
-                }
+                SpeedSwing(
+                    recording=printable(path.name),
+                    speed_rpm=swing.speed_rpm,
+                    order=order,
+                    amplitude_rpm=amplitude_rpm,
+                    may_be_encoder=order in NAMES and bool(off_deg <= most_deg / order**2),
+                    steady_rpm=float(swing.steady_rpm[place]),
+                )
             )
-    return records
+    return tuple(records)
 
 
 def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:

@@ -13,10 +13,11 @@ from crankorder.batch.execute import left_out_of, results_of_test, sources_of
 from crankorder.batch.plan import up_to_stated
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
+from crankorder.findings import Findings
 from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
-from crankorder.shaft.knowledge import ShaftKnowledge
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import RecordingResult, analyse_recording
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]
@@ -38,7 +39,7 @@ def analysed(
     engine: str | None = None,
     test: str = "test",
     strict: bool = False,
-) -> tuple[dict[str, xr.Dataset], dict[str, Any], list[CrankorderError]]:
+) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
     """Groups and findings of ``recordings``, as a run makes them of files, and the faults of what it left out.
 
     ``settings`` of all stages; ``tables`` of the manifest that say what the machine is made of; ``engine``: its name or

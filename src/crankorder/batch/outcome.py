@@ -8,6 +8,7 @@ from typing import Any
 
 from crankorder.batch.plan import CampaignPlan
 from crankorder.errors import CrankorderError, printable
+from crankorder.findings import Findings
 from crankorder.quantities import QualityFlag
 from crankorder.report.sentences.story import headline
 
@@ -21,7 +22,7 @@ class Outcome:
     faults: list[CrankorderError] = field(default_factory=list)
     internal: list[BaseException] = field(default_factory=list)
     flags: list[QualityFlag] = field(default_factory=list)
-    findings: dict[str, Any] | None = None
+    findings: Findings | None = None
     accuracy: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
     reused: int = 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from crankorder.batch.plan import folder_name
 from crankorder.batch.store import json_bytes
 from crankorder.batch.workers import FORKS, each
+from crankorder.findings import Findings
 from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes
 from crankorder.report.page import report_page
 from crankorder.settings import ReportSettings
@@ -40,7 +41,7 @@ def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -
 
 def files_of_test(
     groups: dict[str, xr.Dataset],
-    findings: dict[str, Any],
+    findings: Findings,
     provenance: dict[str, Any],
     *,
     settings: ReportSettings,
@@ -54,7 +55,7 @@ def files_of_test(
     """
     from crankorder.report.pictures import pictures_of
 
-    attrs = {"title": str(findings["test"]), "source": f"crankorder {provenance['versions']['crankorder']}"}
+    attrs = {"title": findings.test, "source": f"crankorder {provenance['versions']['crankorder']}"}
     stored, taken, data = as_stored(groups), set[str](), dict[str, bytes]()
     planned = pictures_of(stored, findings, settings=settings, name_of=lambda channel: folder_name(channel, taken))
     captions = [(name, page.caption) for name, page in planned.items()]
@@ -62,7 +63,7 @@ def files_of_test(
     def write() -> None:
         page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
         data["results.nc"] = results_bytes({**stored, **findings_datasets(findings)}, attrs=attrs)
-        data["findings.json"] = json_bytes(findings)
+        data["findings.json"] = json_bytes(findings.as_dict())
         data["report.html"] = page.encode("utf-8", "backslashreplace")
         data["run.json"] = json_bytes(provenance)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from crankorder.batch.locks import locked
 from crankorder.batch.publish import files_of_test
-from crankorder.batch.result_folder import TIMINGS, marker_of, owner_recorded, publish, settle
+from crankorder.batch.result_folder import TIMINGS, marker_of, owner_recorded, publish, read_findings, settle
 from crankorder.errors import InputError
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
@@ -29,7 +29,7 @@ def _redrawn(folder: Path) -> Path:
     settle(folder)
     marker = marker_of(folder)
     try:
-        findings = json.loads((folder / "findings.json").read_bytes())
+        findings = read_findings(folder)
         provenance = json.loads((folder / "run.json").read_bytes())
         stated = load_settings().report.model_dump() | provenance["settings"]["report"]
         key = marker["key"]

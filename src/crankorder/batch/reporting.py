@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from crankorder.batch.store import HashedFile, code_sha256, library_versions
 from crankorder.batch.workers import Worker, WorkerDiedError
 from crankorder.errors import EnvironmentFailure
+from crankorder.findings import Findings
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -101,7 +102,7 @@ class ReportingProcess:
     def files_of_test(
         self,
         groups: dict[str, xr.Dataset],
-        findings: dict[str, Any],
+        findings: Findings,
         provenance: dict[str, Any],
         settings: ReportSettings,
     ) -> dict[str, bytes]:

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from crankorder.batch.store import file_sha256, flush_folder, json_bytes, write_flushed
-from crankorder.errors import EnvironmentFailure, RequestError, printable
+from crankorder.errors import EnvironmentFailure, InputError, RequestError, printable
+from crankorder.findings import SCHEMA_VERSION, Findings
 from crankorder.ingest.folder import is_leftover
 
 DONE = "done.json"
@@ -285,3 +286,34 @@ def finished_tests(out: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
             marker = marker_of(folder)
             if marker:
                 yield folder, marker
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The JSON document at ``path``, as a run wrote it, of the version that this program reads.
+
+    Raises InputError where it cannot be read or is of another version.
+    """
+    remedy = "Run the analysis again"
+    try:
+        made = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError("results that cannot be read", file=path, found=error, remedy=remedy) from error
+    stated = made.get("schema_version") if isinstance(made, dict) else None
+    if stated != SCHEMA_VERSION or not isinstance(made, dict):
+        raise InputError(
+            "results of another version of the program",
+            file=path,
+            found=f"schema_version {stated}",
+            allowed=f"schema_version {SCHEMA_VERSION}",
+            remedy=f"{remedy} with this version",
+        )
+    return made
+
+
+def read_findings(folder: Path) -> Findings:
+    """Findings of the results in ``folder``.
+
+    Raises InputError where they cannot be read, naming file, place, the value found and what is allowed.
+    """
+    file = folder / "findings.json"
+    return Findings.from_dict(read_document(file), file=file)

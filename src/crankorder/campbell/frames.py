@@ -13,25 +13,31 @@ from crankorder.fft.band import band_limited
 from crankorder.fft.decimation import decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
 from crankorder.fft.windows import Window, window_named
-from crankorder.quantities import QualityFlag, channel_coords, with_flags
-from crankorder.settings import CampbellSettings
+from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, with_flags
+from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
-RUNNING_SHARE = 0.9
-"""Share of the frames whose speed changes less than the one that sets the length: a start or stop sets nothing."""
+
+class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="frames"):
+    running_share: float
+    padding: int
+
+
+NUMBERS = _Numbers.load()
+
+SQUARES_FIT = {"f": 1e8, "d": 1e100}
+"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
 
 
 @dataclass(frozen=True)
 class FrameSpeeds:
     """Mean speed and change of speed from begin to end of each frame (frames,), in rpm."""
 
-    mean_rpm: NDArray[np.float64]
-    change_rpm: NDArray[np.float64]
+    mean_rpm: Floats
+    change_rpm: Floats
 
 
-def frame_speeds(
-    band: xr.Dataset, shaft: xr.Dataset, starts: NDArray[np.int64], length: int, rate_hz: float
-) -> FrameSpeeds:
+def frame_speeds(band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> FrameSpeeds:
     """FrameSpeeds of the frames of ``length`` samples at ``rate_hz`` that begin at samples ``starts`` of ``band``.
 
     The mean is the revolutions that the ``shaft`` made over the time they took; the change is twice the difference of
@@ -43,7 +49,7 @@ def frame_speeds(
     return _speeds(shaft, begin, length / rate_hz)
 
 
-def _speeds(shaft: xr.Dataset, begin_s: NDArray[np.float64], length_s: float) -> FrameSpeeds:
+def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> FrameSpeeds:
     knots = knots_of(shaft)
     span = (float(shaft["time"].values[0]), float(shaft["time"].values[-1]))
     first, middle, last = (np.clip(begin_s + share * length_s, *span) for share in (0.0, 0.5, 1.0))
@@ -66,16 +72,8 @@ def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_
     first, last = float(shaft["time"].values[0]), float(shaft["time"].values[-1])
     begin = np.arange(first, max(first + 1e-12, last - length_s * (1 - 1e-9)), 0.5 * length_s)
     change_hz = np.abs(_speeds(shaft, begin, min(length_s, last - first)).change_rpm) / 60.0
-    sweep = order * float(np.quantile(change_hz, RUNNING_SHARE)) / length_s
+    sweep = order * float(np.quantile(change_hz, NUMBERS.running_share)) / length_s
     return math.sqrt(enbw_bins / sweep) if sweep > 0.0 else math.inf
-
-
-PADDING = 8
-"""A record shorter than 1 / resolution is padded to this many times its length, at least: bins close enough that a
-tone reads right to 0.02 dB on the nearest one."""
-
-SQUARES_FIT = {"f": 1e8, "d": 1e100}
-"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +155,7 @@ def frame_plan(
     times = next((n for n in range(times, int(1.25 * times) + 1) if whole % n == 0), times)
     if held < whole // times:
         window = _window(settings, held)
-        times = -(-PADDING * held // whole)
+        times = -(-NUMBERS.padding * held // whole)
         weights = (window.response(np.array([0.0, 0.5 * held / (times * whole)])).prod() ** -1.0, 0.0)
         return FramePlan(window, times * whole, held, 0, weights)
     length = max(2, whole // times)
@@ -185,7 +183,7 @@ def _in_shown_band(band: xr.Dataset, settings: CampbellSettings) -> xr.Dataset:
     return band_limited(band, band_hz=shown, grid_hz=settings.resolution_hz)
 
 
-def _scales(signals: NDArray[np.floating]) -> NDArray[np.float64]:
+def _scales(signals: NDArray[np.floating]) -> Floats:
     """Power of two per channel that brings samples whose squares leave the range of their type near 1; else 1."""
     scales = np.ones(len(signals))
     fit = SQUARES_FIT.get(signals.dtype.char, SQUARES_FIT["d"])
@@ -197,9 +195,7 @@ def _scales(signals: NDArray[np.floating]) -> NDArray[np.float64]:
     return scales
 
 
-def _dataset(
-    band: xr.Dataset, power: NDArray[np.floating], frequency: NDArray[np.float64], speeds: FrameSpeeds
-) -> xr.Dataset:
+def _dataset(band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds) -> xr.Dataset:
     change = {"units": "min-1", "long_name": "change of speed within the frame"}
     return xr.Dataset(
         {

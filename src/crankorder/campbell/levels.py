@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from crankorder.campbell.frames import frame_speeds
 from crankorder.fft.windows import window_named
-from crankorder.quantities import channel_coords
+from crankorder.quantities import Floats, Ints, channel_coords
 from crankorder.settings import CampbellSettings, OrderSettings
-
-Floats = NDArray[np.float64]
 
 PIECES, LENGTH = 12, 8192
 """Pieces of a recording that are looked at, and samples of each: a look, not an analysis, so that it costs little."""
@@ -100,9 +98,7 @@ def recording_levels(
     return _dataset(recording, rms, share, floor, floors, peaks, rate, end)
 
 
-def _rate_and_speeds(
-    recording: xr.Dataset, shaft: xr.Dataset, starts: NDArray[np.int64], length: int
-) -> tuple[float, Floats]:
+def _rate_and_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int) -> tuple[float, Floats]:
     """Samples per second (per revolution by crank angle without a speed) and the speed of each piece, NaN unknown."""
     if recording.attrs["domain"] == "crank_angle":
         per_rev, speed = float(recording.attrs["samples_per_rev"]), float(recording.attrs.get("speed_rpm", math.nan))
@@ -122,7 +118,7 @@ def _limits(rpm: Floats, max_order: float, max_frequency_hz: float, *, per_rev: 
     return np.maximum(np.nan_to_num(max_order * rpm / 60.0), max_frequency_hz)
 
 
-def _power(signals: NDArray[np.floating], starts: NDArray[np.int64], length: int) -> Floats:
+def _power(signals: NDArray[np.floating], starts: Ints, length: int) -> Floats:
     """Mean square (pieces, channels, bins) of the signals in each bin, without the mean of each piece."""
     if not len(starts):
         return np.full((0, len(signals), 1), np.nan)
@@ -154,7 +150,7 @@ def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_r
     return Peak()
 
 
-def _sharp(power: Floats, bins: Floats, limit: Floats) -> NDArray[np.int64]:
+def _sharp(power: Floats, bins: Floats, limit: Floats) -> Ints:
     """Pieces and bins (peaks, 2) of ``power`` above the ``limit`` of each piece that tower over floor and ring."""
     first = int(np.searchsorted(bins, limit.min())) // BLOCK
     last = power.shape[1] // BLOCK - 1
@@ -183,7 +179,7 @@ def _sharp(power: Floats, bins: Floats, limit: Floats) -> NDArray[np.int64]:
     return np.stack([pieces[clear], place[clear]], axis=1)
 
 
-def _ring(power: Floats, piece: NDArray[np.int64], place: NDArray[np.int64]) -> Floats:
+def _ring(power: Floats, piece: Ints, place: Ints) -> Floats:
     """Energy that a mode at bin ``place`` of each ``piece`` of ``power`` would leave RING_BINS beside it, at most."""
     beside = [
         np.maximum(_lobe(power, piece, place - away), _lobe(power, piece, place + away)) * (away / RING_BINS) ** 2
@@ -192,7 +188,7 @@ def _ring(power: Floats, piece: NDArray[np.int64], place: NDArray[np.int64]) -> 
     return np.asarray(np.min(beside, axis=0))
 
 
-def _lobe(power: Floats, piece: NDArray[np.int64], place: NDArray[np.int64]) -> Floats:
+def _lobe(power: Floats, piece: Ints, place: Ints) -> Floats:
     """Energy of the lobe about bin ``place`` of each ``piece`` of ``power``; the axis of bins is a ring."""
     n = power.shape[1]
     return np.asarray(sum(power[piece, (place + shift) % n] for shift in _LOBE))

@@ -7,42 +7,30 @@ import math
 import numba as nb
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import speed_groups
 
-START_CHANCE = 5e-3
-"""Chance that noise alone makes the first frames so strong at a bin that they take no part in the floor there.
 
-A mode that rings too weakly to be sure of already looks far narrower than it is; a bin that loses a frame loses little.
-"""
-
-NEXT_CHANCE = 0.02
-"""Chance of the same in the frame after one that takes no part."""
-
-LATER_FRAMES = 24
-"""Frames that one is compared with at most: what came later belongs to other speeds in a sweep."""
-
-FEWEST_LATER = 1
-"""Frames that it is compared with at least."""
-
-LEVEL_BINS = 61
-"""Bins around one over which a change of the whole level is taken off: what runs up or down is no transient."""
-
-BESIDE = 1
-"""Bins on each side that share what is seen."""
-
-SAME_BINS = 200.0
-"""Bins whose widths differ by less than one part in so many are alike."""
-
-SHARED = 1.95
-"""Factor by which neighbouring bins count the same noise twice."""
-
-Array = NDArray[np.float64]
+class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="map"):
+    start_chance: float
+    next_chance: float
+    later_frames: int
+    fewest_later: int
+    level_bins: int
+    beside_bins: int
+    same_bins_parts: float
+    least_left_share: float
 
 
-def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
+NUMBERS = _Numbers.load()
+
+HANN_CORRELATION = 1.95
+"""Factor by which neighbouring bins of a Hann window count the same noise twice: 1 + 2 (4/9 + 1/36), rounded up."""
+
+
+def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
     """How many leading frames hold a start transient, by bin (bins,) of each of ``frames``; None where none does.
 
     Machines are switched on, loads are set: what rings then is the free decay of the modes, whose line in a frame is no
@@ -55,9 +43,9 @@ def leading_frames(frames: list[xr.Dataset]) -> list[NDArray[np.int64]] | None:
     made = [np.zeros(item.sizes["frequency"], dtype=np.int64) for item in frames]
     alike: dict[tuple[int, int], list[int]] = {}
     for number, item in enumerate(frames):
-        later = _apart(item) + FEWEST_LATER
+        later = _apart(item) + NUMBERS.fewest_later
         if item.sizes["frame"] >= later and np.isfinite(item["speed"].values).any():
-            finest = round(SAME_BINS * math.log(float(item.attrs["resolution_hz"])))
+            finest = round(NUMBERS.same_bins_parts * math.log(float(item.attrs["resolution_hz"])))
             alike.setdefault((item.sizes["frequency"], finest), []).append(number)
     for numbers in alike.values():
         _count_leading([frames[number] for number in numbers], [made[number] for number in numbers])
@@ -69,25 +57,25 @@ def _apart(item: xr.Dataset) -> int:
     return max(1, math.ceil(0.5 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 0.01))
 
 
-def _count_leading(items: list[xr.Dataset], leading: list[NDArray[np.int64]]) -> None:
+def _count_leading(items: list[xr.Dataset], leading: list[Ints]) -> None:
     """Write into ``leading``, of recordings with like bins, how many frames take no part."""
     on = np.ones(items[0].sizes["frequency"], dtype=bool)
     for frame in range(max(item.sizes["frame"] for item in items)):
         chance = _chance(items, frame)
         if chance is None:
             break
-        seen = on & (chance < (NEXT_CHANCE if frame else START_CHANCE))
+        seen = on & (chance < (NUMBERS.next_chance if frame else NUMBERS.start_chance))
         if frame == 0:
-            seen = np.convolve(seen, np.ones(2 * BESIDE + 1), mode="same") > 0.5
+            seen = np.convolve(seen, np.ones(2 * NUMBERS.beside_bins + 1), mode="same") > 0.5
         if not seen.any():
             break
         for item, count in zip(items, leading, strict=True):
-            if item.sizes["frame"] >= frame + _apart(item) + FEWEST_LATER:
+            if item.sizes["frame"] >= frame + _apart(item) + NUMBERS.fewest_later:
                 count[seen] = frame + 1
         on = seen
 
 
-def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
+def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
     """Chance (bins,) of noise so strong in the frames of number ``frame`` over later ones; None where too few are.
 
     The share u = P_0 / (P_0 + P_1 + … + P_n) of a frame in itself and n others has a beta distribution with the mean
@@ -95,19 +83,19 @@ def _chance(items: list[xr.Dataset], frame: int) -> Array | None:
     """
     from scipy.special import ndtr
 
-    total: Array | float = 0.0
+    total: Floats | float = 0.0
     variance = 0.0
     for item in items:
         power, apart = item["power"].values, _apart(item)
-        beyond = power[:, frame + apart : frame + apart + LATER_FRAMES : apart]
+        beyond = power[:, frame + apart : frame + apart + NUMBERS.later_frames : apart]
         n = beyond.shape[1]
-        if n < FEWEST_LATER or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
+        if n < NUMBERS.fewest_later or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
             continue
         mean = np.maximum(beyond.mean(axis=1, dtype=np.float64), np.finfo(np.float64).tiny)
         ratio = power[:, frame] / mean
         ratio = ratio / _level(ratio) * _middle_ratio(n)
         total = total + _beside(ratio / (ratio + n) - 1.0 / (n + 1.0))
-        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * BESIDE + 1) * SHARED
+        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * NUMBERS.beside_bins + 1) * HANN_CORRELATION
     if not variance:
         return None
     return np.asarray(ndtr(-np.asarray(total) / np.sqrt(variance)).min(axis=0))
@@ -118,24 +106,22 @@ def _middle_ratio(n: int) -> float:
     return float(n * (2.0 ** (1.0 / n) - 1.0))
 
 
-def _beside(power: Array) -> Array:
+def _beside(power: Floats) -> Floats:
     """Sum of ``power`` (C, B) over some bins."""
-    padded = np.pad(power, ((0, 0), (BESIDE, BESIDE)), mode="edge")
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1, axis=1).sum(axis=-1))
+    padded = np.pad(power, ((0, 0), (NUMBERS.beside_bins, NUMBERS.beside_bins)), mode="edge")
+    return np.asarray(
+        np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.beside_bins + 1, axis=1).sum(axis=-1)
+    )
 
 
-def _level(ratio: Array) -> Array:
+def _level(ratio: Floats) -> Floats:
     """Running median of ``ratio`` (C, B), from every eighth bin."""
-    half = min(LEVEL_BINS, ratio.shape[1] | 1) // 2
+    half = min(NUMBERS.level_bins, ratio.shape[1] | 1) // 2
     padded = np.pad(ratio, ((0, 0), (half, half)), mode="reflect" if ratio.shape[1] > half else "edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=1)
     at = np.arange(0, ratio.shape[1], 8)
     middle = np.maximum(np.median(windows[:, at], axis=-1), 1e-12)
     return np.stack([np.interp(np.arange(ratio.shape[1]), at, row) for row in middle])
-
-
-LEAST_LEFT = 0.25
-"""Frames that must be left without a start transient."""
 
 
 @nb.njit(cache=True, nogil=True)
@@ -202,7 +188,7 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     return with_flags(result, flags + _cut_flags(frames, n_shown, grid_hz))
 
 
-def _count(result: xr.Dataset, lengths: NDArray[np.int64], used: NDArray[np.int64]) -> None:
+def _count(result: xr.Dataset, lengths: Ints, used: Ints) -> None:
     """Add to ``result`` how many frames each group has and, where gaps keep some out, how many each channel used."""
     result["n_frames"] = (("speed",), lengths, {"units": "1", "long_name": "frames averaged"})
     if np.any(used != lengths):
@@ -229,8 +215,8 @@ def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> 
 
 
 def _group_means(
-    frames: list[xr.Dataset], groups: list[NDArray[np.int64]], frequency: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    frames: list[xr.Dataset], groups: list[Ints], frequency: Floats
+) -> tuple[Floats, Floats, Ints, Floats]:
     """Mean tone power and density (channel, group, frequency), frames used (channel, group), scale (channel, 1, 1).
 
     The signals were taken times ``scale``, a power of two, which keeps their squares in range.
@@ -259,12 +245,8 @@ def _group_means(
 
 
 def _settled(
-    frames: list[xr.Dataset],
-    groups: list[NDArray[np.int64]],
-    frequency: NDArray[np.float64],
-    density: NDArray[np.float64],
-    counts: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None:
+    frames: list[xr.Dataset], groups: list[Ints], frequency: Floats, density: Floats, counts: Ints
+) -> tuple[Ints, Floats, Floats] | None:
     """Bins at which recordings begin with a transient; density there without it, and the share of frames that it is of.
 
     Both (channel, group, bin), from the mean ``density`` (channel, group, frequency) of all ``counts`` (channel, group)
@@ -291,18 +273,12 @@ def _settled(
             share[:, into] -= _on_grid(item, used[:, None].astype(np.float64), frequency)[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         held = share / counts[..., None]
-        made = np.where(share > LEAST_LEFT, np.maximum(left, 0.0) / share, np.nan)
+        made = np.where(share > NUMBERS.least_left_share, np.maximum(left, 0.0) / share, np.nan)
     bins = np.flatnonzero((held < 1.0 - 1e-9).any(axis=(0, 1)))
-    return bins, made[..., bins], np.where(share > LEAST_LEFT, held, 0.0)[..., bins]
+    return bins, made[..., bins], np.where(share > NUMBERS.least_left_share, held, 0.0)[..., bins]
 
 
-def _add_settled(
-    result: xr.Dataset,
-    bins: NDArray[np.int64],
-    density: NDArray[np.float64],
-    share: NDArray[np.float64],
-    scale: NDArray[np.float64],
-) -> None:
+def _add_settled(result: xr.Dataset, bins: Ints, density: Floats, share: Floats, scale: Floats) -> None:
     """Add to ``result`` what is left at ``bins`` without start transients."""
     dims = ("channel", "speed", "settled_frequency")
     words = {"units": "Hz", "long_name": "frequency at which recordings begin with a transient"}
@@ -320,7 +296,7 @@ def _without_image(item: xr.Dataset) -> list[int]:
     return [0, n_bins - 1] if at_half and n_bins > 1 else [0]
 
 
-def _tone_on_grid(item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tone_on_grid(item: xr.Dataset, power: Floats, frequency: Floats) -> Floats:
     """Power of a tone near each of ``frequency``: that of the bins nearest to it, with their neighbours' shares.
 
     A bin half-way to the next frequency counts for both, so that no tone falls between; the peak amplitude of a
@@ -341,16 +317,14 @@ def _tone_on_grid(item: xr.Dataset, power: NDArray[np.float64], frequency: NDArr
     return np.asarray(made)
 
 
-def _density_on_grid(
-    item: xr.Dataset, power: NDArray[np.float64], frequency: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _density_on_grid(item: xr.Dataset, power: Floats, frequency: Floats) -> Floats:
     """One-sided power spectral density at each of ``frequency``, linear between the bins."""
     density = power / (2.0 * _enbw_hz(item))
     density[..., _without_image(item)] *= 0.5
     return _on_grid(item, density, frequency)
 
 
-def _on_grid(item: xr.Dataset, density: NDArray[np.float64], frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_grid(item: xr.Dataset, density: Floats, frequency: Floats) -> Floats:
     """``density`` (channel, group, bin) at each of ``frequency``, linear between the bins."""
     bins_hz = item["frequency"].values
     at = np.minimum(frequency / float(item.attrs["resolution_hz"]), len(bins_hz) - 1.0)

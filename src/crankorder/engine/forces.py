@@ -1,21 +1,104 @@
-"""Forces and moments that an engine's moving masses put on its crankcase, order by order."""
+"""Forces of an engine: of its moving masses by order, of its gas, and what its parts carry of both."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine, StatedPair
-from crankorder.engine.harmonics import (
-    acceleration_harmonics,
-    last_order_above_round_off,
-    rod_acceleration_harmonics,
-)
-from crankorder.engine.rod import two_masses
-from crankorder.engine.slider_crank import sine_cosine
+from crankorder.engine.harmonics import acceleration_harmonics, last_order_above_round_off, rod_acceleration_harmonics
+from crankorder.engine.rod import rod_couple, two_masses
+from crankorder.engine.slider_crank import piston_acceleration, piston_velocity, rod_direction, sine_cosine
 from crankorder.errors import RequestError
+
+Angles = NDArray[np.float64]
+
+SAMPLES_PER_REV = 1 << 14
+"""Angles per revolution on which a torque is transformed: a straight-line curve's orders alias by order²/this²."""
+
+
+def gas_force(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
+    """Force (N) of the gas on a piston, towards the crankshaft; as much acts on the cylinder head the other way.
+
+    ``engine``: with a pressure curve and its bore; without any gas the force is zero. ``cycle_angle_rev``: revolutions
+    from the cylinder's firing dead centre, any shape, repeated by cycles. Returns the shape of the angles.
+    Raises RequestError for a torque curve: at the dead centres any force gives no torque, so a torque tells no force
+    (truth sheet 4.2).
+    """
+    angles = np.asarray(cycle_angle_rev, dtype=np.float64)
+    if engine.gas is None:
+        return np.zeros(angles.shape)
+    if engine.gas.pressure_pa is None or engine.bore_m is None:
+        raise RequestError(
+            "a torque curve tells no gas force: at the dead centres any force makes no torque",
+            place="gas",
+            remedy="Give pressure_pa and bore_m for thrust and bearing loads",
+        )
+    pressure = _interpolated(engine, angles, engine.gas.pressure_pa)
+    force: Angles = (pressure - engine.gas.surroundings_pa) * (np.pi / 4 * engine.bore_m**2)
+    return force
+
+
+def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
+    """Torque (N·m) of one cylinder's gas on the crank, in the sense of rotation; finite everywhere.
+
+    ``engine``: with a pressure or a torque curve; without any the torque is zero. ``cycle_angle_rev``: revolutions from
+    the cylinder's firing dead centre (that of its crank, where there is an offset), any shape.
+    Source: work of the gas, T = −F x', truth sheet 4.2: never F divided by anything.
+    """
+    angles = np.asarray(cycle_angle_rev, dtype=np.float64)
+    if engine.gas is not None and engine.gas.torque_n_m is not None:
+        return _interpolated(engine, angles, engine.gas.torque_n_m)
+    torque: Angles = -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
+    return torque
+
+
+def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray[np.complex128]]:
+    """Orders and complex peak torque (N·m) of all cylinders' gas on the crank; half orders where a cycle has two turns.
+
+    Each of shape (max_order · revolutions of a cycle + 1,); order 0 is the mean. A line is
+    Re(torque · exp(2πi order rev)), rev the engine's crank angle. On the crankcase the gas puts this torque with the
+    other sign about Y, and no force.
+
+    ``engine``: with gas and, where it has several cylinders, their ``firing_deg``. ``max_order``: ≥ 1.
+    Raises RequestError without firing angles.
+    """
+    cycle = engine.revs_per_cycle
+    angles = np.arange(cycle * SAMPLES_PER_REV) / SAMPLES_PER_REV
+    lines = np.arange(max_order * cycle + 1)
+    torque = 2 * np.fft.rfft(gas_torque(engine, angles))[lines] / angles.size
+    torque[0] /= 2
+    firing_rev = np.array([firing_angle_deg(engine, cylinder) / 360 for cylinder in engine.cylinders])
+    phases = np.exp(-2j * np.pi * np.mod(np.outer(firing_rev / cycle, lines), 1))
+    return lines / cycle, torque * phases.sum(axis=0)
+
+
+def firing_angle_deg(engine: Engine, cylinder: Cylinder) -> float:
+    """Engine crank angle (degrees within the cycle) of the firing dead centre of ``cylinder`` of ``engine``.
+
+    An engine of one cylinder, and one that fires every revolution, needs no ``firing_deg``: it fires when its pin
+    stands along its axis. Raises RequestError where it is needed and missing.
+    """
+    if cylinder.firing_deg is not None:
+        return cylinder.firing_deg
+    if len(engine.cylinders) > 1 and engine.revs_per_cycle > 1:
+        raise RequestError(
+            "which revolution does each cylinder fire in?",
+            place="cylinders",
+            remedy="Give firing_deg for every cylinder",
+        )
+    return (cylinder.bank_deg - cylinder.crank_deg) % 360
+
+
+def _interpolated(engine: Engine, cycle_angle_rev: Angles, values: tuple[float, ...]) -> Angles:
+    assert engine.gas is not None
+    period_deg = 360.0 * engine.revs_per_cycle
+    found: Angles = np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
+    return found
+
 
 Complex = NDArray[np.complex128]
 
@@ -196,3 +279,91 @@ def _squared(series: Complex) -> Complex:
     squared: Complex = 0.5 * sums + differences
     squared[0] = 0
     return squared
+
+
+@dataclass(frozen=True, kw_only=True)
+class CylinderLoads:
+    """Loads of one cylinder against crank angle, along its axis away from the crankshaft and across in the crank's way.
+
+    ``side_thrust_n`` (…): piston on its wall, across. ``piston_pin_n`` (2, …): rod on piston, along and across.
+    ``crank_pin_n`` (2, …): rod on crank pin. ``main_n`` (2, …): throw on its main bearings together.
+    ``head_n`` (…): gas on the cylinder head, along. ``torque_n_m`` (…): rod on crank, in the sense of rotation.
+    """
+
+    side_thrust_n: Angles
+    piston_pin_n: Angles
+    crank_pin_n: Angles
+    main_n: Angles
+    head_n: Angles
+    torque_n_m: Angles
+
+
+def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float, *, cylinder: int = 0) -> CylinderLoads:
+    """Loads of one cylinder of ``engine`` at steady speed, from exact kinematics, gas and the rod's true inertia.
+
+    ``crank_angle_rev``: the engine's, any shape. ``speed_rpm``: ≥ 0. ``cylinder``: its number, from 0. Friction and the
+    weights are left out. Without a rod in the data its mass counts as the two ends' and the crank pin's load lacks
+    the big end's part. Raises RequestError where the gas is known by its torque only.
+    Source: Newton and Euler for piston and rod; the couple of the rod's inertia by truth sheet 2.7.
+    """
+    where = engine.cylinders[cylinder]
+    angles = np.asarray(crank_angle_rev, dtype=np.float64)
+    own = angles + (where.crank_deg - where.bank_deg) / 360
+    gas = _gas_on_piston(engine, where, angles)
+    omega_squared = (speed_rpm * np.pi / 30) ** 2
+    sine, cosine = sine_cosine(own)
+    rod_sine, rod_cosine = rod_direction(own, engine.mechanism)
+    rod = two_masses(engine)
+    inertia = omega_squared * piston_acceleration(own, engine.mechanism)  # of one kilogram, away from the crankshaft
+
+    through_rod = gas - engine.reciprocating_mass_kg * inertia
+    couple = rod_couple(engine, own, speed_rpm)
+    thrust = -(rod_sine * through_rod + couple / engine.rod_length_m) / rod_cosine
+    radius = engine.crank_radius_m
+    big_end = rod.big_end_kg * radius * omega_squared
+    pin_along, pin_across = big_end * cosine - through_rod, big_end * sine - thrust
+
+    rest_angle = own + engine.rotating_unbalance_deg / 360
+    rest_sine, rest_cosine = sine_cosine(rest_angle)
+    rest = engine.rotating_unbalance_kg_m * omega_squared
+    main = [
+        pin_along + rest * rest_cosine - big_end * cosine,
+        pin_across + rest * rest_sine - big_end * sine,
+    ]
+    return CylinderLoads(
+        side_thrust_n=thrust,
+        piston_pin_n=np.stack([through_rod + rod.small_end_kg * inertia, thrust]),
+        crank_pin_n=np.stack([pin_along, pin_across]),
+        main_n=np.stack(main),
+        head_n=gas,
+        torque_n_m=radius * (cosine * pin_across - sine * pin_along),
+    )
+
+
+def main_bearing_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> Angles:
+    """Load (N) of the crankshaft on each main bearing, shape (bearing, 3, …), directions as in ``DIRECTIONS``.
+
+    Each throw is carried by the bearings before and behind it, as a beam on two supports: a statically determinate
+    crankshaft. ``engine``: with ``main_bearings_m``. ``crank_angle_rev``: the engine's, any shape. ``speed_rpm``: ≥ 0.
+    Raises RequestError without bearing positions.
+    """
+    places = np.array(engine.main_bearings_m)
+    if places.size == 0:
+        raise RequestError("where are the main bearings?", place="main_bearings_m", remedy="Give their positions")
+    angles = np.asarray(crank_angle_rev, dtype=np.float64)
+    loads = np.zeros((places.size, len(DIRECTIONS), *angles.shape))
+    for number, cylinder in enumerate(engine.cylinders):
+        along, across = cylinder_loads(engine, angles, speed_rpm, cylinder=number).main_n
+        lean_sine, lean_cosine = sine_cosine(cylinder.bank_deg / 360)
+        behind = min(max(int(np.searchsorted(places, cylinder.position_m)), 1), places.size - 1)
+        share = (cylinder.position_m - places[behind - 1]) / (places[behind] - places[behind - 1])
+        for bearing, part in ((behind - 1, 1 - share), (behind, share)):
+            loads[bearing, X] += part * (along * lean_sine + across * lean_cosine)
+            loads[bearing, Z] += part * (along * lean_cosine - across * lean_sine)
+    return loads
+
+
+def _gas_on_piston(engine: Engine, cylinder: Cylinder, angles: Angles) -> Angles:
+    if engine.gas is None:
+        return np.zeros(angles.shape)
+    return gas_force(engine, angles - firing_angle_deg(engine, cylinder) / 360)

@@ -8,25 +8,31 @@ from typing import Any, get_args
 
 import numpy as np
 
-from crankorder.engine.crank_torque import CrankTorque, torque_extrema, torque_harmonics
 from crankorder.engine.elastic_hinge import (
-    PinHinge,
-    mean_gas_moment,
-    side_force,
-    side_force_without_hinge,
-)
-from crankorder.engine.hinge_definition import HingedCrankData, HingedEngine
-from crankorder.engine.hinge_inertia import pin_hinge_work, shaking_force, strut_hinge_work, weight_moment
-from crankorder.engine.hinge_solutions import (
     Joint,
+    PinHinge,
     Weight,
     air_spring_pressure,
     balanced_crank,
     hinge_table,
+    mean_gas_moment,
+    pin_hinge_work,
+    shaking_force,
+    side_force,
+    side_force_without_hinge,
+    strut_hinge_work,
     vertical_counterweight,
+    weight_moment,
     weight_without_side_force,
 )
-from crankorder.engine.hinged_crank import HingedCrank
+from crankorder.engine.hinged_crank import (
+    CrankTorque,
+    HingedCrank,
+    HingedCrankData,
+    HingedEngine,
+    torque_extrema,
+    torque_harmonics,
+)
 from crankorder.errors import RequestError
 
 TABLE_STEPS = 36

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import inertia_torque_by_order
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import gas_torque_by_order, inertia_torque_by_order
 from crankorder.engine.slider_crank import sine_cosine
 from crankorder.errors import RequestError
 

@@ -17,10 +17,10 @@ from crankorder.fft.decimation import (
     decimation_reach,
     decimation_stages,
 )
-from crankorder.quantities import channel_coords
+from crankorder.quantities import Bools, Ints, channel_coords
 from crankorder.scratch import blocks, empty_like
 
-Runs = tuple[NDArray[np.int64], NDArray[np.int64]]
+Runs = tuple[Ints, Ints]
 
 LARGEST_LOSS = 0.02
 """A recording of which the filters' ends would cost a larger share keeps its rate: short ones are cheap anyway."""
@@ -76,7 +76,7 @@ def _unusable(recording: xr.Dataset, signals: NDArray[np.floating], *, gaps: boo
     return [_bad_runs(row, mask) for row, mask in zip(signals, usable, strict=True)]
 
 
-def _bad_runs(signal: NDArray[np.floating], usable: NDArray[np.bool_] | None) -> Runs:
+def _bad_runs(signal: NDArray[np.floating], usable: Bools | None) -> Runs:
     """First samples, and those after the last, of the runs in which ``signal`` is not finite or not ``usable``."""
     turns, was_bad = [np.empty(0, dtype=np.int64)], False
     for part in blocks(signal.size):
@@ -90,9 +90,7 @@ def _bad_runs(signal: NDArray[np.floating], usable: NDArray[np.bool_] | None) ->
     return edges[::2].astype(np.int64), edges[1::2].astype(np.int64)
 
 
-def _mark_untouched(
-    out: NDArray[np.bool_], starts: NDArray[np.int64], ends: NDArray[np.int64], factor: int, reach: int
-) -> None:
+def _mark_untouched(out: Bools, starts: Ints, ends: Ints, factor: int, reach: int) -> None:
     """Set ``out`` where no bad sample, from ``starts`` to before ``ends``, lies within ``reach`` of the output."""
     out[:] = True
     first = -(-reach // factor)

@@ -10,6 +10,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.quantities import Floats
 from crankorder.scratch import blocks, empty_like
 
 TOLERANCE = 1e-6
@@ -33,6 +34,16 @@ ROUNDING = 2e-15
 BETWEEN = 1.01
 """Errors between the frequencies looked at may be so many times larger (measured: 1.003)."""
 
+SINGLE_SUMS = 5e-7
+"""From this tolerance on float32 signals are summed in float32, which adds at most 2e-7 of the largest sample
+(measured; 4e-8 rms); below it they are summed in float64 and only the result is rounded."""
+
+PASS_SAMPLES = 65_536
+"""Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
+
+STRIP = 1024
+"""Outputs made at a time in a stage: their phases stay in the first-level cache."""
+
 
 @dataclass(frozen=True)
 class DecimationStage:
@@ -42,7 +53,7 @@ class DecimationStage:
     """
 
     factor: int
-    taps: NDArray[np.float64]
+    taps: Floats
     ripple: float
     alias: float
 
@@ -161,30 +172,19 @@ def _shortest(band: float, divisor: int, tolerance: float) -> DecimationStage:
         n_taps += 2
 
 
-def _taps(n_taps: int, divisor: int, rejection_db: float) -> NDArray[np.float64]:
+def _taps(n_taps: int, divisor: int, rejection_db: float) -> Floats:
     """Sinc that cuts at half of the reduced rate, in the Kaiser window for ``rejection_db``; its sum is 1."""
     k = np.arange(n_taps) - n_taps // 2
-    taps: NDArray[np.float64] = np.sinc(k / divisor) * np.kaiser(n_taps, max(0.0, 0.1102 * (rejection_db - 8.7)))
+    taps: Floats = np.sinc(k / divisor) * np.kaiser(n_taps, max(0.0, 0.1102 * (rejection_db - 8.7)))
     taps /= taps.sum()
     return taps
 
 
-def _response(taps: NDArray[np.float64], share_of_rate: NDArray[np.float64]) -> NDArray[np.float64]:
+def _response(taps: Floats, share_of_rate: Floats) -> Floats:
     """Gain of symmetric ``taps`` at frequencies given as a share of the sample rate."""
     k = np.arange(1, len(taps) // 2 + 1)
     side = taps[len(taps) // 2 + 1 :]
     return np.asarray(taps[len(taps) // 2] + 2.0 * (np.cos(2.0 * np.pi * np.outer(share_of_rate, k)) @ side))
-
-
-SINGLE_SUMS = 5e-7
-"""From this tolerance on float32 signals are summed in float32, which adds at most 2e-7 of the largest sample
-(measured; 4e-8 rms); below it they are summed in float64 and only the result is rounded."""
-
-PASS_SAMPLES = 65_536
-"""Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
-
-STRIP = 1024
-"""Outputs made at a time in a stage: their phases stay in the first-level cache."""
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
@@ -276,7 +276,7 @@ def _mean(signal):  # type: ignore[no-untyped-def]
     return mean
 
 
-def channel_offsets(signals: NDArray[np.floating]) -> tuple[NDArray[np.float64], bool]:
+def channel_offsets(signals: NDArray[np.floating]) -> tuple[Floats, bool]:
     """Mean of the finite samples of each row of ``signals`` (channels, samples), and whether any is not finite."""
     means = np.zeros(len(signals))
     gaps = False
@@ -314,7 +314,7 @@ class _Decimator:
         rate_hz: float,
         band_hz: float,
         factor: int,
-        offset: NDArray[np.float64],
+        offset: Floats,
         dtype: np.dtype[np.floating],
         tolerance: float,
         gaps: bool,
@@ -365,7 +365,7 @@ class _Decimator:
         return signal
 
 
-def _without_offset(signals: NDArray[np.floating], offset: NDArray[np.float64], gaps: bool) -> NDArray[np.floating]:
+def _without_offset(signals: NDArray[np.floating], offset: Floats, gaps: bool) -> NDArray[np.floating]:
     """``signals`` less the ``offset`` of each; where they are not finite, looked for only with ``gaps``, 0."""
     rested = empty_like(signals, signals.shape, signals.dtype)
     for part in blocks(signals.shape[1], size=PASS_SAMPLES):
@@ -383,7 +383,7 @@ def decimate(
     band_hz: float,
     factor: int,
     tolerance: float = TOLERANCE,
-    offset: NDArray[np.float64] | None = None,
+    offset: Floats | None = None,
 ) -> tuple[NDArray[np.floating], float, float]:
     """Signals without their mean, low-passed to ``band_hz`` and decimated by ``factor``; then rate and start.
 

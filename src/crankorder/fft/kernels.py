@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Weights = NDArray[np.float64]
+from crankorder.quantities import Floats, Ints
 
 FAMILIES = ("kaiser", "sinc")
 
@@ -57,13 +57,13 @@ def family_and_taps(name: str) -> tuple[str, int]:
 class _LeastSquares:
     """The least-squares inverse of ``matrix``, its rows weighted; directions that rounding has eaten are left out."""
 
-    def __init__(self, matrix: Weights, weight: Weights) -> None:
+    def __init__(self, matrix: Floats, weight: Floats) -> None:
         self._weight = weight[:, None]
         left, values, right = np.linalg.svd(self._weight * matrix, full_matrices=False)
         kept = values > 1e-15 * values[0]
         self._left, self._values, self._right = left[:, kept].T, values[kept, None], right[kept].T
 
-    def __call__(self, wanted: Weights) -> Weights:
+    def __call__(self, wanted: Floats) -> Floats:
         # one factor after the other: their product would lose what the small singular values carry
         return np.asarray(self._right @ (self._left @ (self._weight * wanted) / self._values))
 
@@ -96,23 +96,23 @@ class _BandFit:
             self._solve(emphasis)
         self.error = float(self._misfit(COARSE).max())
 
-    def _solve(self, emphasis: Weights) -> None:
+    def _solve(self, emphasis: Floats) -> None:
         root = np.sqrt(emphasis)
         self._even_of = _LeastSquares(self._even @ self._free, root)
         self._odd_of = _LeastSquares(self._odd, root)
 
-    def _parts(self, fraction: Weights) -> tuple[Weights, Weights]:
+    def _parts(self, fraction: Floats) -> tuple[Floats, Floats]:
         angle = self._turn * (fraction - 0.5)
         even = self._equal + self._free @ self._even_of(np.cos(angle) - self._even @ self._equal)
         return even, self._odd_of(np.sin(angle))
 
-    def _misfit(self, fraction: Weights) -> Weights:
+    def _misfit(self, fraction: Floats) -> Floats:
         """Error (band points, fractions) of the response."""
         even, odd = self._parts(fraction)
         angle = self._turn * (fraction - 0.5)
         return np.hypot(self._even @ even - np.cos(angle), self._odd @ odd - np.sin(angle))
 
-    def weights(self, fraction: Weights) -> Weights:
+    def weights(self, fraction: Floats) -> Floats:
         """Weights (fractions, taps) at each ``fraction`` (fractions,), 0…1, of a step."""
         even, odd = self._parts(fraction)
         weights = np.concatenate([(even - odd)[::-1], even + odd]).T
@@ -132,7 +132,7 @@ def kaiser_error(taps: int, pass_band: float) -> float:
     return float(10.0 ** (-0.05 * (4.57 * np.pi * (1.0 - 2.0 * pass_band) * (taps - 1) + 7.95)))
 
 
-def _windowed_weights(taps: int, pass_band: float, fraction: Weights) -> Weights:
+def _windowed_weights(taps: int, pass_band: float, fraction: Floats) -> Floats:
     """Weights (fractions, ``taps``) of a sinc under a Kaiser window, which passes up to ``pass_band`` of the rate.
 
     It errs a little more there than weights fitted to the band, at each ``fraction`` (0…1) of a step alone, but it is
@@ -146,7 +146,7 @@ def _windowed_weights(taps: int, pass_band: float, fraction: Weights) -> Weights
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def _cubic_pieces(weights: Weights) -> Weights:
+def _cubic_pieces(weights: Floats) -> Floats:
     """Coefficients (pieces, 4, taps), highest power first, of cubics through ``weights`` (pieces, 4 nodes, taps)."""
     inverse = np.linalg.inv(np.vander(_NODES, 4))
     coefficients = np.einsum("dn,pnt->pdt", inverse, weights)
@@ -155,13 +155,13 @@ def _cubic_pieces(weights: Weights) -> Weights:
     return np.asarray(coefficients)
 
 
-def _sample_offsets(taps: int) -> NDArray[np.int64]:
+def _sample_offsets(taps: int) -> Ints:
     """Places (``taps``,) of the samples relative to the one at or before the position."""
     return np.arange(taps) - (taps // 2 - 1)
 
 
 @lru_cache(maxsize=32)
-def _pieces_of(family: str, taps: int, pass_band: float) -> Weights:
+def _pieces_of(family: str, taps: int, pass_band: float) -> Floats:
     """Cubics (pieces, 4, taps) of the kernel of ``family`` and ``taps`` for content up to ``pass_band`` of the rate.
 
     There are as many pieces as keep the error between their nodes below a quarter of the kernel's own.

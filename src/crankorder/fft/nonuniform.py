@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.errors import RequestError
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 REASSOCIATED = {"reassoc", "contract", "nsz", "arcp"}
 """What a sum may do to vectorise; it still meets NaN and infinity, so that they show in the result."""
@@ -25,6 +23,17 @@ LARGEST_EXPONENT = 1020
 
 SMALL_MEAN = 1e-3
 """A mean below this share of the mean magnitude does not change the scale of a channel."""
+
+TOLERANCE_MARGIN = 5.0
+"""finufft's own tolerance is so much less than what is asked for: measured, its error is up to 1.8 times its tolerance
+of the weighted mean magnitude, which is 4/pi of the amplitude of a tone under a Hann window."""
+
+OVERSAMPLING = 2.0
+"""Of finufft's inner grid: what it needs below 1e-9; 1.25 was no faster here."""
+
+DESIGN_MARGIN_DB = 24.0
+"""More than is asked for: four stages add up, short ones miss Kaiser's estimate, and passing a constant exactly moves
+the whole ripple to one side. Measured: at most 0.9 of the tolerance."""
 
 
 @nb.njit(inline="always")
@@ -93,7 +102,7 @@ def channel_scales(signals, first, weights, remove_mean, exponent, mean):  # typ
             exponent[c], mean[c] = finer, mean[c] * 2.0 ** float(power - finer)
 
 
-def phase_of_whole_revs(angle_rev: ArrayLike, orders: FloatArray) -> ComplexArray:
+def phase_of_whole_revs(angle_rev: ArrayLike, orders: Floats) -> Complexes:
     """exp(-2 pi i order angle) (angles, orders) for ``angle_rev`` (angles,) and ``orders`` (orders,), however large.
 
     The product is taken with the digits that rounding cuts off (Dekker 1971), so that only its fraction counts.
@@ -108,7 +117,7 @@ def phase_of_whole_revs(angle_rev: ArrayLike, orders: FloatArray) -> ComplexArra
     return np.asarray(np.exp(-2j * np.pi * ((product - np.rint(product)) + cut_off)))
 
 
-def _upper_half(values: FloatArray) -> FloatArray:
+def _upper_half(values: Floats) -> Floats:
     """The upper 26 bits of ``values``."""
     spread = values * 134217729.0
     return np.asarray(spread - (spread - values))
@@ -122,14 +131,6 @@ def real_signals(signals: NDArray[np.floating]) -> NDArray[np.floating]:
         raise RequestError("signals must be real (channels, samples)", found=found, allowed="two dims, real")
     kept = values.dtype in (np.dtype(np.float32), np.dtype(np.float64))
     return np.ascontiguousarray(values if kept else values.astype(np.float64))
-
-
-TOLERANCE_MARGIN = 5.0
-"""finufft's own tolerance is so much less than what is asked for: measured, its error is up to 1.8 times its tolerance
-of the weighted mean magnitude, which is 4/pi of the amplitude of a tone under a Hann window."""
-
-OVERSAMPLING = 2.0
-"""Of finufft's inner grid: what it needs below 1e-9; 1.25 was no faster here."""
 
 
 @nb.njit(cache=True, nogil=True)
@@ -165,12 +166,12 @@ class OrderTransform:
     def spectra(
         self,
         signals: NDArray[np.floating],
-        weights: FloatArray,
-        turns: FloatArray,
+        weights: Floats,
+        turns: Floats,
         *,
         first: int = 0,
-        mean_spectrum: ComplexArray | None = None,
-    ) -> ComplexArray:
+        mean_spectrum: Complexes | None = None,
+    ) -> Complexes:
         """Sums (channels, n_orders) of signal times weight times exp(-2 pi i order turn) over one frame.
 
         The error is at most the tolerance times the sum of |weight x signal|; with ``mean_spectrum`` of |weight x
@@ -216,7 +217,7 @@ def _planned(n_modes: int, n_pairs: int, tolerance: float) -> Any:
     return finufft.Plan(1, (n_modes,), n_trans=n_pairs, eps=tolerance, **options)
 
 
-def _separated(both: ComplexArray, out: ComplexArray) -> None:
+def _separated(both: Complexes, out: Complexes) -> None:
     """Spectra of the real channels from those of their pairs, orders -n…n."""
     n_orders, n_channels = out.shape[1], out.shape[0]
     positive, negative = both[:, n_orders - 1 :], both[:, n_orders - 1 :: -1].conj()
@@ -238,7 +239,7 @@ def _hann(turns, turns_per_sample, out):  # type: ignore[no-untyped-def]
         out[i] = weight if 0.0 <= half <= 0.5 else 0.0
 
 
-def hann_of_turns(turns: FloatArray, turns_per_sample: FloatArray) -> FloatArray:
+def hann_of_turns(turns: Floats, turns_per_sample: Floats) -> Floats:
     """Weights (samples,) whose sum over signal times exp(-2 pi i order turn) is the peak amplitude of a tone.
 
     A Hann window over ``turns`` (samples,), which go from 0 to 1 through it, times their slope ``turns_per_sample``
@@ -250,7 +251,7 @@ def hann_of_turns(turns: FloatArray, turns_per_sample: FloatArray) -> FloatArray
     return out
 
 
-def hann_of_constant(bins: ArrayLike) -> NDArray[np.complex128]:
+def hann_of_constant(bins: ArrayLike) -> Complexes:
     """What the weights make of a constant 1 at ``bins`` (any shape), cycles per window: phases from its beginning.
 
     2 at 0, -1 at 1 and nothing at whole numbers above.
@@ -264,7 +265,7 @@ def hann_of_constant(bins: ArrayLike) -> NDArray[np.complex128]:
     return np.where(at == whole, exact, between)
 
 
-def folding_error(bins_away: ArrayLike) -> NDArray[np.float64]:
+def folding_error(bins_away: ArrayLike) -> Floats:
     """Bound on the Hann window's answer ``bins_away`` (any shape) from a line, over the line's amplitude.
 
     A sum over samples in time cannot tell a product frequency from one that the sample rate away. Content at frequency
@@ -277,11 +278,6 @@ def folding_error(bins_away: ArrayLike) -> NDArray[np.float64]:
         return np.where(away > 1.5, 1.0 / (np.pi * away * np.maximum(away * away - 1.0, 1e-300)), 1.0)
 
 
-DESIGN_MARGIN_DB = 24.0
-"""More than is asked for: four stages add up, short ones miss Kaiser's estimate, and passing a constant exactly moves
-the whole ripple to one side. Measured: at most 0.9 of the tolerance."""
-
-
 @dataclass(frozen=True)
 class Upsampling:
     """Half-band stages that multiply the rate by ``factor``; ``taps`` (stages) give the value halfway between samples.
@@ -291,7 +287,7 @@ class Upsampling:
 
     factor: int
     pass_share: float
-    taps: tuple[NDArray[np.float64], ...]
+    taps: tuple[Floats, ...]
     reach: int
 
 
@@ -301,7 +297,7 @@ def upsampling(factor: int, *, pass_share: float, tolerance: float) -> Upsamplin
 
     ``factor`` is a power of two. Each stage is a Kaiser-windowed sinc (Kaiser 1974) of its transition band.
     """
-    taps: list[NDArray[np.float64]] = []
+    taps: list[Floats] = []
     reach, at_factor, share = 0.0, 1, pass_share
     attenuation = max(60.0, -20.0 * np.log10(tolerance)) + DESIGN_MARGIN_DB
     beta = 0.1102 * (attenuation - 8.7)
@@ -335,9 +331,7 @@ def _doubled(signals, taps, out):  # type: ignore[no-untyped-def]
         out[c, 2 * between] = signals[c, half - 1 + between]
 
 
-def upsampled(
-    signals: NDArray[np.floating], plan: Upsampling, *, first: int, last: int
-) -> tuple[NDArray[np.float64], int]:
+def upsampled(signals: NDArray[np.floating], plan: Upsampling, *, first: int, last: int) -> tuple[Floats, int]:
     """Values (channels, many) ``plan.factor`` times as dense from sample ``first`` to ``last``, and where these begin.
 
     ``signals`` (channels, samples) hold ``plan.reach`` samples more at each end; the second result is the index of

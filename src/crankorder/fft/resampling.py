@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.kernels import MOST_TAPS, error_of, family_and_taps, kaiser_error, rounding, table_of
+from crankorder.quantities import Floats
 
 Signals = NDArray[np.floating]
 
@@ -117,7 +118,7 @@ def _shortest(tolerance: float, content: float, double: bool) -> tuple[int, floa
     return 0, error_of("kaiser", best, content, double)
 
 
-def values_at(signals: Signals, positions: NDArray[np.float64], *, kernel: Kernel | None = None) -> Signals:
+def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = None) -> Signals:
     """Values (channels, n) of ``signals`` (channels, samples), float32 or float64, at ``positions``, in their dtype.
 
     ``positions`` (n,) are in samples from the first, any order, as far from both ends as ``kernel``.margin. ``kernel``
@@ -169,7 +170,7 @@ def _flat(samples: Signals) -> tuple[Signals, int]:
     return np.lib.stride_tricks.as_strided(samples, (length,), (samples.itemsize,), writeable=False), row
 
 
-def _refuse(places: NDArray[np.float64], bad: int, low: float, high: float) -> None:
+def _refuse(places: Floats, bad: int, low: float, high: float) -> None:
     """Raises RequestError: the position numbered ``bad`` lies outside ``low``…``high``."""
     found = f"{places[bad]:.6g} at number {bad}"
     if high < low:

@@ -13,6 +13,7 @@ import pyfftw
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import Window
+from crankorder.quantities import Bools, Floats, Ints
 
 BATCH_BYTES = 262_144
 """Size of the frames transformed at a time: they and their spectra stay in the second-level cache."""
@@ -63,10 +64,10 @@ class FrameTransform:
         self.n_bins = min(n_bins or self.n_fft // 2 + 1, self.n_fft // 2 + 1)
 
     @cached_property
-    def _scaled_window(self) -> NDArray[np.float64]:
+    def _scaled_window(self) -> Floats:
         return self.window.values * self.window.tone_scale
 
-    def spectra(self, signals: NDArray[np.floating], starts: NDArray[np.int64]) -> NDArray[np.complexfloating]:
+    def spectra(self, signals: NDArray[np.floating], starts: Ints) -> NDArray[np.complexfloating]:
         """Spectra (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
 
         ``signals`` is (channels, samples) and holds every frame whole; phases are those at each frame's first sample.
@@ -81,11 +82,7 @@ class FrameTransform:
         return made
 
     def power(
-        self,
-        signals: NDArray[np.floating],
-        starts: NDArray[np.int64],
-        *,
-        scales: NDArray[np.float64] | None = None,
+        self, signals: NDArray[np.floating], starts: Ints, *, scales: Floats | None = None
     ) -> NDArray[np.floating]:
         """Squared peak amplitudes (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
 
@@ -101,7 +98,7 @@ class FrameTransform:
             _squares(spectrum.view(made.dtype), rows[first : first + count])
         return made
 
-    def _batches(self, signals: NDArray[np.floating], starts: NDArray[np.int64], scales: NDArray[np.float64]) -> Any:
+    def _batches(self, signals: NDArray[np.floating], starts: Ints, scales: Floats) -> Any:
         """First number, count and spectra of one batch of frames after the other, counted channel by channel."""
         if len(starts) and (starts.min() < 0 or starts.max() + self.n_frame > signals.shape[1]):
             raise ValueError(f"frames must lie within the {signals.shape[1]} samples")
@@ -140,14 +137,14 @@ def _real(signals: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.ascontiguousarray(signals, dtype=np.float32 if signals.dtype == np.float32 else np.float64)
 
 
-def frame_starts(n_samples: int, n_frame: int, hop: int) -> NDArray[np.int64]:
+def frame_starts(n_samples: int, n_frame: int, hop: int) -> Ints:
     """First samples of the whole frames of ``n_frame`` samples, ``hop`` apart, that fit into ``n_samples``."""
     if n_samples < n_frame:
         return np.empty(0, dtype=np.int64)
     return np.arange(0, n_samples - n_frame + 1, max(1, hop), dtype=np.int64)
 
 
-def whole_frames(usable: NDArray[np.bool_], starts: NDArray[np.int64], n_frame: int) -> NDArray[np.bool_]:
+def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
     """Whether all samples of each frame can be used (channels, frames): the frames of ``n_frame`` from ``starts`` on.
 
     ``usable`` (channels, samples) says which samples can.

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.quantities import Floats
+
 BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
 """Four-term window with side lobes below -92 dB (Harris 1978, table 1)."""
 
@@ -20,13 +22,16 @@ NAMES = ("hann", "flat-top", "blackman-harris", "kaiser", "rectangular")
 WIDEST_LOBE_BINS = 16
 """Half width of main lobes that are looked at: a Kaiser window of beta 45 has one as wide."""
 
+LEAST, LARGEST = -1021, 1023
+"""Exponents of two between which both the power and its inverse are normal numbers, or nearly so."""
+
 
 @dataclass(frozen=True)
 class Window:
     """A window of ``values`` (samples,) with its name; its sums give the scalings of a spectrum."""
 
     name: str
-    values: NDArray[np.float64]
+    values: Floats
 
     @property
     def tone_scale(self) -> float:
@@ -39,7 +44,7 @@ class Window:
         values = self.values
         return float(len(values) * (values @ values) / values.sum() ** 2)
 
-    def response(self, offset_bins: NDArray[np.float64]) -> NDArray[np.float64]:
+    def response(self, offset_bins: Floats) -> Floats:
         """Share of a tone's amplitude that a bin shows from which the tone lies ``offset_bins`` away."""
         n = len(self.values)
         centred = (np.arange(n) - 0.5 * n) / n
@@ -126,11 +131,7 @@ def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Win
     return made[name](n_samples)
 
 
-LEAST, LARGEST = -1021, 1023
-"""Exponents of two between which both the power and its inverse are normal numbers, or nearly so."""
-
-
-def power_of_two(values: NDArray[Any]) -> NDArray[np.float64]:
+def power_of_two(values: NDArray[Any]) -> Floats:
     """Power of two (channels, 1, …) next above the largest magnitude of each channel, 2 where that is 0 or unknown.
 
     ``values`` (channels, …) real or complex, in any unit; NaN is left out.

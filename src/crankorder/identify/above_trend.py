@@ -11,27 +11,21 @@ from scipy.special import stdtr
 from crankorder.identify.found import AgreedOrder, Mode, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.order_trend import PowerLaw, power_law
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="above_trend"):
+    neighbourhood_dampings: float
+    beside_log_ratio: float
+    enough_beside: int
+    least_beside: int
+    mostly_seen_share: float
+    meaningless_amplification: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
-
-NEIGHBOURHOOD_DAMPINGS = 4.0
-"""Speeds within so many damping ratios of a crossing take no part in the trend beside it."""
-
-BESIDE = 0.5
-"""Natural logarithm of the ratio of speeds up to which the trend beside a crossing is taken, where enough are there."""
-
-ENOUGH_BESIDE = 6
-"""Speeds that are enough for a trend."""
-
-LEAST_BESIDE = 3
-"""Fewer speeds make no trend: a power law has two parameters."""
-
-MOSTLY_SEEN = 0.8
-"""Share of the tested speeds around a crossing at which an order must be seen before it is called not excited."""
-
-MEANINGLESS = 1e6
-"""A trend that lets an amplification be as large as this is none."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +99,7 @@ def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple
     ratio = float(np.exp(excess[best]))
     with np.errstate(over="ignore"):
         low, high = ratio * np.exp(-half), ratio * np.exp(half)
-    if not high < MEANINGLESS:
+    if not high < NUMBERS.meaningless_amplification:
         return []
     return [Seen(line.channel, chance, float(speed[at[best]]), ratio, float(low), float(high))]
 
@@ -114,15 +108,15 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
     """Power law of ``line`` beside ``rpm``; the crossings with ``others`` (rpm, damping) are left out if it can be."""
     speed = line.speed_rpm
     damping = min(others, key=lambda item: abs(item[0] - rpm))[1]
-    free = np.abs(speed - rpm) > max(near_rpm, NEIGHBOURHOOD_DAMPINGS * damping * rpm)
+    free = np.abs(speed - rpm) > max(near_rpm, NUMBERS.neighbourhood_dampings * damping * rpm)
     clear = free.copy()
     for other, its_damping in others:
         clear &= np.abs(speed - other) > max(0.5 * near_rpm, 2.0 * its_damping * other)
-    close = np.abs(np.log(speed / rpm)) < BESIDE
+    close = np.abs(np.log(speed / rpm)) < NUMBERS.beside_log_ratio
     for chosen in (clear & close, clear, free & close, free):
-        if np.count_nonzero(chosen) >= ENOUGH_BESIDE:
+        if np.count_nonzero(chosen) >= NUMBERS.enough_beside:
             return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
-    if np.count_nonzero(free) < LEAST_BESIDE:
+    if np.count_nonzero(free) < NUMBERS.least_beside:
         return None
     return power_law(speed[free], line.amplitude[free], line.amplitude_error[free])
 
@@ -132,6 +126,6 @@ def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
 
     Where it hides in the floor, its trend is too high.
     """
-    around = np.abs(np.log(tested / rpm)) < BESIDE
-    seen = np.abs(np.log(line.speed_rpm / rpm)) < BESIDE
-    return bool(np.count_nonzero(seen) >= MOSTLY_SEEN * np.count_nonzero(around))
+    around = np.abs(np.log(tested / rpm)) < NUMBERS.beside_log_ratio
+    seen = np.abs(np.log(line.speed_rpm / rpm)) < NUMBERS.beside_log_ratio
+    return bool(np.count_nonzero(seen) >= NUMBERS.mostly_seen_share * np.count_nonzero(around))

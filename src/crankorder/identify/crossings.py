@@ -13,29 +13,26 @@ from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, 
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
-from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import with_and_without
-from crankorder.identify.said import CLEARLY_EXCITED
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.whirl_crossings import unmeasured_whirl, whirl_crossing
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="crossings"):
+    false_discovery_rate: float
+    shape_share: float
+    same_response_orders: float
+    same_stated_share: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
 
-FALSE_DISCOVERY_RATE = 0.05
-"""Of the crossings that are called excited so many may be called so by chance (Benjamini and Hochberg 1995)."""
-
-
-SHAPE_SHARE = 0.05
-"""Share of a peak by which a fit may err in what is left without the mode: the shape of the rest is but assumed."""
-
-SAME_RESPONSE = 1e-3
-"""Distance within which two numbers are one order."""
-
 EXTRAPOLATED = "extrapolated: no speed there was tested, and order and natural frequency are taken to stay as they are"
 """Evidence of a crossing outside the tested range."""
-
-SAME_STATED = 0.01
-"""Share of a stated order within which a found one is that."""
 
 
 def crossings(
@@ -83,7 +80,9 @@ def crossings(
             if (met := whirl_crossing(agreed, whirl, modal, tested, speed_rpm, settings)) is not None:
                 found.append(met[0])
                 seen_of.append(met[1])
-    missing = [order for order in stated if all(abs(order - item.order) > SAME_STATED * order for item in orders)]
+    missing = [
+        order for order in stated if all(abs(order - item.order) > NUMBERS.same_stated_share * order for item in orders)
+    ]
     made = _decided(found, seen_of)
     made += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
     for order in missing:
@@ -135,7 +134,7 @@ def _seen_of(agreed: AgreedOrder, number: int, modal: ModalFit, settings: Identi
 
 def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
     """Responses of ``modal`` to ``order``, of all channels and recordings."""
-    return [item for item in modal.responses if abs(item.order - order) < SAME_RESPONSE]
+    return [item for item in modal.responses if abs(item.order - order) < NUMBERS.same_response_orders]
 
 
 def _crossing(
@@ -187,22 +186,22 @@ def _crossing(
 def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen | None:
     """How many times what it is without mode ``number`` of ``modal`` the fit of ``response`` is at its frequency.
 
-    With its 95 % interval, which leaves SHAPE_SHARE of the peak to what no noise tells; its upper end is endless where
-    nothing may be left without the mode. The factor and its lower end are 1 / (2 ζ) at most. None where the fit does
-    not hold the mode, or not that speed, or where its damping is not known.
+    With its 95 % interval, which leaves ``shape_share`` of the peak to what no noise tells; its upper end is endless
+    where nothing may be left without the mode. The factor and its lower end are 1 / (2 ζ) at most. None where the fit
+    does not hold the mode, or not that speed, or where its damping is not known.
     """
     mode = modal.modes[number]
-    if mode.damping_error > KNOWN * mode.damping_ratio:
+    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
         return None
     rpm = 60.0 * mode.frequency_hz / response.order
     if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
     both = with_and_without(response, number, np.array([rpm]), modal)
-    sigmas = half_width(float(response.freedom))
+    sigmas = half_width(float(response.degrees_of_freedom))
     size, size_error, without, without_error, least = (
         float(one.flat[0]) for one in (both.with_mode, both.with_error, both.without, both.without_error, both.least)
     )
-    unsure = sigmas * without_error + SHAPE_SHARE * size
+    unsure = sigmas * without_error + NUMBERS.shape_share * size
     low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
     high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
     quality = 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
@@ -239,15 +238,18 @@ def _unless_excited(
     if not inside:
         return "outside the tested range"
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
-    quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < CLEARLY_EXCITED
+    quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < SAID.clearly_excited_ratio
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
     near = rpm * (1.0 + mode.damping_ratio * np.linspace(-1.0, 1.0, 5))
     known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
-        ends = [with_and_without(item, number, near, modal).ends(half_width(float(item.freedom)))[1] for item in known]
-        quiet |= max(float(high.max()) for high in ends) < CLEARLY_EXCITED
+        ends = [
+            with_and_without(item, number, near, modal).ends(half_width(float(item.degrees_of_freedom)))[1]
+            for item in known
+        ]
+        quiet |= max(float(high.max()) for high in ends) < SAID.clearly_excited_ratio
     by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
-    quiet &= all(one.ratio_low < CLEARLY_EXCITED for one in by_fit)
+    quiet &= all(one.ratio_low < SAID.clearly_excited_ratio for one in by_fit)
     if mode.undecided:
         return "undecided mode"
     if quiet:
@@ -278,11 +280,16 @@ def amplification(response: OrderResponse, number: int, modal: ModalFit) -> floa
 def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[Seen]:
     """What the residue of mode ``number`` says: its F test against none; [] where the fit does not hold the mode."""
     place = np.flatnonzero(response.reached == number)
-    if not response.fits or not len(place) or response.freedom < 1 or amplification(response, number, modal) <= 1.0:
+    if (
+        not response.fits
+        or not len(place)
+        or response.degrees_of_freedom < 1
+        or amplification(response, number, modal) <= 1.0
+    ):
         return []
     at = len(response.smooth) + int(place[0])
     squared = abs(response.residue[number]) ** 2 / max(float(response.covariance[at, at].real), 1e-300)
-    return [Seen(response.channel, float(fdtrc(2.0, float(response.freedom), 0.5 * squared)))]
+    return [Seen(response.channel, float(fdtrc(2.0, float(response.degrees_of_freedom), 0.5 * squared)))]
 
 
 def _decided(found: list[Crossing], seen_of: list[list[Seen]]) -> list[Crossing]:
@@ -291,13 +298,13 @@ def _decided(found: list[Crossing], seen_of: list[list[Seen]]) -> list[Crossing]
     for number, (item, seen) in enumerate(zip(found, seen_of, strict=True)):
         if item.in_range and seen:
             chances[number] = simes(np.array([one.chance for one in seen]))
-    excited = claimed(chances, q=FALSE_DISCOVERY_RATE)
+    excited = claimed(chances, q=NUMBERS.false_discovery_rate)
     made = []
     for item, seen, chance, sure in zip(found, seen_of, chances.tolist(), excited.tolist(), strict=True):
         if np.isfinite(chance):
             item = replace(item, chance=chance)
         if sure:
-            shows = {one.channel for one in seen if len(seen) * one.chance <= FALSE_DISCOVERY_RATE}
+            shows = {one.channel for one in seen if len(seen) * one.chance <= NUMBERS.false_discovery_rate}
             shows |= {min(seen, key=lambda one: one.chance).channel}
             evidence = f"{item.evidence}; chance without the mode {chance:.1g}"
             item = replace(item, verdict="excited", channels=tuple(sorted(shows)), evidence=evidence)

@@ -10,22 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import crankcase_forces, crankcase_moments
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import crankcase_forces, crankcase_moments, gas_torque_by_order
 from crankorder.errors import RequestError
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="cycle_forces"):
+    dominates_ratio: float
+    gas_reach_orders: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
 Maker = Literal["gas", "masses", "both"]
 
-DOMINATES = 5.0
-"""So many times the other: load may halve or double a stated pressure, and a structure answers forces and moments
-differently."""
-
 GAS_ORDERS = (0.5, 1.5, 2.5, 3.5)
 """Two or more of these half orders tell of gas in a four-stroke engine: nothing else makes its cycle felt so."""
-
-GAS_REACH = 0.02
-"""An order this near to one of them is it."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,10 @@ class CycleForce:
 
     @property
     def maker(self) -> Maker:
-        """Which of the two makes the order, where one is more than ``DOMINATES`` times the other."""
-        if self.gas > DOMINATES * self.masses:
+        """Which of the two makes the order, where one is more than ``dominates_ratio`` times the other."""
+        if self.gas > NUMBERS.dominates_ratio * self.masses:
             return "gas"
-        return "masses" if self.masses > DOMINATES * self.gas else "both"
+        return "masses" if self.masses > NUMBERS.dominates_ratio * self.gas else "both"
 
     @property
     def words(self) -> str:
@@ -93,4 +94,6 @@ def _at(engine: Engine, order: float, rpm: float, gas: Floats, highest: int, lev
 
 def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:
     """Those of ``orders`` that are one of ``GAS_ORDERS``, in words."""
-    return tuple(f"{one:.1f}" for one in orders if any(abs(one - known) < GAS_REACH for known in GAS_ORDERS))
+    return tuple(
+        f"{one:.1f}" for one in orders if any(abs(one - known) < NUMBERS.gas_reach_orders for known in GAS_ORDERS)
+    )

@@ -11,18 +11,21 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.orders.swing_evidence import HARMONICS
 from crankorder.orders.true_angle import TAKEN, given_to
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="encoder_sidebands"):
+    alike_share: float
+    scatter_sigmas: float
+
+
+NUMBERS = _Numbers.load()
 
 OF_ENCODER = "encoder eccentricity: sideband of order"
 """Begin of the words for what is left of sidebands whose cause is proved."""
 
 OR_OWN = "encoder eccentricity or a line of its own"
 """Words for a line that an eccentricity would make which the data do not exclude, nor prove."""
-
-ALIKE = 0.1
-"""Share by which a sideband may exceed what a swing gives it to first order."""
-
-SCATTER = 3.0
-"""Standard errors by which one speed may show more."""
 
 Words = dict[tuple[str, float], tuple[str, str]]
 """Cause and evidence by channel and order."""
@@ -65,9 +68,9 @@ def _within(line: OrderLine, given: NDArray[np.float64]) -> bool:
     rows = line.seen[line.seen < len(given)]
     if not len(rows) == len(line.amplitude) > 0:
         return False
-    scatter = np.nan_to_num(line.amplitude_error) * SCATTER
-    overall = float(np.mean(line.amplitude**2)) <= (1.0 + ALIKE) ** 2 * float(np.mean(given[rows] ** 2))
-    return overall and bool((line.amplitude <= (1.0 + ALIKE) * given[rows] + scatter).all())
+    scatter = np.nan_to_num(line.amplitude_error) * NUMBERS.scatter_sigmas
+    overall = float(np.mean(line.amplitude**2)) <= (1.0 + NUMBERS.alike_share) ** 2 * float(np.mean(given[rows] ** 2))
+    return overall and bool((line.amplitude <= (1.0 + NUMBERS.alike_share) * given[rows] + scatter).all())
 
 
 def _carrier(line: OrderLine, amplitude: NDArray[np.float64], axis: NDArray[np.float64], order: float) -> float:

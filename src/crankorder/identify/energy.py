@@ -10,41 +10,29 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
-from crankorder.identify.energy_maps import (
-    LINE_BINS,
-    EnergyLines,
-    EnergyMap,
-    band_end_hz,
-    beyond,
-    by_frequency,
-    by_order,
-)
+from crankorder.findings import Energy, EnergyShares
+from crankorder.identify.energy_maps import NUMBERS as ENERGY_MAPS
+from crankorder.identify.energy_maps import EnergyLines, EnergyMap, band_end_hz, beyond, by_frequency, by_order
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.cfar import highest_of_three, noise_level
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="energy"):
+    sunk_share: float
+    most_height_ratio: float
+    smoothed_bins: int
+    skirt_bins: tuple[int, ...]
+    clear_sigmas: float
+    map_chance: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
-
-SUNK = 0.1
-"""Share of the floor below which the side lobes of a line are no more to be seen."""
-
-MOST_HEIGHT = 1e8
-"""No line stands higher than this over the floor of a cell."""
-
-SMOOTHED_BINS = 33
-"""Bins over whose median the floor under the lines is taken where no surface was fitted: some lobes of lines wide."""
-
-SKIRT_BINS = (4, 5, 6)
-"""Bins beside a line where its window shows next to nothing of it, and a natural frequency rings on."""
-
-CLEAR_SIGMAS = 4.0
-"""Standard deviations from which what stands in a line's cells is more than its own amplitude and noise."""
-
-MAP_CHANCE = 0.01
-"""Chance that noise alone puts any cell of the whole map over its surface."""
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -58,8 +46,8 @@ def energy_shares(
     causes: Causes,
     *,
     settings: IdentifySettings,
-) -> dict[str, Any]:
-    """Shares of the energy of the whole recorded band, as ``energy`` and ``unexplained_energy_fraction`` of findings.
+) -> tuple[Energy, float]:
+    """Shares of the energy of the whole recorded band, and the fraction of it that nothing explains.
 
     Of each channel, as fractions of its mean square (``total``, in ``unit``) over all speeds alike, without the mean:
     ``orders`` and ``tones`` whose cause is known, ``modes_and_floor``, ``unexplained``; they add up to 1.
@@ -72,7 +60,7 @@ def energy_shares(
     line has amplitude² / 2, or all that stands over the surface in its own cells if that is clearly more, and never
     more than these hold; where it was not seen, what stands there on the mean of those speeds.
 
-    ``unexplained_energy_fraction`` is the mean over the channels of unexplained / (orders + tones + unexplained):
+    The fraction is the mean over the channels of unexplained / (orders + tones + unexplained):
     of the energy that is not broadband, the share without a known cause; in a channel without any line, of all its
     energy, for one cell by chance is no headline. 0 means that every line and every cell of the
     map is accounted for. ``cells_judged`` says whether there was a fitted surface to judge the cells by; without
@@ -96,18 +84,14 @@ def energy_shares(
     else:
         judged, parts = False, [_looked_at(*by_order(order_map, orders, causes), None, settings)]
     names, units = order_map["channel"].values.tolist(), order_map["unit"].values.tolist()
-    channels = [
-        {"channel": name, "unit": f"({unit})²"} | _shares([_channel(number, part) for part in parts])
+    channels = tuple(
+        _shares(name, unit, [_channel(number, part) for part in parts])
         for number, (name, unit) in enumerate(zip(names, units, strict=True))
-    ]
+    )
     shares = [_fraction(record) for record in channels]
     decided = [share for share in shares if share is not None]
-    return {
-        "unexplained_energy_fraction": float(np.mean(decided)) if decided else 0.0,
-        "cells_judged": judged,
-        "band_hz": band_end_hz(campbell, order_map),
-        "channels": channels,
-    }
+    made_of = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
+    return made_of, float(np.mean(decided)) if decided else 0.0
 
 
 @dataclass(frozen=True)
@@ -137,11 +121,14 @@ def _looked_at(made: EnergyMap, lines: EnergyLines, modal: ModalFit | None, sett
     return _LookedAt(made, lines, owner, surface, unexplained)
 
 
-def _fraction(record: dict[str, Any]) -> float | None:
-    lines = record["orders"] + record["tones"] + record["unexplained_lines"]
+def _fraction(record: EnergyShares) -> float | None:
+    """Share of what is not broadband that nothing explains; of all where there is no line; None where nothing is."""
+    told = record.orders, record.tones, record.unexplained_lines, record.unexplained_cells, record.unexplained
+    orders, tones, loose, cells, unexplained = (share or 0.0 for share in told)
+    lines = orders + tones + loose
     if lines > 0.0:
-        return float(record["unexplained"] / (lines + record["unexplained_cells"]))
-    return float(record["unexplained"]) if record["unexplained"] > 0.0 else None
+        return float(unexplained / (lines + cells))
+    return float(unexplained) if unexplained > 0.0 else None
 
 
 def _owners(axis: Floats, lines: EnergyLines) -> NDArray[np.int64]:
@@ -163,12 +150,14 @@ def _with_skirts(made: EnergyMap, lines: EnergyLines, surface: Floats) -> Energy
     """The ``lines`` with a reach up to where the side lobes of their window sink into the floor."""
     if not lines.centre.size:
         return lines
-    own = lines.reach.min() / LINE_BINS
+    own = lines.reach.min() / ENERGY_MAPS.line_bins
     at = np.clip(np.searchsorted(made.axis, lines.centre), 0, len(made.axis) - 1)
     floor = surface[:, np.arange(len(at))[:, None], at]
     with np.errstate(invalid="ignore", divide="ignore"):
         height = np.where(floor > 0.0, np.nan_to_num(lines.stated) / floor, 0.0).max(axis=0)
-    return replace(lines, reach=np.maximum(lines.reach, own * _skirt_bins(np.minimum(height, MOST_HEIGHT))))
+    return replace(
+        lines, reach=np.maximum(lines.reach, own * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio)))
+    )
 
 
 def _surface(made: EnergyMap, owner: NDArray[np.int64], modal: ModalFit | None) -> Floats:
@@ -203,9 +192,9 @@ def _filled(axis: Floats, at: Floats, values: Floats) -> Floats:
 
 
 def _smoothed(values: Floats) -> Floats:
-    half = SMOOTHED_BINS // 2
+    half = NUMBERS.smoothed_bins // 2
     padded = np.pad(values, half, constant_values=np.nan)
-    return _median(np.lib.stride_tricks.sliding_window_view(padded, SMOOTHED_BINS), axis=-1)
+    return _median(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.smoothed_bins), axis=-1)
 
 
 def _over_surface(
@@ -214,7 +203,7 @@ def _over_surface(
     """Energy (channels, rows, cells) outside the lines that stands over the ``surface`` as noise does not."""
     free = (owner >= 0)[None] == np.zeros(made.energy.shape, dtype=bool)
     free &= (surface > 0.0) & (made.energy > 0.0)
-    chance = min(settings.false_alarm_probability, MAP_CHANCE / max(1, made.energy.size))
+    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(free, made.energy / surface, np.nan)
         level = _level(ratio, made.averages[None, :], chance)
@@ -238,19 +227,19 @@ def _lines_alone(made: EnergyMap, owner: NDArray[np.int64], surface: Floats, set
     found = np.zeros(made.energy.shape)
     if made.kurtosis is None:
         return found
-    chance = min(settings.false_alarm_probability, MAP_CHANCE / max(1, made.energy.size))
+    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
     step = float(made.axis[1] - made.axis[0])
     least = settings.least_damping_ratio * np.maximum(made.axis, step) / step
-    level = np.array([noise_level(max(1.0, float(n)), len(SKIRT_BINS), chance) for n in made.averages])[:, None]
-    skirts = 1.0 / np.mean([1.0 / (1.0 + (away / least) ** 2) for away in SKIRT_BINS], axis=0)
+    level = np.array([noise_level(max(1.0, float(n)), len(NUMBERS.skirt_bins), chance) for n in made.averages])[:, None]
+    skirts = 1.0 / np.mean([1.0 / (1.0 + (away / least) ** 2) for away in NUMBERS.skirt_bins], axis=0)
     with np.errstate(invalid="ignore"):
         sharp = (made.energy > level * skirts * _beside(made.energy)) & (made.kurtosis < LINE_EVIDENCE.steady_kurtosis)
         stands = (made.energy > level * surface) & (sharp | _steady(made, least, chance)) & (owner < 0)
     stands &= highest_of_three(made.energy) & (surface > 0.0) & (made.averages >= 2.0)[:, None]
     cells = np.arange(len(made.axis))
     for channel, row, at in zip(*np.nonzero(stands), strict=True):
-        height = min(float(made.energy[channel, row, at] / surface[channel, row, at]), MOST_HEIGHT)
-        own = (np.abs(cells - at) <= max(LINE_BINS, _skirt_bins(height))) & (owner[row] < 0)
+        height = min(float(made.energy[channel, row, at] / surface[channel, row, at]), NUMBERS.most_height_ratio)
+        own = (np.abs(cells - at) <= max(ENERGY_MAPS.line_bins, _skirt_bins(height))) & (owner[row] < 0)
         over = made.energy[channel, row] - surface[channel, row]
         found[channel, row] = np.where(own, np.maximum(over, 0.0), found[channel, row])
     return found
@@ -268,13 +257,15 @@ def _steady(made: EnergyMap, least: Floats, chance: float) -> NDArray[np.bool_]:
 
 
 def _beside(energy: Floats) -> Floats:
-    """Mean ``energy`` (…, cells) of the cells SKIRT_BINS away, on the side where it is less: a line may stand there.
+    """Mean ``energy`` (…, cells) of the cells ``skirt_bins`` away, on the side where it is less: there may be a line.
 
     What rings leaves its skirts on both sides.
     """
-    reach, n = max(SKIRT_BINS), energy.shape[-1]
+    reach, n = max(NUMBERS.skirt_bins), energy.shape[-1]
     padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), constant_values=np.inf)
-    sides = [np.mean([padded[..., reach + k * sign :][..., :n] for k in SKIRT_BINS], axis=0) for sign in (-1, 1)]
+    sides = [
+        np.mean([padded[..., reach + k * sign :][..., :n] for k in NUMBERS.skirt_bins], axis=0) for sign in (-1, 1)
+    ]
     return np.asarray(np.minimum(*sides))
 
 
@@ -283,7 +274,7 @@ def _skirt_bins(height: Any) -> Any:
 
     A Hann window shows a line x bins away with 1 / (π x³)² of its power at most.
     """
-    return (height / SUNK) ** (1 / 6) / np.pi ** (1 / 3)
+    return (height / NUMBERS.sunk_share) ** (1 / 6) / np.pi ** (1 / 3)
 
 
 def _level(ratio: Floats, averages: Floats, false_alarm_probability: float) -> Floats:
@@ -337,14 +328,25 @@ def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:
     return np.asarray((at <= last) & (counts > 0.5))
 
 
-def _shares(parts: list[dict[str, float]]) -> dict[str, Any]:
-    """Shares of one channel in the sum of the ``parts`` that the maps of one band hold, and its mean square."""
+def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergyShares:
+    """Shares of a ``channel`` in the sum of the ``parts`` that the maps of one band hold, and its mean square."""
     joined = {name: sum(part[name] for part in parts) for name in parts[0]}
     total = joined.pop("total")
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
-    shares["unexplained"] = shares["unexplained_lines"] + shares["unexplained_cells"]
-    rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - shares["unexplained"])
-    return shares | {"modes_and_floor": rest if total > 0.0 else 0.0, "total": total}
+    unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
+    rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
+    floor = rest if total > 0.0 else 0.0
+    return EnergyShares(
+        channel=channel,
+        unit=f"({unit})²",
+        orders=shares["orders"],
+        tones=shares["tones"],
+        unexplained_lines=shares["unexplained_lines"],
+        unexplained_cells=shares["unexplained_cells"],
+        unexplained=unexplained,
+        modes_and_floor=floor,
+        total=total,
+    )
 
 
 def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> Floats:
@@ -361,4 +363,4 @@ def _more_than_noise(
     """
     each = floor / cells
     scatter = (np.sqrt(cells) * each + np.sqrt(2.0 * stated * each)) / np.sqrt(np.maximum(averages, 1.0))[:, None]
-    return np.asarray(there - floor - stated > CLEAR_SIGMAS * scatter)
+    return np.asarray(there - floor - stated > NUMBERS.clear_sigmas * scatter)

@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="energy_maps"):
+    line_bins: float
+    steady_bins: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
-
-LINE_BINS = 3.0
-"""Bins on each side of a line that are the line's own: the main lobe of its window and a slow change of speed."""
-
-STEADY_BINS = 2.0
-"""Noise bandwidths from zero up in which the mean of the signal lies: they count as no vibration."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,8 @@ def by_frequency(
     frequency, speed = campbell["frequency"].values, campbell["speed"].values
     channels = campbell["channel"].values.tolist()
     energy = campbell["psd"].values.astype(np.float64) * resolution
-    energy[..., frequency < STEADY_BINS * enbw_hz] = 0.0
-    own = LINE_BINS * max(resolution, enbw_hz / 1.5)
+    energy[..., frequency < NUMBERS.steady_bins * enbw_hz] = 0.0
+    own = NUMBERS.line_bins * max(resolution, enbw_hz / 1.5)
     number = np.array([agreed.order for agreed in orders])
     wander = 0.5 * (_group_width_rpm(campbell) / 60.0 + float(campbell.attrs.get("sweep_hz_per_order", 0.0)))
     tones = np.array([tone.frequency_hz for tone in modal.tones])
@@ -92,10 +95,10 @@ def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Cau
     axis, channels = order_map["order"].values, order_map["channel"].values.tolist()
     half, enbw = _square_of_peak(order_map), float(order_map.attrs.get("enbw_bins", 1.5))
     energy = half * order_map["amplitude"].values.astype(np.float64) ** 2 / enbw
-    energy[..., axis < STEADY_BINS * enbw * (axis[1] - axis[0])] = 0.0
+    energy[..., axis < NUMBERS.steady_bins * enbw * (axis[1] - axis[0])] = 0.0
     shape = (order_map.sizes["speed"], len(orders))
     centre = np.broadcast_to(np.array([agreed.order for agreed in orders]), shape)
-    reach = np.full(shape, LINE_BINS * max(1.0, enbw / 1.5) * float(axis[1] - axis[0]))
+    reach = np.full(shape, NUMBERS.line_bins * max(1.0, enbw / 1.5) * float(axis[1] - axis[0]))
     stated = np.full((len(channels), *shape), np.nan)
     for at, agreed in enumerate(orders):
         for line in agreed.lines:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from crankorder.findings import BearingFinding
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.encoder_sidebands import OR_OWN
 from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
-from crankorder.identify.known_lines import APART_CYCLES
+from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.growth import largest
 from crankorder.identify.mains import mains_words, multiple_in, multiple_on, nearest_multiple
 from crankorder.identify.mains_orders import mains_orders
@@ -22,10 +22,23 @@ from crankorder.identify.motors import LineSeen, named_by, words_of
 from crankorder.identify.one_mains import OR_ANOTHER, claims_of, doubtful
 from crankorder.identify.order_one import is_motion, order_one
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
-from crankorder.identify.said import ALIKE_SPEEDS, LIKE_UNBALANCE
+from crankorder.identify.said import LIKE_UNBALANCE
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain"):
+    same_sigmas: float
+    vague_spacings: float
+    most_harmonics: int
+    grid_tones: int
+    grid_share: float
+    low_mains_hz: float
+
+
+NUMBERS = _Numbers.load()
 
 HALF_ORDER_QUANTITIES = ("pressure",)
 """In these quantities every half order is the gas cycle of a four-stroke engine itself."""
@@ -36,24 +49,8 @@ NOT_KNOWN = ("unexplained", "tone", "undecided", OR_OWN)
 ForcesOfCycle = dict[tuple[str, float], CycleForce]
 """What gas and masses make of a line, by channel and AgreedOrder.order."""
 
-SIGMAS = 3.0
-"""Standard errors within which an order may be another."""
-
-VAGUE = 0.125
-"""Distance from a multiple, in spacings of the multiples, beyond which an order of large error is none for certain."""
-
 EITHER = "gas cycle or engine kinematics"
 """What makes an order that gas and masses of an engine both do, as far as is known."""
-
-MOST_HARMONICS = 10
-"""Multiples of a stated gear mesh or of a bearing line that are named after it."""
-
-
-GRID_TONES = 6
-"""So many tones or more, and half of all, on multiples of one spacing …"""
-
-GRID_SHARE = 0.02
-"""… within this share of it are one grid: tones that lie anywhere would seldom be."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,7 @@ class Causes:
 def explained(
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     *,
     sources: Sources,
     quantity: dict[str, str],
@@ -104,7 +101,7 @@ def explained(
     ----------
     orders : the orders of the test
     modal : its modes and tones
-    bearings : records of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
+    bearings : findings of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
     sources : what is known of the machine
     quantity : quantity of each channel by its name, such as "acceleration" or "pressure"
     settings : ``order_match`` says how near to its stated order a gear's line must be
@@ -223,7 +220,7 @@ def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> f
     if multiple is not None or agreed.lock != "undecided" or not np.isfinite(longest_rev):
         return multiple
     nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
-    return nearest if abs(agreed.order - nearest) * longest_rev < APART_CYCLES else None
+    return nearest if abs(agreed.order - nearest) * longest_rev < KNOWN_LINES.apart_cycles else None
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
@@ -235,7 +232,7 @@ def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
     nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
     if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 / revs_per_cycle:
         return nearest
-    reach = min(SIGMAS * agreed.order_error + 1e-9, VAGUE / revs_per_cycle)
+    reach = min(NUMBERS.same_sigmas * agreed.order_error + 1e-9, NUMBERS.vague_spacings / revs_per_cycle)
     if agreed.lock == "slips" or abs(agreed.order - nearest) > reach:
         return None
     return nearest
@@ -245,7 +242,7 @@ def _first_cause(
     agreed: AgreedOrder,
     line: OrderLine,
     orders: tuple[AgreedOrder, ...],
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     races: list[StruckRace],
     sources: Sources,
     quantity: str,
@@ -321,9 +318,9 @@ def _kinematics(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources
 def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: IdentifySettings) -> Cause | None:
     for name, order in sources.gears:
         multiple = round(agreed.order / order)
-        if not 1 <= multiple <= MOST_HARMONICS:
+        if not 1 <= multiple <= NUMBERS.most_harmonics:
             continue
-        if abs(agreed.order - multiple * order) <= max(SIGMAS * agreed.order_error, settings.order_match):
+        if abs(agreed.order - multiple * order) <= max(NUMBERS.same_sigmas * agreed.order_error, settings.order_match):
             text = f"gear mesh {name}" + (f", harmonic {multiple}" if multiple > 1 else "")
             return Cause(text, f"the manifest states {name} at order {order:g}; {proof}")
     return None
@@ -354,7 +351,7 @@ def _combustion(of_cycle: float | None, sources: Sources, proof: str) -> Cause |
 def _bearing(
     agreed: AgreedOrder,
     of_cycle: float | None,
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     sources: Sources,
     settings: IdentifySettings,
 ) -> Cause | None:
@@ -366,18 +363,18 @@ def _bearing(
     parts: set[int] = set()
     spare = half_width(agreed.degrees_of_freedom) * agreed.order_error
     for record in bearings:
-        locked_line = record["line"] == "N*fs"
+        locked_line = record.line == "N*fs"
         if agreed.lock == "locked" and not locked_line:
             continue  # what rolls slips: a locked line is no race's and no ball's
-        half = 0.5 * abs(record["order_ci95"][1] - record["order_ci95"][0])
-        alone = of_cycle is not None or record.get("seen_in") == "envelope"
-        for multiple in range(1, (1 if alone else MOST_HARMONICS) + 1):
+        half = record.order_half
+        alone = of_cycle is not None or record.seen_in == "envelope"
+        for multiple in range(1, (1 if alone else NUMBERS.most_harmonics) + 1):
             reach = float(np.hypot(multiple * half, spare)) + 1e-9
             if multiple > 1:
                 reach = min(reach, settings.order_match)
-            if abs(agreed.order - multiple * record["order"]) <= reach:
-                names.append(f"{record['name']} {record['line']}" + (f", harmonic {multiple}" if multiple > 1 else ""))
-                elements = next((b.rolling_elements for b in sources.bearings if b.name == record["name"]), None)
+            if abs(agreed.order - multiple * record.order) <= reach:
+                names.append(f"{record.name} {record.line}" + (f", harmonic {multiple}" if multiple > 1 else ""))
+                elements = next((b.rolling_elements for b in sources.bearings if b.name == record.name), None)
                 if locked_line and agreed.lock == "locked" and elements is not None:
                     parts.add(elements)
                 break
@@ -404,7 +401,7 @@ def _race_harmonic(agreed: AgreedOrder, of_cycle: float | None, races: list[Stru
 def _one_speed(orders: tuple[AgreedOrder, ...]) -> float | None:
     """Speed in rpm of a test at one speed, where a tone may as well be a line that goes with it; else None."""
     speed = np.array([rpm for agreed in orders for line in agreed.lines for rpm in line.speed_rpm])
-    alike = len(speed) > 0 and bool(np.isfinite(speed).all()) and speed.max() <= ALIKE_SPEEDS * speed.min()
+    alike = len(speed) > 0 and bool(np.isfinite(speed).all()) and speed.max() <= SAID.alike_speeds_ratio * speed.min()
     return float(speed.mean()) if alike else None
 
 
@@ -451,13 +448,13 @@ def _why_not(agreed: AgreedOrder, sources: Sources) -> str:
     return "turns with the cycle, and nothing that was stated makes this order"
 
 
-def _spacings(sources: Sources, bearings: list[dict[str, Any]]) -> dict[str, float]:
+def _spacings(sources: Sources, bearings: Sequence[BearingFinding]) -> dict[str, float]:
     """What may modulate a line, as names and orders: the shafts, the cycle, the cages."""
     spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
     for bearing in sources.bearings:
         if bearing.shaft_ratio not in spacings.values():
             spacings[bearing.name] = bearing.shaft_ratio
-    cages = [(record["name"], float(record["order"])) for record in bearings if record["line"] == "FTF"]
+    cages = [(record.name, record.order) for record in bearings if record.line == "FTF"]
     expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
     return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
 
@@ -502,7 +499,7 @@ def _explained_tones(
 
 def _tone_words(tone: Tone, known: Sequence[LineSeen], settings: IdentifySettings) -> str:
     """What a tone is called: which multiple of the mains, or the line of the motor that is there at some speed."""
-    reach = SIGMAS * tone.frequency_error_hz
+    reach = NUMBERS.same_sigmas * tone.frequency_error_hz
     of_motor = [item for item in known if item.line.turns and abs(item.hertz - tone.frequency_hz) <= reach]
     if tone.kind == "mains":
         on = [
@@ -518,14 +515,10 @@ def _tone_words(tone: Tone, known: Sequence[LineSeen], settings: IdentifySetting
     return words_of(of_motor[0]) if of_motor else tone.kind
 
 
-LOW_MAINS_HZ = 250.0
-"""Up to this mains are strong: above, a line that a struck race has for certain is its own."""
-
-
 def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> str:
     """What a ``tone`` is called that at the only speed ``rpm`` of a test lies where one of ``races`` puts a line."""
     mains = tone.kind == "mains"
-    if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < LOW_MAINS_HZ):
+    if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < NUMBERS.low_mains_hz):
         return ""
     return harmonic_words(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
 
@@ -545,11 +538,13 @@ def _of_race(mode: Mode, cause: Cause, races: list[StruckRace], rpm: float | Non
 def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
     """Which tones are multiples of one spacing, where most are: products of a few, which lie alike far from any."""
     places, nothing = np.asarray(places_hz), [False] * len(places_hz)
-    if len(places) < GRID_TONES:
+    if len(places) < NUMBERS.grid_tones:
         return nothing
     best = np.zeros(len(places), dtype=bool)
     for step in np.unique(np.diff(np.sort(places))):
-        reach = np.minimum(SIGMAS * np.asarray(errors_hz) + GRID_SHARE * step, 2.0 * GRID_SHARE * step)
+        reach = np.minimum(
+            NUMBERS.same_sigmas * np.asarray(errors_hz) + NUMBERS.grid_share * step, 2.0 * NUMBERS.grid_share * step
+        )
         on = np.abs(places - step * np.round(places / step)) <= reach
         best = on if np.count_nonzero(on) > np.count_nonzero(best) else best
-    return best.tolist() if np.count_nonzero(best) >= max(GRID_TONES, 0.5 * len(places)) else nothing
+    return best.tolist() if np.count_nonzero(best) >= max(NUMBERS.grid_tones, 0.5 * len(places)) else nothing

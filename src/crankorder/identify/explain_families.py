@@ -9,25 +9,27 @@ import numpy as np
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import IF_WRONG
-from crankorder.identify.sidebands import MESH_RATIO, meshes, other_shafts, sidebands
+from crankorder.identify.sidebands import NUMBERS as SIDEBANDS
+from crankorder.identify.sidebands import meshes, other_shafts, sidebands
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain_families"):
+    first_reach_orders: float
+    near_mode_share: float
+    most_sidebands: int
+
+
+NUMBERS = _Numbers.load()
 
 Key = tuple[str, float]
 Words = dict[Key, tuple[str, str]]
 """Cause and evidence by channel and order."""
 
-FIRST_REACH = 0.005
-"""A line this near to order 1 is the shaft's own."""
-
 MESH = "gear mesh or blade passing: integer order with sidebands"
 
 BY_ITSELF = ("unexplained", "shaft harmonic")
 """Words for lines that a mesh beside them explains better."""
-
-NEAR_MODE = 0.06
-"""A line within this share of a natural frequency may stand out because of it."""
-
-MOST_SIDEBANDS = 5
-"""Sidebands on each side of a mesh that are named after it, as far as none is missing."""
 
 
 def explain_families(
@@ -95,9 +97,9 @@ def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderL
     """Whole orders beside ``mesh``, outwards as long as none is missing or stands over half of its ``carrier``."""
     found = []
     for step in (-1, 1):
-        for distance in range(1, MOST_SIDEBANDS + 1):
+        for distance in range(1, NUMBERS.most_sidebands + 1):
             item = whole.get(mesh + step * distance)
-            if item is None or MESH_RATIO * item[1].amplitude.max() > carrier.amplitude.max():
+            if item is None or SIDEBANDS.mesh_ratio * item[1].amplitude.max() > carrier.amplitude.max():
                 break
             found.append(mesh + step * distance)
     return found
@@ -108,7 +110,7 @@ def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
     if not len(modes_hz) or not np.isfinite(line.speed_rpm).all():
         return False
     frequency = order * line.speed_rpm / 60.0
-    near = np.abs(frequency[:, None] / np.asarray(modes_hz) - 1.0) < NEAR_MODE
+    near = np.abs(frequency[:, None] / np.asarray(modes_hz) - 1.0) < NUMBERS.near_mode_share
     return bool(np.mean(near.any(axis=1)) >= 0.5)
 
 
@@ -153,7 +155,7 @@ def _shafts(
     found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
     made: Words = {}
     has_first = any(
-        abs(agreed.order - 1.0) < FIRST_REACH
+        abs(agreed.order - 1.0) < NUMBERS.first_reach_orders
         and not any("mains" in texts[line.channel, agreed.order] for line in agreed.lines)
         for agreed in orders
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from crankorder.findings import SCHEMA_VERSION, Balance, BearingFinding, Channel, Energy, Findings, Level, quality_of
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
@@ -42,10 +43,9 @@ from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
 from crankorder.identify.parted_tones import with_tones_parted
 from crankorder.identify.records import line_records, mode_records, order_records
-from crankorder.identify.said import SCHEMA_VERSION
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
-from crankorder.identify.speed_records import avoided_records, band_records, crossing_records
+from crankorder.identify.speed_records import avoided_records, crossing_records, free_records, open_records
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of
@@ -63,8 +63,8 @@ def find(
     settings: Settings,
     followed: Sequence[xr.Dataset] = (),
     levels: Sequence[xr.Dataset] = (),
-) -> dict[str, Any]:
-    """Findings of a test, in the words of ``data_schema/findings.json``.
+) -> Findings:
+    """Findings of a test.
 
     ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
@@ -92,25 +92,49 @@ def find(
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "test": test,
-        "channels": [{"name": name, "unit": unit[name], "quantity": quantity[name]} for name in unit],
-        "speed_range_rpm": list(tested),
-        "speed_doubt": doubt,
-        "orders": records,
-        "modes": mode_records(modal, causes, meetings),
-        "crossings": meetings,
-        **_by_speed(speeds),
-        "bearings": bearings,
-        **({} if motor is None else {"motor": motor_record(motor)}),
-        "lines": line_records(records, modal, causes, channels=list(unit)),
-        **_energy(energy_shares(campbell, order_map, in_map, modal, causes, settings=asked), level_records(levels)),
-        **_balance(order_map, orders, modal, sources, causes),
-        "looked_for": ["orders", "modes", "bearings", *(["envelope"] if _has_spectra(envelope) else [])],
-        "false_alarm_probability": asked.false_alarm_probability,
-        "quality": flags + fold_flags(order_map, settings=settings, folds=folds),
-    }
+    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    told = Findings(
+        schema_version=SCHEMA_VERSION,
+        test=test,
+        channels=tuple(Channel(name=name, unit=unit[name], quantity=quantity[name]) for name in unit),
+        speed_range_rpm=tested,
+        speed_doubt=doubt,
+        orders=records,
+        modes=mode_records(modal, causes, meetings),
+        crossings=meetings,
+        bearings=bearings,
+        lines=line_records(records, modal, causes, channels=list(unit)),
+        unexplained_energy_fraction=shares[1],
+        balance=None,
+        looked_for=("orders", "modes", "bearings", *(("envelope",) if _has_spectra(envelope) else ())),
+        false_alarm_probability=asked.false_alarm_probability,
+        quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
+    )
+    closed = _balance(order_map, orders, modal, sources, causes)
+    return _with_sums(told, speeds, motor, shares[0], level_records(levels), closed)
+
+
+def _with_sums(
+    told: Findings,
+    speeds: SpeedVerdicts,
+    motor: MotorFound | None,
+    energy: Energy,
+    levels: tuple[Level, ...],
+    closed: tuple[Balance | None, str],
+) -> Findings:
+    """What was ``told`` of lines, with what these make of the speeds, the motor, the energy and the balance."""
+    balance, reason = closed
+    return replace(
+        told,
+        speeds_to_avoid=avoided_records(speeds),
+        free_bands=free_records(speeds.free),
+        open_bands=open_records(speeds.open),
+        motor=None if motor is None else motor_record(motor),
+        energy=_with_above(energy, levels),
+        levels=levels,
+        balance=balance,
+        balance_reason=None if balance is not None else reason,
+    )
 
 
 def _speeds(
@@ -148,7 +172,7 @@ def _longest(held: Sequence[Held]) -> float:
 
 def _bearings(
     orders: tuple[AgreedOrder, ...], envelope: xr.Dataset | None, sources: Sources, asked: IdentifySettings
-) -> list[dict[str, Any]]:
+) -> tuple[BearingFinding, ...]:
     turns = sources.revs_per_cycle
     return bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
 
@@ -166,20 +190,14 @@ def _judged(
     return with_bars_judged(judged, in_map, causes, order_map)
 
 
-def _by_speed(speeds: SpeedVerdicts) -> dict[str, Any]:
-    """What is said of the speeds, as the findings hold it."""
-    avoid, free, left = avoided_records(speeds), band_records(speeds.free), band_records(speeds.open)
-    return {"speeds_to_avoid": avoid, "free_bands": free, "open_bands": left}
-
-
 def _balance(
     order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources, causes: Causes
-) -> dict[str, Any]:
-    """The residual unbalance, or why it is not known, as the findings hold it."""
+) -> tuple[Balance | None, str]:
+    """The residual unbalance, or why it is not known."""
     made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
     if made is not None:
         made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
-    return {"balance": made} if made is not None else {"balance": None, "balance_reason": reason}
+    return made, reason
 
 
 def _orders_and_modes(
@@ -222,16 +240,10 @@ def _electric(
     return found, found.seen or mains_seen(held, settings=settings.identify)
 
 
-def _energy(shares: dict[str, Any], levels: list[dict[str, Any]]) -> dict[str, Any]:
-    """Shares of the energy as the findings hold them: what is not explained, the rest, what lies above; the levels."""
-    rest = {key: value for key, value in shares.items() if key != "unexplained_energy_fraction"}
-    above = {one["channel"]: one["share_above"] for one in levels}
-    channels = [one | {"above_band": above.get(one["channel"])} for one in rest["channels"]]
-    return {
-        "unexplained_energy_fraction": shares["unexplained_energy_fraction"],
-        "energy": rest | {"channels": channels},
-        "levels": levels,
-    }
+def _with_above(energy: Energy, levels: Sequence[Level]) -> Energy:
+    """``energy`` with the share of each channel that lies above the band, by its ``levels``."""
+    above = {one.channel: one.share_above for one in levels}
+    return replace(energy, channels=tuple(replace(one, above_band=above.get(one.channel)) for one in energy.channels))
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

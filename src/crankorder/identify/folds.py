@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise
 from crankorder.quantities import QualityFlag
-from crankorder.settings import Settings
-from crankorder.shaft.folding import Fold, FoldedLine, find_folds, folded_lines
+from crankorder.settings import MethodNumbers, Settings
+from crankorder.shaft.aliasing import Fold, FoldedLine, find_folds, folded_lines
 
-MAINS_HARMONICS = 20
-ORDER_ERROR_BINS = 0.3
-"""How well the order of a single peak is known, in bins of the map."""
 
-OF_LINE = 0.5
-"""A line of which more than this share of the speeds lies on a fold is that fold."""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="folds"):
+    mains_harmonics: int
+    order_error_bins: float
+    of_line_share: float
+
+
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +36,10 @@ class ShownFold:
 
     def is_line(self, line: OrderLine) -> bool:
         """Whether ``line`` is this fold, at more than half of the speeds at which it is seen."""
-        reach = np.hypot(self.order_error / ORDER_ERROR_BINS, 2.0 * line.order_error)
+        reach = np.hypot(self.order_error / NUMBERS.order_error_bins, 2.0 * line.order_error)
         near = np.abs(self.order - line.order) <= reach
         same = np.isin(np.round(line.speed_rpm, 6), np.round(self.speed_rpm[near], 6))
-        return bool(np.mean(same) > OF_LINE)
+        return bool(np.mean(same) > NUMBERS.of_line_share)
 
 
 def shown_folds(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[float] = ()) -> tuple[ShownFold, ...]:
@@ -52,7 +54,7 @@ def shown_folds(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[f
     speed, axis = order_map["speed"].values, order_map["order"].values
     excess = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders).excess
     at_speed, at_order = np.nonzero((excess > 1.0).any(axis=0))
-    order_error = ORDER_ERROR_BINS * float(axis[1] - axis[0])
+    order_error = NUMBERS.order_error_bins * float(axis[1] - axis[0])
     folds = find_folds(
         speed[at_speed],
         axis[at_order],
@@ -108,7 +110,7 @@ def _samples_per_rev(order_map: xr.Dataset) -> float | None:
 
 def _folded_mains(order_map: xr.Dataset, samples_per_rev: float, settings: Settings) -> list[FoldedLine]:
     """Multiples of mains that fold into the orders of the map."""
-    multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, MAINS_HARMONICS + 1))
+    multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, NUMBERS.mains_harmonics + 1))
     return folded_lines(
         samples_per_rev,
         order_map["speed"].values,

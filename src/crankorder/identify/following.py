@@ -9,7 +9,7 @@ import numpy as np
 from crankorder.identify.explain import NOT_KNOWN, Causes
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.mains import is_electric
-from crankorder.identify.said import ALIKE_SPEEDS
+from crankorder.identify.said import NUMBERS as SAID
 
 
 def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[AgreedOrder, ...]:
@@ -27,7 +27,7 @@ def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
     if any(is_electric(text) for text in texts):
         return True
     speeds = np.concatenate([line.speed_rpm for line in agreed.lines])
-    at_one = bool(len(speeds)) and bool(speeds.max() <= ALIKE_SPEEDS * speeds.min())
+    at_one = bool(len(speeds)) and bool(speeds.max() <= SAID.alike_speeds_ratio * speeds.min())
     return at_one and agreed.lock != "locked" and all(_says_nothing(text) for text in texts)
 
 

@@ -32,8 +32,8 @@ class OrderLine:
     ``reservation`` says, where it is not empty, what speaks against the line. ``ends`` (speeds, 2) are those of the
     amplitude's 95 % intervals, over all values that it held, and ``phase_ci95_deg`` (speeds,) the half widths of those
     of the phase; None where ``amplitude_error`` says it all. ``remark`` is what else there is to say of this channel.
-    ``worth`` (speeds,) is how many independent values each one stands for, None for 1: rows of an order that was
-    followed through a sweep share their errors with their neighbours.
+    ``n_independent`` (speeds,) is how many independent values each one stands for, None for 1: rows of an order that
+    was followed through a sweep share their errors with their neighbours.
     """
 
     channel: str
@@ -51,7 +51,7 @@ class OrderLine:
     ends: NDArray[np.float64] | None = None
     phase_ci95_deg: NDArray[np.float64] | None = None
     remark: str = ""
-    worth: NDArray[np.float64] | None = None
+    n_independent: NDArray[np.float64] | None = None
 
     @property
     def strongest(self) -> int:
@@ -185,7 +185,7 @@ class OrderResponse:
     times Σ ``smooth``[k] P_k(x) + Σ ``residue``[j] h_j(order s / 60): P_k the Legendre polynomials of x, which runs
     from -1 to 1 in ln s over ``span_rpm``, and h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
     ``covariance`` (terms, terms) is that of the smooth terms and the residues of the modes ``reached``, per real part,
-    with ``freedom`` degrees of freedom; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
+    with ``degrees_of_freedom``; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
     ``recording`` is that of a sweep, "" of a whole test. ``slopes`` (terms, 2 reached) are the derivatives of the terms
     by (ln f, ln ζ) of each mode reached, as the data ask for where it moves; None: not known, as if they stayed.
     """
@@ -200,7 +200,7 @@ class OrderResponse:
     residue: NDArray[np.complex128]
     reached: NDArray[np.int64]
     covariance: NDArray[np.complex128]
-    freedom: int
+    degrees_of_freedom: int
     error: float
     fits: bool
     recording: str = ""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
+from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.responses import held_amplitudes
 
 SPEEDS = 800
@@ -15,9 +16,6 @@ SPEEDS = 800
 
 ABOUT_MODE, PER_MODE = 4.0, 81
 """… and those within so many half-power widths of each mode."""
-
-SAME_ORDER = 1e-3
-"""Share of an order within which a response is that of the order."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,10 @@ def held_peak(modal: ModalFit, order: float, channel: str) -> HeldPeak | None:
     peaks = [
         _peak_of(one, modal)
         for one in modal.responses
-        if one.fits and one.recording and one.channel == channel and abs(one.order - order) <= SAME_ORDER * order
+        if one.fits
+        and one.recording
+        and one.channel == channel
+        and abs(one.order - order) <= ORDER_BLOCKS.same_order_share * order
     ]
     return min(peaks, key=lambda one: one.error / max(one.amplitude, 1e-300), default=None)
 
@@ -50,7 +51,7 @@ def _peak_of(response: OrderResponse, modal: ModalFit) -> HeldPeak:
     rpm = _speeds(response, modal)
     amplitude, error = held_amplitudes(response, rpm, modal)
     at = int(np.argmax(amplitude))
-    return HeldPeak(float(rpm[at]), float(amplitude[at]), float(error[at]), float(max(response.freedom, 1)))
+    return HeldPeak(float(rpm[at]), float(amplitude[at]), float(error[at]), float(max(response.degrees_of_freedom, 1)))
 
 
 def _speeds(response: OrderResponse, modal: ModalFit) -> NDArray[np.float64]:

@@ -46,17 +46,17 @@ def error_of(value: float, ends: Sequence[float]) -> float:
     return max(float(ends[1]) - value, value - float(ends[0])) / Z95
 
 
-def interval(value: float, error: float, *, freedom: float = np.inf) -> list[float]:
+def interval(value: float, error: float, *, freedom: float = np.inf) -> tuple[float, float]:
     """95 % interval of ``value`` with its standard ``error`` of so many degrees of ``freedom``."""
     half = error * half_width(freedom)
-    return [value - half, value + half]
+    return value - half, value + half
 
 
-def ratio_interval(value: float, error: float, *, most: float = np.inf) -> list[float]:
+def ratio_interval(value: float, error: float, *, most: float = np.inf) -> tuple[float, float]:
     """95 % interval of a positive ``value`` with its standard ``error``, even in the logarithm, up to ``most``.
 
     What is told by a product, as a damping ratio, errs by a factor: its lower end is above 0.
     """
     half = Z95 * error / value if value > 0.0 else np.inf
     factor = float(np.exp(min(half, MOST_LOGARITHM)))
-    return [value / factor, max(min(value * factor, most), value)]
+    return value / factor, max(min(value * factor, most), value)

@@ -9,6 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.lines.line_phasors import Recording, is_swept
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="known_lines"):
+    apart_cycles: float
+    seen_sigmas: float
+    least_frames: int
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -16,21 +26,11 @@ Complex = NDArray[np.complex128]
 LOBE_BINS = 2.0
 """Reciprocal frame lengths on each side of a line that the main lobe of a Hann window covers."""
 
-APART_CYCLES = 1.3
-"""Two lines that beat less often within the recording are one: a fit of both would trade one for the other."""
-
-SEEN_SIGMAS = 7.0
-"""Amplitude over its error along one axis from which a line is there: as the error comes from some 24 places beside it,
-noise makes one in ten million, (1 + 49 / 2 / 24)^-24."""
-
 BESIDE_CYCLES = tuple(range(2, 14))
 """Where the noise beside a line is looked at, on both sides, in cycles per recording."""
 
 GRID_CYCLES = 0.25
 """Step of the search for a frequency, in cycles per recording: between two of them a line loses at most 10 %."""
-
-LEAST_FRAMES = 6
-"""Fewer frames do not tell a line from the noise beside it."""
 
 Place = tuple[float, float]
 """A line as the frequency in Hz that stays and the order of the shaft that it has beside it."""
@@ -78,7 +78,7 @@ class Sighting:
     @property
     def seen(self) -> bool:
         """Whether noise would not make it."""
-        return self.sigmas > SEEN_SIGMAS
+        return self.sigmas > NUMBERS.seen_sigmas
 
 
 def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Sequence[str]) -> list[Held]:
@@ -87,7 +87,7 @@ def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Seq
     for item in recordings:
         speed = np.asarray(item.speed_rpm, dtype=np.float64)
         whole = np.isfinite(item.spectrum.real).all(axis=(0, 2)) & np.isfinite(speed)
-        if np.count_nonzero(whole) < LEAST_FRAMES or is_swept(speed[whole]):
+        if np.count_nonzero(whole) < NUMBERS.least_frames or is_swept(speed[whole]):
             continue
         turn, speed = item.centre_rev[whole], speed[whole]
         pace = 60.0 / speed
@@ -141,7 +141,7 @@ def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place
     # what lies within a cycle of a line that was taken out is its own rest
     own = np.array([held.order_of((float(f), 0.0)) for f in trial])
     for place in known:
-        score[np.abs(own - held.order_of(place)) * held.span_rev < APART_CYCLES] = 0.0
+        score[np.abs(own - held.order_of(place)) * held.span_rev < NUMBERS.apart_cycles] = 0.0
     best = int(np.argmax(score))
     if score[best] <= 0.0 or best in (0, len(trial) - 1):
         return None  # at an end it is the flank of a line beyond
@@ -177,7 +177,7 @@ def _fitted(held: Held, places: list[Place]) -> list[Sighting]:
     heads: list[int] = []
     head_of = []
     for k in range(len(places)):
-        same = [h for h in heads if abs(orders[k] - orders[h]) * held.span_rev < APART_CYCLES]
+        same = [h for h in heads if abs(orders[k] - orders[h]) * held.span_rev < NUMBERS.apart_cycles]
         heads += [] if same else [k]
         head_of.append(same[0] if same else k)
     own = [places[h] for h in heads]
@@ -203,7 +203,7 @@ def noise_beside(
     seconds = held.span_rev * 60.0 / held.rpm
     beside = [(place[0] + side * cycles / seconds, place[1]) for cycles in BESIDE_CYCLES for side in (-1.0, 1.0)]
     clear = [
-        one for one in beside if np.min(np.abs(held.order_of(one) - lines)) * held.span_rev >= APART_CYCLES
+        one for one in beside if np.min(np.abs(held.order_of(one) - lines)) * held.span_rev >= NUMBERS.apart_cycles
     ] or beside
     shapes = waves_of(held, bins, clear)
     gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
@@ -222,7 +222,7 @@ def _shaft_orders(held: Held, places: Sequence[Place], own: Sequence[Place]) -> 
     return [
         (0.0, float(half))
         for half in halves
-        if not len(taken) or np.min(np.abs(taken - half)) * held.span_rev >= APART_CYCLES
+        if not len(taken) or np.min(np.abs(taken - half)) * held.span_rev >= NUMBERS.apart_cycles
     ]
 
 

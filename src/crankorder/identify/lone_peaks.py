@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, AvoidedSpeed, ModalFit, OrderLine
 from crankorder.identify.intervals import Z95
-from crankorder.identify.modal.exclusion import MATTERS
+from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
+from crankorder.settings import MethodNumbers
 
-AROUND = 0.25
-"""Share of a speed on both sides of it whose speeds are beside it; the nearest one is, however far."""
 
-SAME_ROW = 1e-3
-"""Share of a speed within which the rows of two channels are one."""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="lone_peaks"):
+    around_share: float
+    same_row_share: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
 
@@ -45,12 +48,14 @@ def lone_peaks(
             (line, place, ratio)
             for line in agreed.lines
             for place, ratio in _peaks(line, factor)
-            if line.amplitude[place] >= MATTERS * largest.get(line.channel, 0.0)
+            if line.amplitude[place] >= EXCLUSION.matters_share * largest.get(line.channel, 0.0)
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
             item = _avoided(agreed.order, line, place, ratio, modal, worst, in_unit)
-            reach = 1.0 if line.worth is None else 1.0 + AROUND  # a sweep rings behind a resonance
+            reach = (
+                1.0 if line.n_independent is None else 1.0 + NUMBERS.around_share
+            )  # a sweep rings behind a resonance
             if not any(_holds(other, item, reach) for other in (*avoided, *made)):
                 made.append(item)
     return made
@@ -63,8 +68,8 @@ def _peaks(line: OrderLine, factor: float) -> list[tuple[int, float]]:
     least = size - Z95 * line.amplitude_error[rank] if line.ends is None else line.ends[rank, 0]
     found = []
     for place in range(1, len(rank) - 1):
-        first = min(int(np.searchsorted(speed, speed[place] * (1.0 - AROUND))), place - 1)
-        last = max(int(np.searchsorted(speed, speed[place] * (1.0 + AROUND), side="right")), place + 2)
+        first = min(int(np.searchsorted(speed, speed[place] * (1.0 - NUMBERS.around_share))), place - 1)
+        last = max(int(np.searchsorted(speed, speed[place] * (1.0 + NUMBERS.around_share), side="right")), place + 2)
         if size[place] < size[first:last].max():
             continue
         beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
@@ -76,7 +81,10 @@ def _peaks(line: OrderLine, factor: float) -> list[tuple[int, float]]:
 def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, float]:
     """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
     there = [
-        (line.channel, float(line.amplitude[np.abs(line.speed_rpm - rpm) <= SAME_ROW * rpm].max(initial=0.0)))
+        (
+            line.channel,
+            float(line.amplitude[np.abs(line.speed_rpm - rpm) <= NUMBERS.same_row_share * rpm].max(initial=0.0)),
+        )
         for line in agreed.lines
         if unit[line.channel] == unit[shown.channel]
     ]

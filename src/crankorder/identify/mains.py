@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-ALONE = 2
-"""Multiples of the mains up to this stand alone: stray fields make the first, every magnetic circuit the second."""
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="mains"):
+    alone_multiples: int
+
+
+NUMBERS = _Numbers.load()
 
 _LOW_WORDS = {1: "mains", 2: "twice mains"}
 
@@ -44,7 +48,10 @@ def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySetti
     """
     for mains in settings.mains_hz:
         multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
-        if multiple <= ALONE and abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz:
+        if (
+            multiple <= NUMBERS.alone_multiples
+            and abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz
+        ):
             return int(multiple), mains
     return None
 

@@ -10,21 +10,20 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.line_evidence import UNPROVEN
-from crankorder.identify.mains import ALONE, mains_words, nearest_multiple
-from crankorder.identify.said import ALIKE_SPEEDS
-from crankorder.settings import IdentifySettings
+from crankorder.identify.mains import NUMBERS as MAINS
+from crankorder.identify.mains import mains_words, nearest_multiple
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-FEWEST = 3
-"""Multiples of one mains frequency that must be there where neither it nor its double is …"""
 
-OVER_CHANCE = 3.0
-"""… and at least so many times as many as lines anywhere would hit by chance."""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="mains_orders"):
+    fewest_multiples: int
+    over_chance_ratio: float
+    same_hz: float
+    same_sigmas: float
 
-SAME_HZ = 0.1
-"""Hz within which they are multiples of one and the same frequency …"""
 
-SAME_SIGMAS = 3.0
-"""… or standard errors, where these are larger."""
+NUMBERS = _Numbers.load()
 
 NOT_BOTH = "mains or another tone"
 """What lines are called that only two mains frequencies at one place would explain together."""
@@ -92,20 +91,22 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
     multiple, reach = nearest_multiple(lines.hertz, mains, settings=settings)
     within = reach + 2.0 * lines.error_hz
     hits = np.asarray(np.abs(lines.hertz - multiple * mains) <= within)
-    low = hits & (multiple <= ALONE)
+    low = hits & (multiple <= MAINS.alone_multiples)
     told = lines.hertz / multiple
     others, room = nearest_multiple(np.asarray(tones_hz, dtype=np.float64), mains, settings=settings)
     beside = (np.asarray(tones_hz) / others)[np.abs(np.asarray(tones_hz) - others * mains) <= room]
     free = low & ~lines.exact
     if free.any() or len(beside):
         base = float(np.median(np.concatenate([told[free], beside])))
-        return hits & (np.abs(lines.hertz - multiple * base) <= np.maximum(SAME_HZ, SAME_SIGMAS * lines.error_hz))
+        return hits & (
+            np.abs(lines.hertz - multiple * base) <= np.maximum(NUMBERS.same_hz, NUMBERS.same_sigmas * lines.error_hz)
+        )
     several = hits & ~lines.exact
     if several.any():
         base = float(np.median(told[several]))
-        several &= np.abs(lines.hertz - multiple * base) <= SAME_HZ
+        several &= np.abs(lines.hertz - multiple * base) <= NUMBERS.same_hz
         by_chance = float(np.sum(np.minimum(1.0, 2.0 * reach / mains)[~lines.exact]))
-        if np.unique(multiple[several]).size >= max(FEWEST, OVER_CHANCE * by_chance):
+        if np.unique(multiple[several]).size >= max(NUMBERS.fewest_multiples, NUMBERS.over_chance_ratio * by_chance):
             return several | low
     return low
 
@@ -113,7 +114,7 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
 def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     """Frequency and error of a line that may as well be fixed; None where several speeds say otherwise."""
     speed = np.concatenate([line.speed_rpm for line in agreed.lines])
-    if not np.isfinite(speed).all() or speed.max() > ALIKE_SPEEDS * speed.min():
+    if not np.isfinite(speed).all() or speed.max() > SAID.alike_speeds_ratio * speed.min():
         return None
     rpm = float(speed.mean())
     return agreed.order * rpm / 60.0, float(

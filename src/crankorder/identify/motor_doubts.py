@@ -16,22 +16,24 @@ from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.mains import mains_words
-from crankorder.identify.motor_speed import RATED, SpeedRead
+from crankorder.identify.motor_speed import NUMBERS as MOTOR_SPEED
+from crankorder.identify.motor_speed import SpeedRead
 from crankorder.identify.motors import MotorFound, MotorSpeed
 from crankorder.identify.one_mains import OR_ANOTHER
 from crankorder.identify.said import IF_WRONG
+from crankorder.settings import MethodNumbers
 
-MOST_TURNS = 4
-"""Multiples of the shaft's turns up to which a line that may be one speaks for the speed: higher ones are hit often."""
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="motor_doubts"):
+    most_turns: int
+    least_bars: int
+    side_reach_orders: float
+
+
+NUMBERS = _Numbers.load()
 
 THE_FIELDS = "that of the field, behind which the shaft of every motor lags"
 """What is said of a stated speed from which no slip can follow."""
-
-LEAST_BARS = 12
-"""Fewer bars no rotor has; whole orders below are the shaft's own."""
-
-SIDE_REACH = 0.005
-"""Orders within which a line is a sideband: what the supply wanders by in a recording moves it by less."""
 
 
 def with_speed_judged(
@@ -55,7 +57,10 @@ def with_speed_judged(
         return _as_read(found, read)
     if found.misfit or speed_source([order_map]) != "stated":
         return found
-    if any(abs(one.speed_rpm * found.motor.shaft_ratio / _field_rpm(found) - 1.0) < RATED for one in found.speeds):
+    if any(
+        abs(one.speed_rpm * found.motor.shaft_ratio / _field_rpm(found) - 1.0) < MOTOR_SPEED.rated_share
+        for one in found.speeds
+    ):
         return replace(found, speed_doubt=f"the stated speed is {THE_FIELDS}, and no line of the shaft tells its own")
     if any(_agrees(one) for one in orders):
         return found
@@ -87,7 +92,7 @@ def _as_read(found: MotorFound, read: SpeedRead) -> MotorFound:
     half = float(np.hypot(found.supply_half_hz / supply, Z95 * read.error_rpm / read.rpm))
     if read.agrees:
         return replace(found, misfit="", speeds=(MotorSpeed(read.rpm, synchronous, slip, half, 2.0 * slip * supply),))
-    of_field = abs(read.stated_rpm * found.motor.shaft_ratio / _field_rpm(found) - 1.0) < RATED
+    of_field = abs(read.stated_rpm * found.motor.shaft_ratio / _field_rpm(found) - 1.0) < MOTOR_SPEED.rated_share
     why = f"the stated speed is {THE_FIELDS}" if of_field else "no line of the shaft agrees with the stated speed"
     said = (
         f"{why}; {read.words}: if the line at {read.hertz:.4g} Hz is its shaft's, it slips by {100.0 * slip:.2g} % at "
@@ -130,7 +135,7 @@ def with_bars_judged(
         for one in orders
         if one.lock == "locked" and _is_bare(one, causes) and abs(one.order / ratio - round(one.order / ratio)) < 1e-6
     }
-    high = {count: one for count, one in counts.items() if count >= LEAST_BARS and count != stated}
+    high = {count: one for count, one in counts.items() if count >= NUMBERS.least_bars and count != stated}
     paired = [count for count, one in high.items() if _has_sides(one, orders, found.supply_hz)]
     nothing = f"no bar pass stands at order {stated * ratio:.4g}, where {stated} bars as stated would put it"
     if len(paired) == 1:
@@ -155,7 +160,7 @@ def _has_sides(carrier: AgreedOrder, orders: Sequence[AgreedOrder], supply_hz: f
         for rpm in {float(rpm) for line in one.lines for rpm in line.speed_rpm} if supply_hz else ():
             for side, speeds in sides.items():
                 away = abs(one.order - carrier.order - side * 2.0 * float(supply_hz or 0.0) * 60.0 / rpm)
-                if away <= max(SIDE_REACH, Z95 * one.order_error):
+                if away <= max(NUMBERS.side_reach_orders, Z95 * one.order_error):
                     speeds.add(rpm)
     return bool(sides[-1] & sides[1])
 
@@ -168,4 +173,4 @@ def _agrees(agreed: AgreedOrder) -> bool:
     if agreed.lock == "locked":
         return abs(agreed.order - nearest) < 1e-6
     reach = min(Z95 * agreed.order_error, Z95 * ORDER_LOCK.stated_speed_error * nearest)
-    return agreed.lock == "undecided" and nearest <= MOST_TURNS and abs(agreed.order - nearest) <= reach
+    return agreed.lock == "undecided" and nearest <= NUMBERS.most_turns and abs(agreed.order - nearest) <= reach

@@ -3,46 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
+from crankorder.findings import Motor, MotorLine, MotorSpeed, UnseenLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.motors import LineSeen, MotorFound, words_of
 
 
-def motor_record(found: MotorFound) -> dict[str, Any]:
-    """Record of the motor that was ``found``, in the words of ``data_schema/findings.json``."""
+def motor_record(found: MotorFound) -> Motor:
+    """Record of the motor that was ``found``."""
     supply, half = found.supply_hz, found.supply_half_hz
-    return {
-        "supply_hz": supply,
-        "supply_hz_ci95": None if supply is None else [supply - half, supply + half],
-        "supply_measured": found.measured,
-        "poles": found.motor.poles,
-        "rotor_bars": found.motor.rotor_bars,
-        "misfit": found.misfit,
-        "speed_doubt": found.speed_doubt,
-        "bars_doubt": found.bars_doubt,
-        "speeds": [
-            {
-                "speed_rpm": one.speed_rpm,
-                "synchronous_rpm": one.synchronous_rpm,
-                "slip": None if found.speed_doubt else one.slip,
-                "slip_ci95": None if found.speed_doubt else [one.slip - one.slip_half, one.slip + one.slip_half],
-                "pole_pass_hz": None if found.speed_doubt else one.pole_pass_hz,
-                "fits": one.fits,
-            }
+    return Motor(
+        supply_hz=supply,
+        supply_hz_ci95=None if supply is None else (supply - half, supply + half),
+        supply_measured=found.measured,
+        poles=found.motor.poles,
+        rotor_bars=found.motor.rotor_bars,
+        misfit=found.misfit,
+        speed_doubt=found.speed_doubt,
+        bars_doubt=found.bars_doubt,
+        speeds=tuple(
+            MotorSpeed(
+                speed_rpm=one.speed_rpm,
+                synchronous_rpm=one.synchronous_rpm,
+                slip=None if found.speed_doubt else one.slip,
+                slip_ci95=None if found.speed_doubt else (one.slip - one.slip_half, one.slip + one.slip_half),
+                pole_pass_hz=None if found.speed_doubt else one.pole_pass_hz,
+                fits=one.fits,
+            )
             for one in found.speeds
-        ],
-        "lines": _lines(found.seen),
-        "not_seen": [
-            {"name": f"motor, {name}", "channel": channel, "from_amplitude": limit}
+        ),
+        lines=_lines(found.seen),
+        not_seen=tuple(
+            UnseenLine(name=f"motor, {name}", channel=channel, from_amplitude=limit)
             for name, channel, limit in found.least
-        ],
-    }
+        ),
+    )
 
 
-def _lines(seen: Sequence[LineSeen]) -> list[dict[str, Any]]:
+def _lines(seen: Sequence[LineSeen]) -> tuple[MotorLine, ...]:
     """One record per line and channel, of the recording in which it is largest."""
-    largest: dict[tuple[str, int, float, str], tuple[float, dict[str, Any]]] = {}
+    largest: dict[tuple[str, int, float, str], tuple[float, MotorLine]] = {}
     count: dict[tuple[str, int, float, str], int] = {}
     for item in seen:
         for number, channel in enumerate(item.held.channels):
@@ -55,16 +56,17 @@ def _lines(seen: Sequence[LineSeen]) -> list[dict[str, Any]]:
                 continue
             largest[key] = (
                 size,
-                {
-                    "name": words_of(item),
-                    "side": item.line.side,
-                    "channel": channel,
-                    "frequency_hz": item.hertz,
-                    "order": item.sighting.order,
-                    "speed_rpm": item.held.rpm,
-                    "amplitude": size,
-                    "amplitude_ci95": [max(0.0, size - Z95 * error), size + Z95 * error],
-                    "or": list(item.also),
-                },
+                MotorLine(
+                    name=words_of(item),
+                    side=item.line.side,
+                    channel=channel,
+                    frequency_hz=item.hertz,
+                    order=item.sighting.order,
+                    speed_rpm=item.held.rpm,
+                    amplitude=size,
+                    amplitude_ci95=(max(0.0, size - Z95 * error), size + Z95 * error),
+                    others=tuple(item.also),
+                    n_recordings=1,
+                ),
             )
-    return [record | {"n_recordings": count[key]} for key, (_, record) in largest.items()]
+    return tuple(replace(record, n_recordings=count[key]) for key, (_, record) in largest.items())

@@ -4,37 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.motor import Motor
+from crankorder.findings import BearingFinding
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, Lock, ModalFit
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.order_lock import speed_source
-from crankorder.identify.said import ALIKE_SPEEDS, SPEAK_FOR
-from crankorder.settings import IdentifySettings
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.said import SPEAK_FOR
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-MOST_SLIP = 0.08
-"""Share by which the shaft lags behind its field at most, where a line alone tells: more is rare, and other lines."""
 
-SIGMAS = 3.0
-"""Standard errors within which a line is a multiple of another …"""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="motor_speed"):
+    most_slip_share: float
+    same_sigmas: float
+    same_share: float
+    most_multiples: int
+    stands_out_ratio: float
+    rated_share: float
 
-SAME_SHARE = 1e-4
-"""… or this share of the frequency: a load that pulsates moves the shaft by as much within a recording."""
 
-MOST_MULTIPLES = 4
-"""Multiples of the shaft's turns that speak for a line that may be its first."""
-
-STANDS_OUT = 2.0
-"""A line without multiples is the shaft's only where it is so many times as large as all others that may be it."""
-
-RATED = 0.001
-"""A stated speed as near to that of the field as this share is the field's own: no motor slips so little."""
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True)
@@ -70,7 +65,9 @@ class SpeedRead:
         """Which multiple of the shaft's turns at this speed ``agreed`` is; None where it is none."""
         nearest = max(1, round(agreed.order / self.ratio))
         error = float(np.hypot(agreed.line_error, nearest * self.error_rpm / self.stated_rpm))
-        near = abs(agreed.order - nearest * self.ratio) <= max(SIGMAS * error, SAME_SHARE * agreed.order)
+        near = abs(agreed.order - nearest * self.ratio) <= max(
+            NUMBERS.same_sigmas * error, NUMBERS.same_share * agreed.order
+        )
         return nearest if near else None
 
 
@@ -81,8 +78,8 @@ class _Line:
     size: float
 
     def is_multiple_of(self, other: _Line, multiple: int) -> bool:
-        reach = SIGMAS * float(np.hypot(self.error_hz, multiple * other.error_hz))
-        return abs(self.hertz - multiple * other.hertz) <= max(reach, SAME_SHARE * self.hertz)
+        reach = NUMBERS.same_sigmas * float(np.hypot(self.error_hz, multiple * other.error_hz))
+        return abs(self.hertz - multiple * other.hertz) <= max(reach, NUMBERS.same_share * self.hertz)
 
 
 def speed_read(
@@ -103,7 +100,9 @@ def speed_read(
     may_be = [
         line
         for line in lines
-        if (1.0 - MOST_SLIP) * field_hz <= line.hertz < _top_hz(line, lines, motor, settings) * 2.0 / motor.poles
+        if (1.0 - NUMBERS.most_slip_share) * field_hz
+        <= line.hertz
+        < _top_hz(line, lines, motor, settings) * 2.0 / motor.poles
     ]
     first = _first(may_be, lines)
     if first is None:
@@ -138,7 +137,9 @@ def _supply(
 def _stated_rpm(orders: Sequence[AgreedOrder]) -> float | None:
     """The one speed in rpm at which ``orders`` were seen; None where there are several."""
     speeds = np.array([rpm for one in orders for line in one.lines for rpm in line.speed_rpm])
-    alike = len(speeds) > 0 and bool(np.isfinite(speeds).all()) and speeds.max() <= ALIKE_SPEEDS * speeds.min()
+    alike = (
+        len(speeds) > 0 and bool(np.isfinite(speeds).all()) and speeds.max() <= SAID.alike_speeds_ratio * speeds.min()
+    )
     return float(speeds.mean()) if alike else None
 
 
@@ -149,7 +150,7 @@ def _top_hz(line: _Line, lines: Sequence[_Line], motor: Motor, settings: Identif
         one.hertz
         for one in lines
         if abs(one.hertz - supply) <= reach
-        and not any(one.is_multiple_of(line, k) for k in range(1, MOST_MULTIPLES + 1))
+        and not any(one.is_multiple_of(line, k) for k in range(1, NUMBERS.most_multiples + 1))
     ]
     if others:
         return max(others)
@@ -160,14 +161,14 @@ def _first(may_be: Sequence[_Line], lines: Sequence[_Line]) -> _Line | None:
     """The one of ``may_be`` that is the shaft's: that with most multiples among ``lines``, and the largest of those."""
 
     def multiples(one: _Line) -> int:
-        return sum(any(line.is_multiple_of(one, k) for line in lines) for k in range(2, MOST_MULTIPLES + 1))
+        return sum(any(line.is_multiple_of(one, k) for line in lines) for k in range(2, NUMBERS.most_multiples + 1))
 
     if not may_be:
         return None
     best = max(may_be, key=lambda one: (multiples(one), one.size))
     if multiples(best):
         return best if all(one.size <= best.size or not multiples(one) for one in may_be) else None
-    return best if all(STANDS_OUT * one.size <= best.size for one in may_be if one is not best) else None
+    return best if all(NUMBERS.stands_out_ratio * one.size <= best.size for one in may_be if one is not best) else None
 
 
 def with_speed_read(
@@ -199,11 +200,11 @@ def explained_at(
     read: SpeedRead | None,
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
-    bearings: list[dict[str, Any]],
+    bearings: Sequence[BearingFinding],
     *,
     explain: Callable[..., Causes],
 ) -> Causes:
-    """What ``explain`` says of ``orders``, ``modal`` and ``bearings`` (records) at the speed that was ``read``, if any.
+    """What ``explain`` says of ``orders``, ``modal`` and ``bearings`` at the speed that was ``read``, if any.
 
     At that speed lines of the shaft stand on whole orders, and no other line that stands on one at the stated speed:
     what the recordings hold at places that the stated speed tells is not ``known``.
@@ -231,11 +232,9 @@ def _at(read: SpeedRead, agreed: AgreedOrder) -> AgreedOrder:
     return replace(agreed, order=float(multiple), order_error=agreed.line_error, lock="undecided", lines=lines)
 
 
-def _record_at(read: SpeedRead, record: dict[str, Any]) -> dict[str, Any]:
+def _record_at(read: SpeedRead, record: BearingFinding) -> BearingFinding:
     """Record of a bearing's line with its orders at the speed that was ``read``."""
-    shaft = record.get("shaft_order")
-    made = record | {
-        "order": record["order"] / read.ratio,
-        "order_ci95": [end / read.ratio for end in record["order_ci95"]],
-    }
-    return made if shaft is None else made | {"shaft_order": shaft / read.ratio}
+    low, high = record.order_ci95 or (None, None)
+    ends = tuple(None if end is None else end / read.ratio for end in (low, high))
+    shaft = None if record.shaft_order is None else record.shaft_order / read.ratio
+    return replace(record, order=record.order / read.ratio, order_ci95=(ends[0], ends[1]), shaft_order=shaft)

@@ -12,43 +12,27 @@ import xarray as xr
 from crankorder.engine.motor import USUAL_SLIP, Motor, MotorLine, motor_lines
 from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95, half_width
-from crankorder.identify.known_lines import (
-    APART_CYCLES,
-    SEEN_SIGMAS,
-    Held,
-    Place,
-    Sighting,
-    found_near,
-    held_recordings,
-    sightings,
-)
+from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.known_lines import Held, Place, Sighting, found_near, held_recordings, sightings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.order_lock import speed_source
-from crankorder.identify.mains import ALONE, mains_words
-from crankorder.settings import IdentifySettings
-
-SAME_HZ = 0.1
-"""Hz within which the mains of several recordings are one: they wander by as much within hours."""
-
-LEAST_SPEEDS = 2
-"""Recordings that must show a line of the mains where nothing but its frequency says what it is."""
-
-MOST_MULTIPLES = 6
-"""Multiples of the mains that are looked for where the first or the second is there: rectifiers make the sixth."""
-
-MOVED_CYCLES = 3.0
-"""Cycles per recording by which an order of the shaft would have moved between these, where the line has not."""
-
-SAME_SPEED = 0.003
-"""Share of a speed within which a recording runs at a speed at which an order was seen."""
+from crankorder.identify.mains import NUMBERS as MAINS
+from crankorder.identify.mains import mains_words
+from crankorder.settings import IdentifySettings, MethodNumbers
 
 
-SAME_PLACE = 0.125
-"""Orders within which a line stands at one: two bins."""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="motors"):
+    same_hz: float
+    least_speeds: int
+    most_multiples: int
+    moved_cycles: float
+    same_speed_share: float
+    same_place_orders: float
+    most_share: float
 
-MOST = 0.5
-"""Share of the speeds of an order at which a known line must stand there to name it."""
+
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True)
@@ -118,13 +102,13 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
     made: list[LineSeen] = []
     for mains in settings.mains_hz:
         base = None
-        for multiple in range(1, MOST_MULTIPLES + 1):
+        for multiple in range(1, NUMBERS.most_multiples + 1):
             middle, reach = multiple * mains, settings.mains_tolerance_hz * float(np.sqrt(multiple))
-            if multiple > ALONE:
+            if multiple > MAINS.alone_multiples:
                 if base is None:
                     break
-                middle, reach = multiple * base, SAME_HZ
-            found = _one_frequency(held, middle - reach, middle + reach, multiple * SAME_HZ)
+                middle, reach = multiple * base, NUMBERS.same_hz
+            found = _one_frequency(held, middle - reach, middle + reach, multiple * NUMBERS.same_hz)
             line = MotorLine(mains_words(multiple), multiple, 0.0)
             if found:
                 base = float(np.median([hertz for _, hertz in found])) / multiple
@@ -142,13 +126,13 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     middle = float(np.median([hertz for _, hertz in found])) if found else 0.0
     found = [(one, hertz) for one, hertz in found if abs(hertz - middle) <= same_hz]
     moves = any(_moves(a[0], b[0], middle) for a, b in combinations(found, 2))
-    return found if len(found) >= LEAST_SPEEDS and moves else []
+    return found if len(found) >= NUMBERS.least_speeds and moves else []
 
 
 def _moves(one: Held, other: Held, hertz: float) -> bool:
     """Whether an order that is at ``hertz`` in ``one`` is somewhere else in the ``other``."""
     apart = abs(one.order_of((hertz, 0.0)) - other.order_of((hertz, 0.0)))
-    return apart * min(one.span_rev, other.span_rev) > MOVED_CYCLES
+    return apart * min(one.span_rev, other.span_rev) > NUMBERS.moved_cycles
 
 
 def motor_found(motor: Motor, held: Sequence[Held], order_map: xr.Dataset, *, settings: IdentifySettings) -> MotorFound:
@@ -202,7 +186,7 @@ def _least(
             if _also(one, number, lines, places, found):
                 continue
             for channel, error in zip(one.channels, sighting.error, strict=True):
-                limits.setdefault((line.name, channel), []).append(SEEN_SIGMAS * float(error))
+                limits.setdefault((line.name, channel), []).append(KNOWN_LINES.seen_sigmas * float(error))
     return tuple((name, channel, max(values)) for (name, channel), values in limits.items())
 
 
@@ -287,11 +271,11 @@ def _also(
         if other != number
         and line.of != lines[number].name
         and found[other] is not None
-        and abs(held.order_of(places[other]) - order) * held.span_rev < APART_CYCLES
+        and abs(held.order_of(places[other]) - order) * held.span_rev < KNOWN_LINES.apart_cycles
     ]
     whole = round(order)
     fixed = lines[number].mains != 0 or lines[number].of != ""
-    if fixed and whole >= 1 and abs(order - whole) * held.span_rev < APART_CYCLES:
+    if fixed and whole >= 1 and abs(order - whole) * held.span_rev < KNOWN_LINES.apart_cycles:
         names.append(f"order {whole}")
     return tuple(dict.fromkeys(names))
 
@@ -320,7 +304,7 @@ def _size_at(agreed: AgreedOrder, rpm: float) -> float | None:
         float(size)
         for line in agreed.lines
         for speed, size in zip(line.speed_rpm, line.amplitude, strict=True)
-        if abs(speed - rpm) <= SAME_SPEED * rpm
+        if abs(speed - rpm) <= NUMBERS.same_speed_share * rpm
     ]
     return max(at, default=None)
 
@@ -329,7 +313,7 @@ def _is_at(item: LineSeen, agreed: AgreedOrder) -> bool:
     if agreed.lock == "locked":
         return _stands_on(item, agreed.order)
     reach = half_width(agreed.degrees_of_freedom) * agreed.order_error
-    return abs(item.sighting.order - agreed.order) <= max(reach, APART_CYCLES / item.held.span_rev)
+    return abs(item.sighting.order - agreed.order) <= max(reach, KNOWN_LINES.apart_cycles / item.held.span_rev)
 
 
 def _goes_with(item: LineSeen, agreed: AgreedOrder) -> bool:
@@ -337,13 +321,15 @@ def _goes_with(item: LineSeen, agreed: AgreedOrder) -> bool:
     fixed_hz = item.hertz - item.line.turns * item.held.rpm / 60.0
     speeds = np.unique(np.concatenate([line.speed_rpm for line in agreed.lines]))
     at = item.line.turns + 60.0 * fixed_hz / speeds
-    return bool(np.mean(np.abs(at - agreed.order) < SAME_PLACE) >= MOST)
+    return bool(np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) >= NUMBERS.most_share)
 
 
 def _stands_on(item: LineSeen, order: float) -> bool:
     """Whether a locked ``order`` is that of ``item``: a whole one of the rotor, or where both are said."""
     exact = item.line.mains == 0 and not item.line.of
-    return (exact or bool(item.also)) and abs(item.sighting.order - order) * item.held.span_rev < APART_CYCLES
+    return (exact or bool(item.also)) and abs(
+        item.sighting.order - order
+    ) * item.held.span_rev < KNOWN_LINES.apart_cycles
 
 
 def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
@@ -379,11 +365,11 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
         near = [
             number
             for number, tone in enumerate(tones)
-            if abs(tone.frequency_hz - hertz) <= max(SAME_HZ, Z95 * tone.frequency_error_hz)
+            if abs(tone.frequency_hz - hertz) <= max(NUMBERS.same_hz, Z95 * tone.frequency_error_hz)
         ]
         words = f"{len(items)} recordings hold it at {mains} times one mains frequency"
         for number in near:
-            if tones[number].kind == "order" and len(items) >= LEAST_SPEEDS:
+            if tones[number].kind == "order" and len(items) >= NUMBERS.least_speeds:
                 tones[number] = replace(tones[number], kind="mains", evidence=words)
         if not near and mains not in held_by_orders:
             tones.append(_as_tone(hertz, items, words))
@@ -407,7 +393,7 @@ def _as_tone(hertz: float, items: Sequence[LineSeen], words: str) -> Tone:
 
 
 def _within(ends: tuple[float, float], hertz: float) -> bool:
-    return ends[0] - SAME_HZ <= hertz <= ends[1] + SAME_HZ
+    return ends[0] - NUMBERS.same_hz <= hertz <= ends[1] + NUMBERS.same_hz
 
 
 def words_of(item: LineSeen) -> str:

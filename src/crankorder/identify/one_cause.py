@@ -10,19 +10,21 @@ import numpy as np
 from crankorder.identify.explain import NOT_KNOWN, Causes
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode
 from crankorder.identify.modal.tones import NEAR_BINS
-from crankorder.identify.said import ALIKE_SPEEDS, MAY_BE_ALL
+from crankorder.identify.said import MAY_BE_ALL
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.settings import MethodNumbers
 
-TOO_NEAR_HZ = 0.1
-"""A natural frequency that is as near to a named line is where that stands, whatever its own interval says."""
 
-NEAR_SHARE = 0.01
-"""An interval that reaches farther than this share of the frequency says nothing of what stands in it."""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="one_cause"):
+    too_near_hz: float
+    near_share: float
+    most_named: int
+
+
+NUMBERS = _Numbers.load()
 
 _CALLED = {"tone": "a fixed tone", "order": "an order or a tone"}
 _AT_ONE_SPEED = {"tone": "a line without width", "order": "an order or a tone"}
-
-MOST_NAMED = 2
-"""So many lines are named beside a natural frequency that is not decided."""
 
 
 def without_doubles(modal: ModalFit) -> ModalFit:
@@ -63,7 +65,7 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
 
 def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
     low, high = mode.frequency_ends
-    reach = max(TOO_NEAR_HZ, min(0.5 * (high - low), NEAR_SHARE * mode.frequency_hz))
+    reach = max(NUMBERS.too_near_hz, min(0.5 * (high - low), NUMBERS.near_share * mode.frequency_hz))
     near = sorted(
         (abs(hertz - mode.frequency_hz), hertz, text)
         for hertz, text in lines
@@ -71,7 +73,7 @@ def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
     )
     if not near:
         return mode
-    said = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near[:MOST_NAMED])
+    said = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near[: NUMBERS.most_named])
     return replace(mode, undecided=f"{mode.undecided}; {said} {MAY_BE_ALL}")
 
 
@@ -87,5 +89,7 @@ def _at_one_speed(orders: Sequence[AgreedOrder], causes: Causes) -> list[tuple[f
 def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
     """The one speed in rpm at which all ``orders`` were seen; None where there are several, or none is known."""
     speeds = np.array([rpm for one in orders for line in one.lines for rpm in line.speed_rpm])
-    alike = len(speeds) > 0 and bool(np.isfinite(speeds).all()) and speeds.max() <= ALIKE_SPEEDS * speeds.min()
+    alike = (
+        len(speeds) > 0 and bool(np.isfinite(speeds).all()) and speeds.max() <= SAID.alike_speeds_ratio * speeds.min()
+    )
     return float(speeds.mean()) if alike else None

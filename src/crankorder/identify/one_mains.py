@@ -9,15 +9,18 @@ import numpy as np
 
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.mains import multiple_in
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="one_mains"):
+    same_sigmas: float
+    least_apart_hz: float
+
+
+NUMBERS = _Numbers.load()
 
 OR_ANOTHER = "another tone"
 """What a line may be as well beside which a second one has as good a claim to be the mains."""
-
-SAME_SIGMAS = 3.0
-"""Standard errors within which two frequencies are one …"""
-
-LEAST_APART_HZ = 0.01
-"""… and how far apart they are at least: less is no claim of another line, but what a supply wanders by in a minute."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +40,14 @@ class Claim:
     def rivals(self, other: Claim) -> bool:
         """Whether this and the ``other`` cannot both be mains: in one recording, and at two frequencies."""
         apart = abs(self.hertz - other.hertz)
-        reach = max(SAME_SIGMAS * float(np.hypot(self.error_hz, other.error_hz)), LEAST_APART_HZ)
+        reach = max(NUMBERS.same_sigmas * float(np.hypot(self.error_hz, other.error_hz)), NUMBERS.least_apart_hz)
         together = not self.speeds_rpm or not other.speeds_rpm or bool(set(self.speeds_rpm) & set(other.speeds_rpm))
         return self.multiple == other.multiple and together and apart > reach
 
     def fits(self, base_hz: float, error_hz: float) -> bool:
         """Whether it is a multiple of a supply that other lines put at ``base_hz``, within ``error_hz``."""
-        reach = SAME_SIGMAS * float(np.hypot(self.error_hz, self.multiple * error_hz))
-        return abs(self.hertz - self.multiple * base_hz) <= max(reach, LEAST_APART_HZ)
+        reach = NUMBERS.same_sigmas * float(np.hypot(self.error_hz, self.multiple * error_hz))
+        return abs(self.hertz - self.multiple * base_hz) <= max(reach, NUMBERS.least_apart_hz)
 
 
 def claims_of(

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.growth import NUMBERS as GROWTH
 from crankorder.identify.lines.growth import Growth, growth
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="order_one"):
+    slower_exponent: float
+    little_slower_exponent: float
+
+
+NUMBERS = _Numbers.load()
 
 UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
 """Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own
@@ -20,10 +30,6 @@ eccentricity at any speed; 2 in acceleration, and in all other quantities that o
 
 NO_MOTION = ("pressure", "voltage", "current", "temperature")
 """In these quantities order 1 is no motion, and no sign of an unbalance."""
-
-SLOWER, A_LITTLE_SLOWER = 1.0, 0.5
-"""A line that surely grows more slowly than that by these powers of the speed is, or may be, something else: natural
-frequencies that nobody saw lower the exponent above them."""
 
 Floats = NDArray[np.float64]
 
@@ -48,17 +54,17 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> tuple[st
     grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
     would = f"which alone would with {least:g} or more"
     lowest = _least_beside(line.speed_rpm, least, modes, grown)
-    if high < lowest - SLOWER:
+    if high < lowest - NUMBERS.slower_exponent:
         return None, f"{grows}: it {NOT_AS_UNBALANCE}, {would}"
-    if high < lowest - A_LITTLE_SLOWER:
+    if high < lowest - NUMBERS.little_slower_exponent:
         return LIKE_UNBALANCE, f"{grows}, more slowly than unbalance, {would}, far from natural frequencies"
     if grown.law == "follows no power law":
         return LIKE_UNBALANCE, f"{grows}, and no power of the speed describes it"
     return "unbalance", grows
 
 
-def if_unbalance(balance: dict[str, Any], causes: Collection[tuple[str, str]]) -> tuple[dict[str, Any] | None, str]:
-    """The record ``balance`` as far as order 1 may be unbalance; None and why where it surely is none.
+def if_unbalance(balance: Balance, causes: Collection[tuple[str, str]]) -> tuple[Balance | None, str]:
+    """The ``balance`` as far as order 1 may be unbalance; None and why where it surely is none.
 
     ``causes``: text and evidence of every line of the test.
     """
@@ -68,7 +74,7 @@ def if_unbalance(balance: dict[str, Any], causes: Collection[tuple[str, str]]) -
         return None, f"order 1 is no unbalance, or not alone: {beside[0]}"
     if beside or LIKE_UNBALANCE in texts:
         told = f"{IF_UNBALANCE}, which nothing tells from a bent shaft or misalignment"
-        return balance | {"evidence": f"{balance['evidence']}; {told}"}, ""
+        return replace(balance, evidence=f"{balance.evidence}; {told}"), ""
     return balance, ""
 
 
@@ -98,7 +104,7 @@ def _between_few(line: OrderLine, least: float, modes: Sequence[Mode]) -> str:
         return ""
     high = np.log((amplitude[fast] + error[fast]) / (amplitude[slow] - error[slow])) / np.log(rpm[fast] / rpm[slow])
     slopes = [_slope(rpm[[slow, fast]], mode.frequency_hz, mode.damping_ratio) for mode in modes]
-    if high >= least + min([0.0, *slopes]) - SLOWER:
+    if high >= least + min([0.0, *slopes]) - NUMBERS.slower_exponent:
         return ""
     return (
         f"; from {rpm[slow]:.0f} to {rpm[fast]:.0f} rpm it {NOT_AS_UNBALANCE}, unless a natural frequency is near one"

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="order_trend"):
+    least_relative_error: float
+    most_relative_error: float
+
+
+NUMBERS = _Numbers.load()
+
 Floats = NDArray[np.float64]
-
-LEAST_RELATIVE_ERROR = 1e-6
-"""No amplitude is known better than this share of itself."""
-
-MOST_RELATIVE_ERROR = 1.0
-"""An amplitude that is less well known than this says so much and no less: its logarithm has no smaller weight."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ def power_law(speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> 
 
 
 def _relative(amplitude: Floats, error: Floats) -> Floats:
-    return np.clip(error / amplitude, LEAST_RELATIVE_ERROR, MOST_RELATIVE_ERROR)
+    return np.clip(error / amplitude, NUMBERS.least_relative_error, NUMBERS.most_relative_error)
 
 
 def _weighted(design: Floats, y: Floats, weight: Floats) -> tuple[Floats, Floats, float]:

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import APART_CYCLES, LOBE_BINS, Held
+from crankorder.identify.known_lines import LOBE_BINS, Held
+from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.several_orders import several_lines
 from crankorder.identify.modal.tones import NEAR_BINS
 
@@ -53,7 +54,11 @@ def _lines_near(held: Held | None, hertz: float, reach_hz: float) -> list[float]
     if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
         return []
     found = several_lines(held, low, high, beyond=beyond)
-    free = [one.order for one in found if abs(2.0 * one.order - round(2.0 * one.order)) * held.span_rev > APART_CYCLES]
+    free = [
+        one.order
+        for one in found
+        if abs(2.0 * one.order - round(2.0 * one.order)) * held.span_rev > KNOWN_LINES.apart_cycles
+    ]
     return [order * turn_hz for order in free]
 
 

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
+from crankorder.findings import CrossingFinding, LineFinding, ModeFinding, OrderFinding
 from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import AgreedOrder, Evidence, Lock, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.held_peak import HeldPeak, held_peak
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
+from crankorder.records import Ends
+from crankorder.settings import MethodNumbers
 
-MET_SHARE = 0.05
-"""An order that is largest within this share of the speed of an excited crossing is largest because of that mode."""
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="records"):
+    met_share: float
+
+
+NUMBERS = _Numbers.load()
 
 _NOT_LOCKED: dict[Evidence, str] = {
     "locked to the shaft": "its phase agrees from frame to frame",
@@ -32,29 +39,31 @@ def _evidence(shown: Evidence, lock: Lock) -> str:
 def order_records(
     orders: tuple[AgreedOrder, ...],
     causes: Causes,
-    meetings: Sequence[Mapping[str, Any]],
+    meetings: Sequence[CrossingFinding],
     modal: ModalFit,
     *,
     unit: Mapping[str, str],
-) -> list[dict[str, Any]]:
+) -> tuple[OrderFinding, ...]:
     """Records of ``orders``, one per order and channel, by channel in the sequence of ``unit``, then by order.
 
     ``causes`` explain them; ``meetings`` are the records of the crossings; ``modal`` says what they would reach at
     held speeds; ``unit`` is that of each channel.
     """
     records = [
-        _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel])
-        | _held(held_peak(modal, agreed.order, line.channel))
+        _held(
+            _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel]),
+            held_peak(modal, agreed.order, line.channel),
+        )
         for agreed in orders
         for line in agreed.lines
     ]
     place = {name: number for number, name in enumerate(unit)}
-    return sorted(records, key=lambda record: (place[record["channel"]], record["order"]))
+    return tuple(sorted(records, key=lambda record: (place[record.channel], record.order)))
 
 
 def _order_record(
-    agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[Mapping[str, Any]], unit: str
-) -> dict[str, Any]:
+    agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[CrossingFinding], unit: str
+) -> OrderFinding:
     best, law = largest(line), growth(line)
     phase = float(line.phase_deg[best.at])
     said = (
@@ -65,51 +74,48 @@ def _order_record(
         line.remark,
     )
     met_hz = _met_hz(agreed.order, line.channel, best.speed_rpm, meetings)
-    return {
-        "channel": line.channel,
-        "order": agreed.order,
-        "order_ci95": interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom),
-        "lock": agreed.lock,
-        "revs_to_decide": agreed.needed_revs,
-        "half_order": agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
-        "amplitude": best.amplitude,
-        "amplitude_ci95": [max(0.0, best.low), best.high],
-        "phase_deg": None if np.isnan(phase) else phase,
-        "phase_deg_ci95": None if np.isnan(phase) else _phase_ends(line, best.at),
-        "unit": unit,
-        "speed_rpm_at_max": best.speed_rpm,
-        "speed_exponent": None if law is None else law.exponent,
-        "speed_exponent_ci95": None if law is None else list(law.ci95),
-        "speed_law": None if law is None else _law(law, met_hz),
-        "meets_hz": met_hz,
-        "speed_range_rpm": [float(end) for end in visible_range_rpm(line)],
-        "n_speeds": len(np.unique(line.seen)),
-        "evidence": _once(*said, cause.evidence),
-        "level_over_floor_db": line.level_over_floor_db,
-        "explained_by": cause.text,
-    }
+    return OrderFinding(
+        channel=line.channel,
+        order=agreed.order,
+        order_ci95=interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom),
+        lock=agreed.lock,
+        revs_to_decide=agreed.needed_revs,
+        half_order=agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
+        amplitude=best.amplitude,
+        amplitude_ci95=(max(0.0, best.low), best.high),
+        phase_deg=None if np.isnan(phase) else phase,
+        phase_deg_ci95=None if np.isnan(phase) else _phase_ends(line, best.at),
+        unit=unit,
+        speed_rpm_at_max=best.speed_rpm,
+        speed_exponent=None if law is None else law.exponent,
+        speed_exponent_ci95=None if law is None else law.ci95,
+        speed_law=None if law is None else _law(law, met_hz),
+        meets_hz=met_hz,
+        speed_range_rpm=visible_range_rpm(line),
+        n_speeds=len(np.unique(line.seen)),
+        evidence=_once(*said, cause.evidence),
+        level_over_floor_db=line.level_over_floor_db,
+        explained_by=cause.text,
+    )
 
 
-def _held(peak: HeldPeak | None) -> dict[str, Any]:
-    """Fields of what an order would reach in a sweep if the speed were held at the ``peak``; null where unknown."""
+def _held(record: OrderFinding, peak: HeldPeak | None) -> OrderFinding:
+    """``record`` with what its order would reach in a sweep if the speed were held at the ``peak``, where known."""
     if peak is None:
-        return {"amplitude_held": None, "amplitude_held_ci95": None, "speed_rpm_at_held": None}
+        return record
     low, high = interval(peak.amplitude, peak.error, freedom=peak.freedom)
-    return {
-        "amplitude_held": peak.amplitude,
-        "amplitude_held_ci95": [max(0.0, low), high],
-        "speed_rpm_at_held": peak.rpm,
-    }
+    ends = max(0.0, low), high
+    return replace(record, amplitude_held=peak.amplitude, amplitude_held_ci95=ends, speed_rpm_at_held=peak.rpm)
 
 
-def _phase_ends(line: OrderLine, at: int) -> list[float]:
+def _phase_ends(line: OrderLine, at: int) -> Ends:
     """95 % interval [deg] of the phase of ``line`` at the speed seen number ``at``: a turn where unknown."""
     phase = float(line.phase_deg[at])
     if line.phase_ci95_deg is None:
         spread = float(np.degrees(line.amplitude_error[at] / line.amplitude[at]))
         return interval(phase, spread, freedom=float(line.degrees_of_freedom[at]))
     half = float(line.phase_ci95_deg[at])
-    return [phase - half, phase + half]
+    return phase - half, phase + half
 
 
 def _once(*said: str) -> str:
@@ -123,21 +129,21 @@ def _law(law: Growth, met_hz: float | None) -> str:
     return "meets a mode" if met_hz is not None and law.law == "follows no power law" else law.law
 
 
-def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[Mapping[str, Any]]) -> float | None:
+def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[CrossingFinding]) -> float | None:
     """Natural frequency (Hz) whose excited crossing makes an order largest at ``at_rpm``; else None."""
     met = [
         record
         for record in meetings
-        if record["excited"]
-        and record["order"] == order
-        and channel in record["channels"]
-        and abs(record["rpm"] - at_rpm) <= MET_SHARE * at_rpm
+        if record.excited
+        and record.order == order
+        and channel in record.channels
+        and abs(record.rpm - at_rpm) <= NUMBERS.met_share * at_rpm
     ]
-    best = min(met, key=lambda record: abs(float(record["rpm"]) - at_rpm), default=None)
-    return None if best is None else float(best["mode_hz"])
+    best = min(met, key=lambda record: abs(record.rpm - at_rpm), default=None)
+    return None if best is None else best.mode_hz
 
 
-def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[CrossingFinding]) -> tuple[ModeFinding, ...]:
     """Records of all modes, whirls and tones of ``modal``, lowest first, with their ``causes``.
 
     ``meetings`` are the records of the crossings: whatever excites a mode reaches it.
@@ -145,85 +151,85 @@ def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[Mapping[str
     records = [_mode_record(mode, cause, meetings) for mode, cause in zip(modal.modes, causes.modes, strict=True)]
     records += [_whirl_record(whirl) for whirl in modal.whirls]
     records += [_tone_record(tone, cause) for tone, cause in zip(modal.tones, causes.tones, strict=True)]
-    return sorted(records, key=lambda record: float(record["frequency_hz"]))
+    return tuple(sorted(records, key=lambda record: record.frequency_hz))
 
 
-def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    excites = {one["order"] for one in meetings if one["excited"] and one["mode_hz"] == mode.frequency_hz}
-    return {
-        "frequency_hz": mode.frequency_hz,
-        "frequency_hz_ci95": list(mode.frequency_ends),
-        "damping_ratio": mode.damping_ratio,
-        "damping_ratio_ci95": list(mode.damping_ends),
-        "channels": list(mode.channels),
-        "evidence": mode.evidence,
-        "prominence_db": mode.prominence_db,
-        "reached_by_orders": sorted({*mode.reached_by, *excites}),
-        "undecided": mode.undecided,
-        "explained_by": cause.text,
-    }
+def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) -> ModeFinding:
+    excites = {one.order for one in meetings if one.excited and one.mode_hz == mode.frequency_hz}
+    return ModeFinding(
+        frequency_hz=mode.frequency_hz,
+        frequency_hz_ci95=mode.frequency_ends,
+        damping_ratio=mode.damping_ratio,
+        damping_ratio_ci95=mode.damping_ends,
+        channels=mode.channels,
+        evidence=mode.evidence,
+        prominence_db=mode.prominence_db,
+        reached_by_orders=tuple(sorted({*mode.reached_by, *excites})),
+        undecided=mode.undecided,
+        explained_by=cause.text,
+    )
 
 
-def _whirl_record(whirl: Whirl) -> dict[str, Any]:
+def _whirl_record(whirl: Whirl) -> ModeFinding:
     low, high = interval(whirl.damping_ratio, whirl.damping_error)
-    return {
-        "frequency_hz": whirl.frequency_hz,
-        "frequency_hz_ci95": interval(whirl.frequency_hz, whirl.frequency_error_hz),
-        "reference_rpm": whirl.reference_rpm,
-        "speed_slope": whirl.slope,
-        "speed_slope_ci95": interval(whirl.slope, whirl.slope_error),
-        "damping_ratio": whirl.damping_ratio if whirl.damping_told else None,
-        "damping_ratio_ci95": [max(0.0, low), high],
-        "channels": list(whirl.channels),
-        "evidence": whirl.evidence,
-        "prominence_db": whirl.prominence_db,
-        "undecided": "",
-        "explained_by": "whirl",
-    }
+    return ModeFinding(
+        frequency_hz=whirl.frequency_hz,
+        frequency_hz_ci95=interval(whirl.frequency_hz, whirl.frequency_error_hz),
+        reference_rpm=whirl.reference_rpm,
+        speed_slope=whirl.slope,
+        speed_slope_ci95=interval(whirl.slope, whirl.slope_error),
+        damping_ratio=whirl.damping_ratio if whirl.damping_told else None,
+        damping_ratio_ci95=(max(0.0, low), high),
+        channels=whirl.channels,
+        evidence=whirl.evidence,
+        prominence_db=whirl.prominence_db,
+        undecided="",
+        explained_by="whirl",
+    )
 
 
-def _tone_record(tone: Tone, cause: Cause) -> dict[str, Any]:
+def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
     # channels may have different units: that in which it stands clearest
     channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0] / max(item[1][1], 1e-300))
-    return {
-        "frequency_hz": tone.frequency_hz,
-        "frequency_hz_ci95": interval(tone.frequency_hz, tone.frequency_error_hz),
-        "damping_ratio": None,
-        "damping_ratio_ci95": None,
-        "channels": list(tone.amplitude),
-        "channel": channel,
-        "amplitude": amplitude,
-        "amplitude_ci95": [max(0.0, amplitude - Z95 * error), amplitude + Z95 * error],
-        "evidence": _once(tone.evidence, cause.evidence),
-        "explained_by": cause.text,
-    }
+    return ModeFinding(
+        frequency_hz=tone.frequency_hz,
+        frequency_hz_ci95=interval(tone.frequency_hz, tone.frequency_error_hz),
+        damping_ratio=None,
+        damping_ratio_ci95=None,
+        channels=tuple(tone.amplitude),
+        channel=channel,
+        amplitude=amplitude,
+        amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),
+        evidence=_once(tone.evidence, cause.evidence),
+        explained_by=cause.text,
+    )
 
 
 def line_records(
-    orders: list[dict[str, Any]], modal: ModalFit, causes: Causes, *, channels: list[str]
-) -> list[dict[str, Any]]:
+    orders: Sequence[OrderFinding], modal: ModalFit, causes: Causes, *, channels: list[str]
+) -> tuple[LineFinding, ...]:
     """Every line above the false-alarm level: records of ``orders`` first, then the tones and modes of ``modal``.
 
     ``causes`` explain them; ``channels`` are the names of all, in the sequence of the map.
     """
     kept = ("channel", "order", "order_ci95", "explained_by", "amplitude", "amplitude_ci95")
-    records: list[dict[str, Any]] = [{key: record[key] for key in kept} for record in orders]
+    records = [LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders]
     for tone, cause in zip(modal.tones, causes.tones, strict=True):
         for channel, (amplitude, error) in tone.amplitude.items():
             records.append(
-                {
-                    "channel": channel,
-                    "frequency_hz": tone.frequency_hz,
-                    "frequency_hz_ci95": interval(tone.frequency_hz, tone.frequency_error_hz),
-                    "explained_by": cause.text,
-                    "amplitude": amplitude,
-                    "amplitude_ci95": [max(0.0, amplitude - Z95 * error), amplitude + Z95 * error],
-                }
+                LineFinding(
+                    channel=channel,
+                    frequency_hz=tone.frequency_hz,
+                    frequency_hz_ci95=interval(tone.frequency_hz, tone.frequency_error_hz),
+                    explained_by=cause.text,
+                    amplitude=amplitude,
+                    amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),
+                )
             )
-    return records + _modes_as_lines(modal, causes, channels)
+    return (*records, *_modes_as_lines(modal, causes, channels))
 
 
-def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> list[dict[str, Any]]:
+def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> list[LineFinding]:
     """Peak of a tone as strong as the floor within the half-power width of each mode, by channel that shows it."""
     records = []
     for mode, cause in zip(modal.modes, causes.modes, strict=True):
@@ -234,12 +240,12 @@ def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> lis
             known = psd[np.isfinite(psd)]
             rms = float(np.sqrt(known.mean() * 2.0 * half)) if known.size else None
             records.append(
-                {
-                    "channel": channel,
-                    "frequency_hz": mode.frequency_hz,
-                    "frequency_hz_ci95": list(mode.frequency_ends),
-                    "explained_by": cause.text,
-                    "amplitude": None if rms is None else float(np.sqrt(2.0)) * rms,
-                }
+                LineFinding(
+                    channel=channel,
+                    frequency_hz=mode.frequency_hz,
+                    frequency_hz_ci95=mode.frequency_ends,
+                    explained_by=cause.text,
+                    amplitude=None if rms is None else float(np.sqrt(2.0)) * rms,
+                )
             )
     return records

@@ -9,17 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
-from crankorder.identify.modal.exclusion import NOISE_SHARE
-from crankorder.identify.modal.order_force import force, resonance_slopes, smooth_shapes
-from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modal.order_terms import force, resonance_slopes, smooth_shapes
 from crankorder.identify.resonance import resonance
+from crankorder.settings import MethodNumbers
 
-SHAPE_ERROR = 0.1
-"""Standard error, as a share, of what is left without a mode, for each degree of a smooth part with a shape of its own.
 
-Such a part passes for the flanks of the mode, and the law of the force for both: in run-ups with constant forces the
-amplification came out 4 to 9 % off with one degree and 20 to 28 % with three, within 1 % with none.
-"""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="responses"):
+    shape_error_share: float
+
+
+NUMBERS = _Numbers.load()
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -91,9 +92,9 @@ def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: M
         _error(response, whole, columns, _by_poles(response, rpm, modal, columns), modal),
         _error(response, without, fewer, _by_poles(response, rpm, modal, fewer, but=number), modal),
     )
-    ambiguous = SHAPE_ERROR * np.sqrt(len(response.smooth) - 1) * np.abs(without)
+    ambiguous = NUMBERS.shape_error_share * np.sqrt(len(response.smooth) - 1) * np.abs(without)
     rows = (np.abs(whole)[None], np.abs(without)[None], errors[0][None], np.hypot(errors[1], ambiguous)[None])
-    return WithAndWithout(*rows, np.array([NOISE_SHARE * response.error]))
+    return WithAndWithout(*rows, np.array([EXCLUSION.noise_sigmas * response.error]))
 
 
 def _error(response: OrderResponse, value: Complex, columns: Complex, by_poles: Complex, modal: ModalFit) -> Floats:
@@ -109,7 +110,7 @@ def _error(response: OrderResponse, value: Complex, columns: Complex, by_poles: 
     scale = np.array([[mode.frequency_hz, mode.damping_ratio] for mode in modes]).ravel()
     spread = modal.covariance[np.ix_(at, at)] / np.outer(scale, scale)
     # of a pole that is not determined a derivative says nothing: that it is not decided is said elsewhere
-    told = np.repeat(np.diag(spread)[1::2] <= KNOWN**2, 2)
+    told = np.repeat(np.diag(spread)[1::2] <= ORDER_MODES.known_share**2, 2)
     spread = np.where(told[:, None] & told, spread, 0.0)
     along = (by_poles * (value.conj() / np.maximum(np.abs(value), 1e-300))[:, None]).real
     poles = np.einsum("gi,ij,gj->g", along, spread, along)

@@ -1,10 +1,16 @@
 """What findings say that pages read again: apart from what finds it, so that pages are written without loading that."""
 
-SCHEMA_VERSION = 1
-"""Of ``findings.json``."""
+from __future__ import annotations
 
-ALIKE_SPEEDS = 1.005
-"""Fastest over slowest speed up to which a line of fixed frequency keeps its order."""
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="said"):
+    alike_speeds_ratio: float
+    clearly_excited_ratio: float
+
+
+NUMBERS = _Numbers.load()
 
 ONE_SPEED = "too few speeds to tell how it grows"
 """What is said of an order of which nothing tells whether it grows as an unbalance does."""
@@ -31,9 +37,6 @@ IF_WRONG = "this one if that is wrong"
 
 SPEAK_FOR = "the lines speak for"
 """What is said of a speed that lines of the shaft tell, where another one was stated."""
-
-CLEARLY_EXCITED = 2.0
-"""An order that cannot be so many times what it would be without the mode is not excited."""
 
 AMPLIFIED = "is amplified more than"
 """Words of an open band in which a mode is seen to amplify an order."""

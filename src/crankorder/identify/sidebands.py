@@ -8,25 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="sidebands"):
+    carrier_spacings: float
+    family_chance: float
+    same_sigmas: float
+    least_teeth: int
+    most_firings: int
+    mesh_ratio: float
+
+
+NUMBERS = _Numbers.load()
+
 Floats = NDArray[np.float64]
-
-CARRIER_SPACINGS = 2.0
-"""A carrier lies at least so many spacings from zero: below, sidebands and harmonics are the same lines."""
-
-CHANCE = 0.05
-"""A family is claimed where lines that lie anywhere would make so few of it."""
-
-SIGMAS = 3.0
-"""Standard errors within which two places are one."""
-
-LEAST_TEETH = 6
-"""Fewer teeth or blades than this are not told from the harmonics of a shaft."""
-
-MOST_FIRINGS = 12
-"""Engines fire so often per turn at most: 24 cylinders of four strokes, 12 of two."""
-
-MESH_RATIO = 2.0
-"""A mesh stands so many times above the lines one shaft order beside it."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +91,12 @@ def _pairs(
             spacing = 0.5 * (places[high] - places[low])
             error = float(np.sqrt(0.25 * (errors[high] ** 2 + errors[low] ** 2) + errors[carrier] ** 2))
             lopsided = abs(places[carrier] - 0.5 * (places[high] + places[low]))
-            if lopsided > SIGMAS * error or places[carrier] < CARRIER_SPACINGS * spacing:
+            if lopsided > NUMBERS.same_sigmas * error or places[carrier] < NUMBERS.carrier_spacings * spacing:
                 continue
             name, multiple = _known(spacing, 0.5 * float(np.hypot(errors[high], errors[low])), spacings)
             # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
-            chance = len(below) * len(above) * min(1.0, 2.0 * SIGMAS * error / highest)
-            if name or chance < CHANCE:
+            chance = len(below) * len(above) * min(1.0, 2.0 * NUMBERS.same_sigmas * error / highest)
+            if name or chance < NUMBERS.family_chance:
                 unit = spacing / multiple
                 pairs.append(
                     (
@@ -115,7 +111,7 @@ def _known(spacing: float, error: float, spacings: dict[str, float]) -> tuple[st
     """Name of the known spacing of which ``spacing`` is the single, double or threefold; ("", 1) where none is."""
     for multiple in (1, 2, 3):
         for name, value in spacings.items():
-            if abs(spacing - multiple * value) <= SIGMAS * error + 1e-9:
+            if abs(spacing - multiple * value) <= NUMBERS.same_sigmas * error + 1e-9:
                 return name, multiple
     return "", 1
 
@@ -132,14 +128,14 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
     found = []
     for order, amplitude in amplitude_of.items():
         sides = [amplitude_of.get(order - 1), amplitude_of.get(order + 1)]
-        if order < LEAST_TEETH or None in sides:
+        if order < NUMBERS.least_teeth or None in sides:
             continue
         beside = [amplitude_of.get(order + step, 0.0) for step in range(-5, 6) if step]
         whole = all(below in amplitude_of for below in range(1, order))
-        if whole and (order <= MOST_FIRINGS or amplitude < MESH_RATIO * max(beside)):
+        if whole and (order <= NUMBERS.most_firings or amplitude < NUMBERS.mesh_ratio * max(beside)):
             continue
         largest_side = max(side for side in sides if side is not None)
-        if amplitude >= MESH_RATIO * largest_side and amplitude > max(beside):
+        if amplitude >= NUMBERS.mesh_ratio * largest_side and amplitude > max(beside):
             found.append(order)
     return sorted(found)
 
@@ -160,11 +156,15 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
         for other in order:
             multiple = round(places[other] / places[first])
             error = float(np.hypot(multiple * errors[first], errors[other]))
-            if other in found or multiple < 2 or abs(places[other] - multiple * places[first]) > SIGMAS * error:
+            if (
+                other in found
+                or multiple < 2
+                or abs(places[other] - multiple * places[first]) > NUMBERS.same_sigmas * error
+            ):
                 continue
             family[other] = multiple
-            chance *= min(1.0, 2.0 * SIGMAS * error / places[first])
+            chance *= min(1.0, 2.0 * NUMBERS.same_sigmas * error / places[first])
         # any of the others could have been the one that fits
-        if 2 in family.values() and chance * len(places) < CHANCE:
+        if 2 in family.values() and chance * len(places) < NUMBERS.family_chance:
             found |= {line: (first, multiple) for line, multiple in family.items()}
     return found

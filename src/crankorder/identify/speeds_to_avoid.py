@@ -24,30 +24,27 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lone_peaks import lone_peaks
-from crankorder.identify.modal.exclusion import MATTERS
-from crankorder.identify.modal.order_modes import KNOWN
+from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
-from crankorder.identify.said import AMPLIFIED, CLEARLY_EXCITED
+from crankorder.identify.said import AMPLIFIED
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.whirl_crossings import met_mode
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-BESIDE = 0.03
-"""Share of a speed to avoid, on both sides of it, that is not called free."""
 
-VAGUE = 0.1
-"""Share of the speed of a crossing with an undecided mode over which its interval says nothing of where it is."""
+class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="speeds_to_avoid"):
+    beside_share: float
+    vague_share: float
+    same_speed_share: float
+    near_dampings: float
+    peak_within_ratio: float
 
-SAME_SPEED = 0.01
-"""Share of a speed within which two maps hold the same one."""
+
+NUMBERS = _Numbers.load()
 
 FLANKS = 120
 """Speeds over the whole span, in equal ratios, at which the flanks of a mode are looked at."""
-
-NEAR_DAMPINGS = 8.0
-"""Damping ratios on both sides of a crossing within which its amplification is looked at most closely."""
-
-PEAK_WITHIN = 2.0
-"""Factor, either way, within which a fit must know a peak at 95 % before it is stated."""
 
 Floats = NDArray[np.float64]
 
@@ -164,7 +161,7 @@ def _as_peak(item: Crossing, peak: AvoidedSpeed) -> Crossing:
 
 def _is_vague(item: Crossing) -> bool:
     """Whether the natural frequency of ``item`` is undecided, and nobody knows where to stay away."""
-    return bool(item.remark) and item.rpm_ci95[1] - item.rpm_ci95[0] > VAGUE * item.rpm
+    return bool(item.remark) and item.rpm_ci95[1] - item.rpm_ci95[0] > NUMBERS.vague_share * item.rpm
 
 
 def _counts(item: Crossing) -> bool:
@@ -173,7 +170,7 @@ def _counts(item: Crossing) -> bool:
     if _is_vague(item):
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
-    return max(measured, item.amplification_predicted) >= CLEARLY_EXCITED
+    return max(measured, item.amplification_predicted) >= SAID.clearly_excited_ratio
 
 
 def _largest(orders: tuple[AgreedOrder, ...]) -> dict[str, float]:
@@ -243,10 +240,14 @@ def _fitted_peak(response: OrderResponse, rpm: float, modal: ModalFit, mode: Mod
     """Amplitude at ``rpm``, the peak that ``mode`` makes, by the fit ``response``; None where that does not know it."""
     if not response.fits or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
-    if mode.damping_error > KNOWN * mode.damping_ratio:
+    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
         return None
     size, error = (float(one[0]) for one in held_amplitudes(response, np.array([rpm]), modal))
-    return size if half_width(float(response.freedom)) * error <= (1.0 - 1.0 / PEAK_WITHIN) * size else None
+    return (
+        size
+        if half_width(float(response.degrees_of_freedom)) * error <= (1.0 - 1.0 / NUMBERS.peak_within_ratio) * size
+        else None
+    )
 
 
 def _amplification(
@@ -271,7 +272,7 @@ def _amplification(
         best: Seen | None = by_fit if trend is None else higher(by_fit, [trend])
     else:
         best = trend
-    return best if best is not None and best.ratio is not None and best.ratio >= CLEARLY_EXCITED else None
+    return best if best is not None and best.ratio is not None and best.ratio >= SAID.clearly_excited_ratio else None
 
 
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
@@ -299,7 +300,7 @@ def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
 
 def _by_avoided(avoid: Sequence[AvoidedSpeed]) -> list[_Open]:
     """What speeds to avoid take: these are not open, but neither are they free."""
-    low, high = 1.0 - BESIDE, 1.0 + BESIDE
+    low, high = 1.0 - NUMBERS.beside_share, 1.0 + NUMBERS.beside_share
     return [_Open(min(a.rpm_range[0], a.rpm * low), max(a.rpm_range[1], a.rpm * high), "") for a in avoid]
 
 
@@ -327,7 +328,7 @@ def _by_modes(
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
-            matters = MATTERS * max(largest.get(one.channel, 0.0) for one in group)
+            matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
             made += _amplified(group, number, modal, replace(limits, matters=matters), what)
     return made
 
@@ -346,7 +347,7 @@ def _by_whirl(
     if item.verdict == "not excited":
         return []
     reach = mode.damping_ratio * height / settings.free_amplification
-    beside = max(width_rpm(item.rpm, mode, settings), max(BESIDE, reach) * item.rpm)
+    beside = max(width_rpm(item.rpm, mode, settings), max(NUMBERS.beside_share, reach) * item.rpm)
     low, high = item.rpm_ci95[0] - beside, item.rpm_ci95[1] + beside
     if low >= speed_rpm[1] or high <= speed_rpm[0]:
         return []
@@ -370,8 +371,8 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free."""
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / group[0].order
-    beside = BESIDE + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
-    near = max(NEAR_DAMPINGS * mode.damping_ratio, beside)
+    beside = NUMBERS.beside_share + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
+    near = max(NUMBERS.near_dampings * mode.damping_ratio, beside)
     low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
@@ -417,7 +418,9 @@ def _by_unseen(
         first = min(float(bound.speed_rpm[0]) for bound in bounds)
         last = max(float(bound.speed_rpm[-1]) for bound in bounds)
         ends = ((low, first), (last, high))
-        made += [_Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + SAME_SPEED)]
+        made += [
+            _Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + NUMBERS.same_speed_share)
+        ]
         for bound in bounds:
             made += _between(bound, settings.free_amplification, name)
     return made

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, Verdict, Whirl
 from crankorder.identify.intervals import Z95, half_width
-from crankorder.identify.said import CLEARLY_EXCITED
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import IdentifySettings
 
 Floats = NDArray[np.float64]
@@ -61,7 +61,7 @@ def whirl_crossing(
     seen = [one for line in agreed.lines for one in above_trend(line, rpm, width_rpm(rpm, mode, settings), others)]
     trends = seen if inside else []
     best = min(trends, key=lambda item: item.chance, default=None)
-    quiet = bool(trends) and max(item.ratio_high for item in trends) < CLEARLY_EXCITED
+    quiet = bool(trends) and max(item.ratio_high for item in trends) < SAID.clearly_excited_ratio
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
     near = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     verdict: Verdict = "not excited" if quiet and near else "not decided" if near else "not measured"

@@ -9,28 +9,71 @@ from pathlib import Path
 
 import numba as nb
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.fft.windows import hann
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import QualityFlag, Severity
+from crankorder.quantities import Bools, Floats, Ints, QualityFlag, Severity
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
+
+_BLOCKS_PER_S = 300.0
+
+_LEAST_BLOCK, _MOST_BLOCK = 4, 128
+
+_LOOK = 8192
+"""Samples in which the lines of the others are looked for."""
+
+_LINES = 6
+
+_STANDS_OUT = 10.0
+"""Power of a line over the median about it."""
+
+_SERIES = 2048
+
+_MULTIPLES = 4
+
+_OFF_MAINS = 0.01
+"""Mains and a half order of the shaft closer than this share are not told apart."""
+
+_PIECES = 64
+
+_EDGE = 6
+"""Pieces before and behind a step at least."""
+
+_AGREE = 0.2
+"""Share of the step that either level may scatter by, and that the others may move."""
+
+_GROUPS = 512
+"""Pieces of a signal whose means are followed, at most …"""
+
+_FEWEST = 48
+"""… and at least: fewer show no decay."""
+
+_DECAYS = 24
+"""Time constants that are tried, evenly by ratio."""
+
+_RISE = 3
+"""Pieces within which an overload jumps to its peak."""
+
+_LEFT = 0.1
+"""What is left of a decay, over the vibration, from where on it takes no part."""
+
+_MOST_EVENTS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Runs:
     """Samples ``starts`` (runs,) to before ``ends`` (runs,), in order."""
 
-    starts: npt.NDArray[np.int64]
-    ends: npt.NDArray[np.int64]
+    starts: Ints
+    ends: Ints
 
     @property
-    def lengths(self) -> npt.NDArray[np.int64]:
+    def lengths(self) -> Ints:
         """Samples of each run."""
         return self.ends - self.starts
 
-    def where(self, chosen: npt.NDArray[np.bool_]) -> Runs:
+    def where(self, chosen: Bools) -> Runs:
         """The ``chosen`` (runs,) alone."""
         return Runs(self.starts[chosen], self.ends[chosen])
 
@@ -68,12 +111,6 @@ class SignalFault:
         """Quality flag for channel ``name`` of the recording at ``path``."""
         detail = f"channel {name}: {self.detail}"
         return QualityFlag(recording=path.name, flag=self.flag, severity=self.severity, detail=detail)
-
-
-Floats = npt.NDArray[np.float64]
-
-_BLOCKS_PER_S = 300.0
-_LEAST_BLOCK, _MOST_BLOCK = 4, 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,17 +188,6 @@ def _look(signal, size, told):  # type: ignore[no-untyped-def]
         square, fourth = _bends(signal[max(start - 1, 0) : min(start + size + 1, n)], half, signal.dtype.type(scale))
         told[2, number] = np.float64(square) / size / scale**2
         told[3, number] = np.float64(fourth) / size / scale**4
-
-
-_LOOK = 8192
-"""Samples in which the lines of the others are looked for."""
-_LINES = 6
-_STANDS_OUT = 10.0
-"""Power of a line over the median about it."""
-_SERIES = 2048
-_MULTIPLES = 4
-_OFF_MAINS = 0.01
-"""Mains and a half order of the shaft closer than this share are not told apart."""
 
 
 def root_mean_square(survey: Survey) -> float:
@@ -311,13 +337,6 @@ def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:
     return float(power[off & (power > 5.0 * _STANDS_OUT * floor)].sum())
 
 
-_PIECES = 64
-_EDGE = 6
-"""Pieces before and behind a step at least."""
-_AGREE = 0.2
-"""Share of the step that either level may scatter by, and that the others may move."""
-
-
 def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> dict[int, SignalFault]:
     """Faults by number of the channels of ``surveys`` whose level steps (``settings``) beside all others."""
     if len(surveys) < 2:
@@ -359,19 +378,6 @@ def _largest_step(level: np.ndarray) -> tuple[int, float]:
     gain = np.square(after - before) * splits * (len(level) - splits)
     best = int(np.argmax(gain))
     return int(splits[best]), float(after[best] - before[best])
-
-
-_GROUPS = 512
-"""Pieces of a signal whose means are followed, at most …"""
-_FEWEST = 48
-"""… and at least: fewer show no decay."""
-_DECAYS = 24
-"""Time constants that are tried, evenly by ratio."""
-_RISE = 3
-"""Pieces within which an overload jumps to its peak."""
-_LEFT = 0.1
-"""What is left of a decay, over the vibration, from where on it takes no part."""
-_MOST_EVENTS = 5
 
 
 def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[SignalFault]:

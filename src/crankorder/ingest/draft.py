@@ -19,13 +19,34 @@ from crankorder.ingest.rawfile import Contents, RawFile
 from crankorder.ingest.units import known_unit
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
-from crankorder.shaft.pattern_search import FoundPattern, find_pattern
 from crankorder.shaft.pulses import FloatArray, find_pulses
+from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
 # Samples that are enough to see a wheel.
 MOST_SAMPLES = 4_000_000
 # A trace with this share of its samples at its two levels is a square wave; a sine has 0.51.
 SQUARE_SHARE = 0.75
+
+_TIME = re.compile(r"(time|zeit|t)\b.*", re.IGNORECASE)
+
+_INDEX = re.compile(r"\b(index|tdc|trigger|z.?pulse|once.?per.?rev|ref)\b", re.IGNORECASE)
+
+_ENCODER = re.compile(r"enc|tach|pulse|crank|tooth|teeth|\bir\b|kurbel", re.IGNORECASE)
+
+_CAM = re.compile(r"\bcam(shaft)?\b|nockenwelle", re.IGNORECASE)
+
+_SPEED = re.compile(r"rpm|speed|drehzahl", re.IGNORECASE)
+
+MOTOR = (
+    "",
+    "# [motor]                         # where an induction motor drives: its slip and its lines are then named",
+    "# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive",
+    "# poles = 4                       # poles, not pairs",
+    "# rotor_bars = 44",
+    "# shaft_ratio = 1.0               # turns of the motor per crank revolution",
+    "",
+)
+"""What a draft proposes that no file tells, as comments."""
 
 
 @dataclass(frozen=True)
@@ -111,25 +132,6 @@ def _is_square(values: npt.NDArray[Any]) -> bool:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     near = 0.15 * (high - low)
     return float(np.mean((values < low + near) | (values > high - near))) >= SQUARE_SHARE
-
-
-_TIME = re.compile(r"(time|zeit|t)\b.*", re.IGNORECASE)
-_INDEX = re.compile(r"\b(index|tdc|trigger|z.?pulse|once.?per.?rev|ref)\b", re.IGNORECASE)
-_ENCODER = re.compile(r"enc|tach|pulse|crank|tooth|teeth|\bir\b|kurbel", re.IGNORECASE)
-_CAM = re.compile(r"\bcam(shaft)?\b|nockenwelle", re.IGNORECASE)
-_SPEED = re.compile(r"rpm|speed|drehzahl", re.IGNORECASE)
-
-
-MOTOR = (
-    "",
-    "# [motor]                         # where an induction motor drives: its slip and its lines are then named",
-    "# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive",
-    "# poles = 4                       # poles, not pairs",
-    "# rotor_bars = 44",
-    "# shaft_ratio = 1.0               # turns of the motor per crank revolution",
-    "",
-)
-"""What a draft proposes that no file tells, as comments."""
 
 
 def draft_manifest(folder: Path) -> str:

@@ -19,6 +19,12 @@ SOURCELESS_KINDS = ("constant", "vibration", "none")
 TRACE_KINDS = ("square", "analogue")
 TIME_KINDS = ("pulse_times", "edge_list")
 
+Positive = Annotated[float, Field(gt=0)]
+
+Count = Annotated[int, Field(gt=0)]
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=1000)]
+
 
 def _source(value: object) -> str | int:
     if isinstance(value, str) and value:
@@ -33,9 +39,6 @@ Source = Annotated[
     PlainValidator(_source),
     WithJsonSchema({"anyOf": [{"type": "string", "minLength": 1}, {"type": "integer", "minimum": 0}]}),
 ]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(gt=0)]
-Name = Annotated[str, StringConstraints(min_length=1, max_length=1000)]
 
 
 class Table(BaseModel):

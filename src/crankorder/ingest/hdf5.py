@@ -22,6 +22,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     common_rate,
+    float_type_for,
     named,
     rows_for,
 )
@@ -257,7 +258,7 @@ def _read_columns(
     columns: list[_Column], used: dict[str, Any], attributes: _Attributes, path: Path, settings: IngestSettings
 ) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
-    kinds = [(column.n_samples, _target(used[column.dataset].dtype)) for column in columns]
+    kinds = [(column.n_samples, float_type_for(used[column.dataset].dtype)) for column in columns]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
     for name, dataset in used.items():
         rows = [(column.index, row) for column, row in zip(columns, room, strict=True) if column.dataset == name]
@@ -292,11 +293,6 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any) -> None:
         piece = dataset[part] if axis == 0 else dataset[:, part]
         for index, row in rows:
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
-
-
-def _target(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
-    small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)
-    return np.float32 if small else np.float64
 
 
 def _unpack(row: FloatArray, dataset: Any, attributes: _Attributes) -> None:

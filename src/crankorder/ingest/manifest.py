@@ -30,6 +30,20 @@ _HEADER = re.compile(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(?:#.
 _ASSIGNMENT = re.compile(rf"\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=(.*)")
 _TOKEN = re.compile(r'"""|' + r"'''|" + r'"(?:\\.|[^"\\])*"|' + r"'[^']*'|#.*|[\[\]{}]")
 
+COLUMNS = ("frequency_hz", "real", "imag")
+
+MOST_BYTES = 10_000_000
+
+SCHEMA_VERSION = 1
+
+MANIFEST_NAME = "run.toml"
+
+_MAX_MANIFEST_BYTES = 4_000_000
+
+_MOST_KEYS, _MOST_TABLES = 150_000, 10_000
+
+_LONG_KEY = re.compile(r"^[^=\n\"'#\[]{1000,}=", re.MULTILINE)
+
 
 def key_lines(text: str) -> dict[str, int]:
     """Line of every key and table of a valid TOML ``text``, by dotted key path with list positions from 0."""
@@ -80,10 +94,6 @@ def _open_at_end(line: str, inside: str, depth: int) -> tuple[str, int]:
 
 def _dotted(key: str) -> str:
     return re.sub(r"\s*\.\s*", ".", key).replace('"', "").replace("'", "")
-
-
-COLUMNS = ("frequency_hz", "real", "imag")
-MOST_BYTES = 10_000_000
 
 
 def path_faults(paths: tuple[StatedPath, ...], unit_of_channel: Mapping[str, Unit]) -> list[RequestError]:
@@ -166,13 +176,6 @@ def _points(folder: Path, name: str) -> list[tuple[float, float, float]]:
     if len(points) < 2:
         raise RequestError("a table needs two or more rows")
     return points
-
-
-SCHEMA_VERSION = 1
-MANIFEST_NAME = "run.toml"
-_MAX_MANIFEST_BYTES = 4_000_000
-_MOST_KEYS, _MOST_TABLES = 150_000, 10_000
-_LONG_KEY = re.compile(r"^[^=\n\"'#\[]{1000,}=", re.MULTILINE)
 
 
 class Test(Table):

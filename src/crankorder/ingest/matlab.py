@@ -37,6 +37,21 @@ _PIECE = 1 << 18
 _MOST_DEFLATED = 1100
 """Deflate makes at most 1032 bytes of one."""
 
+_HEADER_BYTES = 128
+
+_MAX_DEPTH = 32
+
+_HEAD_BYTES = 4096
+
+_MOST_COLUMNS = 1000
+
+# last part of a name, in small letters and without anything but letters
+_RATE_NAMES = frozenset(("sr", "fs", "sampfreq", "samplefreq", "samplerate", "samplingrate", "samplingfrequency"))
+
+_STEP_NAMES = frozenset(("dt", "deltat", "timestep", "xinc", "samplingperiod", "sampleperiod"))
+
+_RATE_ENDINGS = ("samplerate", "samplingrate", "samplingfrequency", "ratehz")
+
 
 class DamagedFileError(Exception):
     """The bytes are no MATLAB data; ``place`` names the variable, where that is known."""
@@ -238,16 +253,6 @@ def matrix_of(element: Element, *, partial: bool = False) -> Matrix | None:
         raise DamagedFileError("a variable without a shape")
     name = inner[2].body.tobytes().decode("utf-8", "replace")
     return Matrix(name, code, shape, bool(flags & _COMPLEX), inner[3:], element.order)
-
-
-_HEADER_BYTES = 128
-_MAX_DEPTH = 32
-_HEAD_BYTES = 4096
-_MOST_COLUMNS = 1000
-# last part of a name, in small letters and without anything but letters
-_RATE_NAMES = frozenset(("sr", "fs", "sampfreq", "samplefreq", "samplerate", "samplingrate", "samplingfrequency"))
-_STEP_NAMES = frozenset(("dt", "deltat", "timestep", "xinc", "samplingperiod", "sampleperiod"))
-_RATE_ENDINGS = ("samplerate", "samplingrate", "samplingfrequency", "ratehz")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, named, rows_for
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, float_type_for, named, rows_for
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -26,8 +26,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     table = _table(path, settings)
     names = _names(table)
     wanted = [names.index(named(source, names, path)) for source in sources]
-    target = _target(table.dtype)
-    kinds = [(len(table), _target(table.dtype[index]) if table.dtype.names else target) for index in wanted]
+    target = float_type_for(table.dtype)
+    kinds = [(len(table), float_type_for(table.dtype[index]) if table.dtype.names else target) for index in wanted]
     rows = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
     for part in blocks(len(table)):
         piece = table[part]  # a column of an interleaved table costs as much as all of it: each page is read once
@@ -86,8 +86,3 @@ def _mapped(path: Path) -> npt.NDArray[Any]:
 
 def _names(table: npt.NDArray[Any]) -> tuple[str, ...]:
     return table.dtype.names or tuple(str(number) for number in range(table.shape[1]))
-
-
-def _target(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
-    small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)
-    return np.float32 if small else np.float64

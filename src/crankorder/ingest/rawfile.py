@@ -103,6 +103,12 @@ def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> 
     return first[1] if first else None
 
 
+def float_type_for(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
+    """The smaller of float32 and float64 that holds every number of ``dtype`` (integers or floats)."""
+    small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)
+    return np.float32 if small else np.float64
+
+
 def rows_for(
     kinds: Sequence[tuple[int, type[np.float32] | type[np.float64]]], *, in_memory_bytes: int
 ) -> list[FloatArray]:

@@ -9,10 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.ingest.channel_faults import (
-    Floats,
     Runs,
     SignalFault,
     Survey,
@@ -26,7 +24,7 @@ from crankorder.ingest.channel_faults import (
     survey,
 )
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import Floats, Ints, QualityFlag
 from crankorder.settings import IngestSettings
 
 _PIECE, _PIECES = 2048, 8
@@ -38,6 +36,34 @@ _NEAR, _FAR, _WITHIN = 0.03, 0.12, 0.07
 _FEWEST_IN_ROW = 3.0
 """Samples in a row that a plateau has on average: a lone tone at a simple share of the rate hits few levels too."""
 _FEWEST = 64
+
+_AHEAD, _OUT = 2, 12
+"""Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
+
+_DEGREE = 3
+
+_PEAKED = 9.0
+"""Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
+
+_BLOCK = 128
+"""Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
+
+_OF_STEP = 20.0
+"""A spike is so many rounding steps at least."""
+
+_MOST_LOOKED_AT = 20_000
+
+_PULSES = 5
+"""So many of one height, or one distance apart, are the pulses of a pickup."""
+
+VIBRATION = frozenset({"acceleration", "velocity", "displacement"})
+"""Quantities without a level or plateaus of their own: what shows either is a fault."""
+
+_MAY_HAVE_LEVELS = frozenset(
+    {"voltage", "current", "counts", "full scale", "ratio", "angle", "rotational speed", "strain", "torque"}
+)
+
+_IMPACTS = frozenset({"force"})
 
 
 def find_smoothed_clipping(
@@ -118,20 +144,6 @@ def _pile_up(ordered: FloatArray, above: FloatArray, settings: IngestSettings) -
     return level, share, math.sqrt(float(bend[flat].mean()) / max(float(bend[between].mean()), 1e-300))
 
 
-_AHEAD, _OUT = 2, 12
-"""Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
-_DEGREE = 3
-_PEAKED = 9.0
-"""Fourth power of the bends over their squared mean square from which a block is looked at: 3 is Gaussian noise."""
-_BLOCK = 128
-"""Samples of a block: in fewer a spike does not stand out, in more it is diluted."""
-_OF_STEP = 20.0
-"""A spike is so many rounding steps at least."""
-_MOST_LOOKED_AT = 20_000
-_PULSES = 5
-"""So many of one height, or one distance apart, are the pulses of a pickup."""
-
-
 def find_spikes(
     signal: FloatArray, survey: Survey, *, settings: IngestSettings, may_pulse: bool
 ) -> tuple[SignalFault, Runs, Floats] | None:
@@ -163,7 +175,7 @@ def find_spikes(
     return SignalFault("spikes", "suspect", detail, runs), runs, values
 
 
-def _candidates(signal: FloatArray, survey: Survey) -> npt.NDArray[np.int64]:
+def _candidates(signal: FloatArray, survey: Survey) -> Ints:
     """Samples that bend most in blocks with few large bends among small ones, each the largest of its neighbours."""
     group = max(_BLOCK // survey.size, 1)
     squares, fourths = grouped(survey.bend_squares, group), grouped(survey.bend_fourths, group)
@@ -196,8 +208,8 @@ def _prediction() -> tuple[Floats, Floats]:
 
 
 def _standing_out(
-    signal: FloatArray, places: npt.NDArray[np.int64], level: float, settings: IngestSettings
-) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+    signal: FloatArray, places: Ints, level: float, settings: IngestSettings
+) -> tuple[Ints, Floats, Floats]:
     """Those of ``places`` at which there is a spike: its deviations (place, 5) and what the neighbours predict."""
     to_middle, to_rest = _prediction()
     window = signal[places[:, None] + np.arange(-_OUT, _OUT + 1)].astype(np.float64)
@@ -218,20 +230,12 @@ def _standing_out(
     return places[found], deviations[found], (predicted + base)[found]
 
 
-def _look_like_pulses(places: npt.NDArray[np.int64], deviations: Floats) -> bool:
+def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
     if places.size < _PULSES:
         return False
     heights = np.take_along_axis(deviations, np.abs(deviations).argmax(axis=1)[:, None], axis=1)
     apart = np.diff(places)
     return bool(np.std(heights) < 0.2 * abs(float(np.mean(heights))) or np.std(apart) < 0.3 * float(np.mean(apart)))
-
-
-VIBRATION = frozenset({"acceleration", "velocity", "displacement"})
-"""Quantities without a level or plateaus of their own: what shows either is a fault."""
-_MAY_HAVE_LEVELS = frozenset(
-    {"voltage", "current", "counts", "full scale", "ratio", "angle", "rotational speed", "strain", "torque"}
-)
-_IMPACTS = frozenset({"force"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +315,7 @@ def _of_one(
     return found if clipping is None else [*found, clipping]
 
 
-def _bridge(row: FloatArray, runs: Runs, values: npt.NDArray[np.float64]) -> None:
+def _bridge(row: FloatArray, runs: Runs, values: Floats) -> None:
     at = np.concatenate([np.arange(*ends) for ends in zip(runs.starts, runs.ends, strict=True)])
     row[at] = values
 

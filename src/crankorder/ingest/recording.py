@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from crankorder.errors import CrankorderError, InputError, RequestError
@@ -20,13 +19,21 @@ from crankorder.ingest.record_faults import Sampled, judged
 from crankorder.ingest.sampling import agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import base_unit, conversion_factor, known_unit, parse_quantity, parse_sensitivity, unit_of
-from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
+from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
 from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
 # what programs write where no unit was set
 STATES_NO_UNIT = ("", "1", "-", "EU", "n/a", "none")
+
+_MIN_SAMPLES = 3
+
+# Pulse times that are told more finely than this are as good as those of a counter.
+_FINE_STEP_S = 1e-6
+
+# A rate in doubt by more than this moves frequencies further than their own errors.
+_ROUGH_RATE = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +75,6 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
         value, unit = parse_quantity(channel.offset)
         offset = value * conversion_factor(unit, before)
     return Scaling(offset, factor, remark)
-
-
-_MIN_SAMPLES = 3
-# Pulse times that are told more finely than this are as good as those of a counter.
-_FINE_STEP_S = 1e-6
-# A rate in doubt by more than this moves frequencies further than their own errors.
-_ROUGH_RATE = 1e-4
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:
@@ -262,7 +262,7 @@ def _add_encoder(
     if "index_to_tdc_deg" in encoder.model_fields_set:  # unstated, the phase refers to the mark and says so
         attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
 
-    def pulses(source: Source | None, per_rev: int) -> tuple[npt.NDArray[np.float64], float]:
+    def pulses(source: Source | None, per_rev: int) -> tuple[Floats, float]:
         if encoder.kind in TIME_KINDS:
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
         return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
@@ -311,7 +311,7 @@ def _pulses_of_trace(
     *,
     rate_hz: float,
     per_rev: int,
-) -> tuple[npt.NDArray[np.float64], float]:
+) -> tuple[Floats, float]:
     assert source is not None  # the manifest was checked for it
     try:
         pulses = find_pulses(
@@ -336,14 +336,8 @@ def _pulses_of_trace(
 
 
 def _pulses_of_times(
-    raw: RawFile,
-    source: Source | None,
-    manifest: Manifest,
-    path: Path,
-    flags: list[QualityFlag],
-    *,
-    start_s: float,
-) -> tuple[npt.NDArray[np.float64], float]:
+    raw: RawFile, source: Source | None, manifest: Manifest, path: Path, flags: list[QualityFlag], *, start_s: float
+) -> tuple[Floats, float]:
     """Pulse times that the file lists; of an edge list with a level column only the edges of the wanted direction."""
     assert source is not None  # the manifest was checked for it
     time_source = manifest.sampling.time_source
@@ -373,7 +367,7 @@ def _pulses_of_times(
     return times - start_s, step_s / math.sqrt(12.0)
 
 
-def _speed(raw: RawFile, encoder: Encoder, path: Path) -> npt.NDArray[np.float64]:
+def _speed(raw: RawFile, encoder: Encoder, path: Path) -> Floats:
     """Speed in rpm, from the unit that the file states, else taken as rpm."""
     assert encoder.source is not None  # the manifest was checked for it
     speed = raw.columns[encoder.source].astype(np.float64)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.errors import InputError
 from crankorder.ingest.rawfile import FloatArray, flag
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import Floats, QualityFlag
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -60,11 +59,11 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, start, flags)
 
 
-def _double(times: FloatArray, part: slice) -> npt.NDArray[np.float64]:
+def _double(times: FloatArray, part: slice) -> Floats:
     return times[part].astype(np.float64, copy=False)
 
 
-def _steps(times: FloatArray) -> Iterator[tuple[int, npt.NDArray[np.float64]]]:
+def _steps(times: FloatArray) -> Iterator[tuple[int, Floats]]:
     """First sample and steps of each block of ``times``."""
     for part in blocks(times.size - 1):
         yield part.start, np.diff(_double(times, slice(part.start, part.stop + 1)))

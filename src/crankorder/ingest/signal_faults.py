@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.errors import InputError
 from crankorder.ingest.channel_faults import Runs, SignalFault
 from crankorder.ingest.rawfile import FloatArray
+from crankorder.quantities import Bools
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -25,7 +25,7 @@ _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0)
 _STEEP_STEPS = 10.0
 
 
-Mask = Callable[[FloatArray], npt.NDArray[np.bool_]]
+Mask = Callable[[FloatArray], Bools]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
     """Flag stretches in which the signal stands still, whatever its level, where the longest is too long for chance."""
     last = np.array([np.nan], dtype=signal.dtype)
 
-    def still(piece: FloatArray) -> npt.NDArray[np.bool_]:
+    def still(piece: FloatArray) -> Bools:
         nonlocal last
         held = np.diff(np.concatenate((last, piece))) == 0.0
         last = piece[-1:]
@@ -129,7 +129,7 @@ def _missing(signal: FloatArray) -> Mask:
     """Which samples are not finite, fill values, or a sentinel such as -999 that lies far outside all other samples."""
     known: list[np.floating] = []
 
-    def missing(piece: FloatArray) -> npt.NDArray[np.bool_]:
+    def missing(piece: FloatArray) -> Bools:
         found = ~(np.abs(piece) < _FILL_ABOVE)
         for sentinel in known:
             found |= piece == sentinel
@@ -241,12 +241,12 @@ def _just_inside(signal: FloatArray, extreme: float, step: float) -> int:
     return count
 
 
-def _is_cut_off(signal: FloatArray, extreme: float, flat: Runs, step: float) -> npt.NDArray[np.bool_]:
+def _is_cut_off(signal: FloatArray, extreme: float, flat: Runs, step: float) -> Bools:
     """Which ``flat`` runs the signal enters or leaves steeply, beside the rounding ``step``.
 
     The top of a parabola that rounding flattens over L samples has fallen by 4.5 rounding steps L samples further on.
     """
     before = np.abs(signal[np.maximum(flat.starts - flat.lengths, 0)] - extreme)
     after = np.abs(signal[np.minimum(flat.ends - 1 + flat.lengths, signal.size - 1)] - extreme)
-    steep: npt.NDArray[np.bool_] = np.fmax(before, after) > _STEEP_STEPS * step
+    steep: Bools = np.fmax(before, after) > _STEEP_STEPS * step
     return steep

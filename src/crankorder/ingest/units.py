@@ -13,29 +13,6 @@ from crankorder.settings import STANDARD_GRAVITY_M_S2
 
 _MAX_CHARACTERS = 60
 
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """One unit: its spelling in results, the quantity that it measures, and SI base units per one of it."""
-
-    name: str
-    quantity: str
-    factor: float
-
-
-@dataclass(frozen=True, slots=True)
-class Sensitivity:
-    """Output of a sensor per unit of what it measures, both in SI base units."""
-
-    output: Unit
-    measured: Unit
-    output_per_measured: float
-
-    def measured_per_output(self, unit: Unit) -> float:
-        """Factor from the sensor's output in its SI base unit (volts) to ``unit``."""
-        return 1.0 / (self.output_per_measured * unit.factor)
-
-
 # name, quantity, SI base units per unit, further spellings (after Unicode NFKC, which turns "²" into "2")
 _TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
     (
@@ -79,6 +56,38 @@ _TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
     ("%", "ratio", 1e-2, ()),
 )
 
+ACCEPTED = ", ".join(name for name, *_ in _TABLE)
+
+_NUMBER = r"([+-]?[0-9]{1,18}(?:\.[0-9]{0,18})?(?:[eE][+-]?[0-9]{1,3})?)"
+
+_QUANTITY = re.compile(rf"\s*{_NUMBER}\s*(\S.*)")
+
+_SENSITIVITY = re.compile(rf"\s*{_NUMBER}\s*([^/\s]+)\s*/\s*(\S.*)")
+
+_LABEL = re.compile(r"[\[(]([^\[\]()]{1,40})[\])]\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One unit: its spelling in results, the quantity that it measures, and SI base units per one of it."""
+
+    name: str
+    quantity: str
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """Output of a sensor per unit of what it measures, both in SI base units."""
+
+    output: Unit
+    measured: Unit
+    output_per_measured: float
+
+    def measured_per_output(self, unit: Unit) -> float:
+        """Factor from the sensor's output in its SI base unit (volts) to ``unit``."""
+        return 1.0 / (self.output_per_measured * unit.factor)
+
 
 def _key(text: str) -> str:
     return unicodedata.normalize("NFKC", text.strip()).replace("⋅", "·")
@@ -89,7 +98,6 @@ _UNITS: dict[str, Unit] = {
     for name, quantity, factor, others in _TABLE
     for spelling in (name, *others)
 }
-ACCEPTED = ", ".join(name for name, *_ in _TABLE)
 
 
 def known_unit(text: str) -> Unit | None:
@@ -134,11 +142,6 @@ def conversion_factor(source: Unit, target: Unit) -> float:
     return 1.0 if source.name == target.name else source.factor / target.factor
 
 
-_NUMBER = r"([+-]?[0-9]{1,18}(?:\.[0-9]{0,18})?(?:[eE][+-]?[0-9]{1,3})?)"
-_QUANTITY = re.compile(rf"\s*{_NUMBER}\s*(\S.*)")
-_SENSITIVITY = re.compile(rf"\s*{_NUMBER}\s*([^/\s]+)\s*/\s*(\S.*)")
-
-
 def parse_quantity(text: str) -> tuple[float, Unit]:
     """Number and unit of a text such as ``"0.575 V"``.
 
@@ -175,9 +178,6 @@ def parse_sensitivity(text: str) -> Sensitivity:
             remedy='A sensor mounted the other way round is told by direction = "-Z"',
         )
     return Sensitivity(output=output, measured=unit, output_per_measured=value * output.factor / unit.factor)
-
-
-_LABEL = re.compile(r"[\[(]([^\[\]()]{1,40})[\])]\s*$")
 
 
 def unit_in_label(label: str) -> str:

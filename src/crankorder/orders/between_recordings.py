@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.orders.intervals import t_quantile
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 
 LOCATED = ("tdc", "index", "pulse")
 """Phase references that stand for a place on the crank, the same in every recording; a pulse is one per revolution."""
@@ -18,22 +18,22 @@ WHOLE = 1e-6
 """An order this close to a whole number is one: a crank mark tells its phase, whichever turn of the cycle it is."""
 
 
-def one_mark(used: Sequence[xr.Dataset]) -> bool:
+def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
     """Whether the recordings ``used`` have one and the same ``phase_reference``, and it is a place on the crank."""
     marks = {str(item.attrs["phase_reference"]) for item in used}
     return len(marks) == 1 and marks <= set(LOCATED)
 
 
-def mark_of(used: Sequence[xr.Dataset]) -> str:
+def phase_reference_of(used: Sequence[xr.Dataset]) -> str:
     """The ``phase_reference`` of the recordings ``used``; "mixed" where they differ."""
     marks = {str(item.attrs["phase_reference"]) for item in used}
     return marks.pop() if len(marks) == 1 else "mixed"
 
 
-def phases_compare(used: Sequence[xr.Dataset], order: NDArray[np.float64]) -> NDArray[np.bool_]:
+def phases_compare(used: Sequence[xr.Dataset], order: Floats) -> Bools:
     """For each ``order``, whether all recordings ``used`` tell its phase from one mark and in one turn of the cycle."""
     order = np.asarray(order, dtype=np.float64)
-    if not one_mark(used):
+    if not one_phase_reference(used):
         return np.zeros(order.shape, dtype=np.bool_)
     whole = np.abs(order - np.round(order)) < WHOLE
     return np.asarray(whole | all(int(item.attrs["cycle_known"]) for item in used))
@@ -49,20 +49,18 @@ class BetweenRecordings:
     all have as many frames.
     """
 
-    along: NDArray[np.float64]
-    across: NDArray[np.float64]
-    recordings: NDArray[np.float64]
-    share: NDArray[np.float64]
+    along: Floats
+    across: Floats
+    recordings: Floats
+    share: Floats
 
     @property
-    def both(self) -> NDArray[np.float64]:
+    def both(self) -> Floats:
         """Power of the scatter along and across."""
         return 0.5 * (self.along + self.across)
 
 
-def between_recordings(
-    spectrum: NDArray[np.complex128], owner: NDArray[np.int64], mean: NDArray[np.complex128]
-) -> BetweenRecordings:
+def between_recordings(spectrum: Complexes, owner: Ints, mean: Complexes) -> BetweenRecordings:
     """Scatter of recordings about the ``mean`` (channels, orders) of all frames.
 
     Parameters
@@ -96,13 +94,8 @@ def between_recordings(
 
 
 def wider_of(
-    power: NDArray[np.float64],
-    dof: NDArray[np.float64],
-    scatter: NDArray[np.float64],
-    between: BetweenRecordings,
-    *,
-    parts: int = 1,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    power: Floats, dof: Floats, scatter: Floats, between: BetweenRecordings, *, parts: int = 1
+) -> tuple[Floats, Floats]:
     """Noise power and its degrees of freedom: those of the frames or of the recordings, whichever errs more.
 
     Student's t of the recordings' means covers the truth whatever there is between them, even nothing; a pooled
@@ -128,12 +121,8 @@ def wider_of(
 
 
 def ends_between(
-    ends: tuple[NDArray[np.float64], NDArray[np.float64]],
-    amplitude: NDArray[np.float64],
-    *,
-    within: tuple[NDArray[np.float64], NDArray[np.float64]],
-    wider: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ends: tuple[Floats, Floats], amplitude: Floats, *, within: tuple[Floats, Floats], wider: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
     """Interval of an amplitude whose recordings scatter more than their frames.
 
     From one recording to the next an amplitude changes by a factor, and no line that is seen comes to nothing by it:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from crankorder.orders.intervals import amplitude_interval, frame_correlation, phase_interval_deg, t_quantile
+from crankorder.orders.averages import frame_correlation
+from crankorder.orders.intervals import amplitude_interval, phase_interval_deg, t_quantile
 from crankorder.orders.true_angle import UNKNOWN_DEG, errors_of_rows
+from crankorder.quantities import Complexes, Floats
 
 PARTED_BEATS = 1.5
 """Lines that beat less often between the first frame and the last are not parted: each may hold all of it, or none."""
@@ -27,9 +28,6 @@ LEFT_RATIO = 4.0
 DOUBT = 2.0
 """Standard errors by which the number of a line may be off."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 
 @dataclass(frozen=True)
 class Stretch:
@@ -41,14 +39,14 @@ class Stretch:
 
     item: xr.Dataset
     row: int
-    phasor: Complex
-    begin_rev: Array
+    phasor: Complexes
+    begin_rev: Floats
     revs: float
-    share: Array
-    beside: Array
+    share: Floats
+    beside: Floats
 
     @property
-    def turn(self) -> Array:
+    def turn(self) -> Floats:
         """Crank angle (frames,) of the middle of each frame [rev]."""
         return np.asarray(self.begin_rev + 0.5 * self.revs)
 
@@ -63,12 +61,12 @@ class CloseRow:
     row: int
     parted: bool
     weight: float
-    value: Complex
-    error: Array
-    freedom: Array
-    low: Array
-    high: Array
-    phase_half: Array
+    value: Complexes
+    error: Floats
+    freedom: Floats
+    low: Floats
+    high: Floats
+    phase_half: Floats
 
 
 @dataclass(frozen=True)
@@ -80,17 +78,17 @@ class _Fit:
     by how much these are off. ``left`` (channels,) is the amplitude of what no line and no noise explains.
     """
 
-    amplitude: Complex
-    at_line: Array
+    amplitude: Complexes
+    at_line: Floats
     freedom: float
     own: float
-    follows: Complex
-    normal: Array
-    score: Array
-    left: Array
+    follows: Complexes
+    normal: Floats
+    score: Floats
+    left: Floats
 
 
-def close_rows(stretches: Sequence[Stretch], orders: Array, *, wanders: bool = False) -> list[CloseRow]:
+def close_rows(stretches: Sequence[Stretch], orders: Floats, *, wanders: bool = False) -> list[CloseRow]:
     """What the ``stretches`` of a test hold of the first of ``orders`` (lines,), the others of which are close to it.
 
     Amplitudes follow by least squares from the numbers of the lines over all frames of a stretch, whose overlap is
@@ -106,7 +104,7 @@ def close_rows(stretches: Sequence[Stretch], orders: Array, *, wanders: bool = F
     return [_row(one, orders, fit, doubt, wanders) for one, fit in zip(stretches, fits, strict=True)]
 
 
-def _fit(one: Stretch, orders: Array) -> _Fit:
+def _fit(one: Stretch, orders: Floats) -> _Fit:
     n, count = len(one.turn), len(orders)
     owner = np.zeros(n, dtype=np.int64)
     shared = frame_correlation(one.begin_rev, owner, revs_per_frame=one.revs, window="hann")
@@ -144,7 +142,7 @@ def _fit(one: Stretch, orders: Array) -> _Fit:
     )
 
 
-def _noise_at(one: Stretch, left: Complex, orders: Array, power: Array) -> tuple[Array, float]:
+def _noise_at(one: Stretch, left: Complexes, orders: Floats, power: Floats) -> tuple[Floats, float]:
     """Noise power (channels,) of a phasor right beside the lines, and the degrees of freedom behind it.
 
     ``left`` (frames, channels) of the phasors by the fit, whose white ``power`` (channels,) it is at least.
@@ -159,13 +157,13 @@ def _noise_at(one: Stretch, left: Complex, orders: Array, power: Array) -> tuple
     return np.maximum(power, slow / float(shared.sum())), 2.0 * len(steps)
 
 
-def _off(normal: Array, score: Array) -> tuple[Array, Array]:
+def _off(normal: Floats, score: Floats) -> tuple[Floats, Floats]:
     """By how much numbers (lines,) are off, and the standard error of that; directions that nothing tells are left."""
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
     return np.asarray(inverse @ score), np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
 
-def _row(one: Stretch, orders: Array, fit: _Fit | None, doubt: Array, wanders: bool) -> CloseRow:
+def _row(one: Stretch, orders: Floats, fit: _Fit | None, doubt: Floats, wanders: bool) -> CloseRow:
     span = float(np.ptp(one.turn))
     parted = fit is not None and float(np.abs(orders[1:] - orders[0]).min()) * span >= PARTED_BEATS
     size = np.abs(one.phasor)

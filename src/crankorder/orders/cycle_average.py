@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.between_recordings import mark_of, one_mark
+from crankorder.orders.between_recordings import one_phase_reference, phase_reference_of
 from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
@@ -44,7 +44,7 @@ SPREAD = {
 }
 """Variables (channel, speed, cycle_angle) of a CycleAverage in the unit of the channel, and what they are."""
 
-CycleStatistics = dict[str, NDArray[np.float64]]
+CycleStatistics = dict[str, Floats]
 """Variables of SPREAD and n_cycles of one group of cycles: (channels, angles) and (channels,)."""
 
 
@@ -52,9 +52,9 @@ CycleStatistics = dict[str, NDArray[np.float64]]
 class _Cycles:
     """Cycles of one recording on the grid of angles."""
 
-    values: NDArray[np.float64]  # (channels, cycles, angles), the first angle wherever the recording begins
-    whole: NDArray[np.bool_]  # (channels, cycles), False where a gap reaches into one
-    speed_rpm: NDArray[np.float64]  # (cycles,)
+    values: Floats  # (channels, cycles, angles), the first angle wherever the recording begins
+    whole: Bools  # (channels, cycles), False where a gap reaches into one
+    speed_rpm: Floats  # (cycles,)
     first: int  # place of the first angle in a cycle that begins at top dead centre
     points_per_rev: int
 
@@ -120,7 +120,7 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
         max_order=settings.max_order,
         advance_rev=first / points - begin,
     )
-    whole: NDArray[np.bool_] = np.ones((len(signals), count), dtype=np.bool_)
+    whole: Bools = np.ones((len(signals), count), dtype=np.bool_)
     if usable is not None:
         whole = np.asarray(np.all(_cycles_of(usable, revs * evenly.samples_per_rev), axis=2))
     if is_by_angle(band):
@@ -147,9 +147,7 @@ def _points_per_rev(max_order: float) -> int:
     return int(next_fast_len(max(LEAST_POINTS_PER_REV, math.ceil(POINTS_PER_TURN * max_order)), real=True))
 
 
-def _sound(
-    evenly: SignalsByAngle, n_samples: int, max_order: float
-) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+def _sound(evenly: SignalsByAngle, n_samples: int, max_order: float) -> tuple[Floats, Bools | None]:
     """First ``n_samples`` of the signals, finite, and which of them no gap reaches once the orders above fade."""
     signals = np.asarray(evenly.signals[:, :n_samples], dtype=np.float64)
     finite = np.isfinite(signals)
@@ -168,13 +166,8 @@ def _sound(
 
 
 def _on_grid(
-    signals: NDArray[np.float64],
-    *,
-    samples_per_rev: int,
-    points_per_rev: int,
-    max_order: float,
-    advance_rev: float,
-) -> NDArray[np.float64]:
+    signals: Floats, *, samples_per_rev: int, points_per_rev: int, max_order: float, advance_rev: float
+) -> Floats:
     """``signals`` (channels, samples) of whole revolutions on a grid that begins ``advance_rev`` later.
 
     One Fourier transform of them all: exact for what whole cycles repeat; what they do not repeat wraps within a few
@@ -197,7 +190,7 @@ def _on_grid(
     return np.asarray(values)
 
 
-def _statistics(values: NDArray[np.float64], whole: NDArray[np.bool_]) -> CycleStatistics:
+def _statistics(values: Floats, whole: Bools) -> CycleStatistics:
     """Mean and spread of the ``whole`` (channels, cycles) of ``values`` (channels, cycles, angles)."""
     shape = (values.shape[0], values.shape[2])
     made = {name: np.full(shape, np.nan) for name in SPREAD} | {"n_cycles": np.count_nonzero(whole, axis=1)}
@@ -219,7 +212,7 @@ def _statistics(values: NDArray[np.float64], whole: NDArray[np.bool_]) -> CycleS
     return made
 
 
-def _excess_at_rest(scatter: NDArray[np.float64]) -> float:
+def _excess_at_rest(scatter: Floats) -> float:
     """How much more of ``scatter`` (cycles, angles) about its mean is slow than if no cycle resembled the next.
 
     The variance of a mean is the power density at frequency zero, per cycle, over the cycles; what is known of it are
@@ -236,7 +229,7 @@ def _excess_at_rest(scatter: NDArray[np.float64]) -> float:
     return max(low * (count - 1) / (count * total), 1.0 / count)
 
 
-def _carried(band: xr.Dataset, fastest_rpm: NDArray[np.float64], settings: OrderSettings) -> NDArray[np.float64]:
+def _carried(band: xr.Dataset, fastest_rpm: Floats, settings: OrderSettings) -> Floats:
     """Highest order (groups,) that ``band`` carries at the fastest cycle of each group, ``max_order`` at most."""
     if is_by_angle(band):
         return np.full(len(fastest_rpm), min(settings.max_order, 0.5 * float(band.attrs["samples_per_rev"])))
@@ -247,9 +240,9 @@ def _carried(band: xr.Dataset, fastest_rpm: NDArray[np.float64], settings: Order
 
 def _dataset(
     parts: list[CycleStatistics],
-    speed: NDArray[np.float64],
-    excluded: NDArray[np.int64],
-    highest_order: NDArray[np.float64],
+    speed: Floats,
+    excluded: Ints,
+    highest_order: Floats,
     like: xr.Dataset,
     points_per_rev: int,
 ) -> xr.Dataset:
@@ -299,7 +292,7 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     """
     speed = np.concatenate([item["speed"].values for item in items])
     place = [(item, row) for item in items for row in range(item.sizes["speed"])]
-    comparable = len(items) == 1 or (one_mark(items) and all(_is_one_turn(item) for item in items))
+    comparable = len(items) == 1 or (one_phase_reference(items) and all(_is_one_turn(item) for item in items))
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     if groups and np.isnan(speed[groups[-1][0]]):
         groups = [
@@ -326,7 +319,7 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     kept = ("phase_reference", "cycle_known", "revs_per_cycle", "max_order")
     made.attrs = {key: items[0].attrs[key] for key in kept} | {"speed_bin_rpm": speed_bin_rpm}
     if not comparable:
-        made.attrs |= {"phase_reference": mark_of(items), "cycle_known": 0}
+        made.attrs |= {"phase_reference": phase_reference_of(items), "cycle_known": 0}
     return with_flags(made, [*(flag for item in items for flag in flags_of(item)), *_left_out_flags(left_out)])
 
 

@@ -37,7 +37,7 @@ from crankorder.orders.envelope_combs import (
     over_skirts,
     served,
 )
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.speed_groups import speed_groups
@@ -55,6 +55,11 @@ FRAMES_PER_PIECE = 2
 SURE_OF_COMB = 0.01
 """Chance that noise makes a comb in any band of a channel below which the band that shows it best is taken."""
 
+SPECTRA = ("amplitude", "floor")
+"""Variables (channel, speed, order) whose fourth powers, the powers of a squared envelope's lines, are averaged."""
+
+_OF_CHANNEL = ("level", "n_independent", "band_low", "band_high")
+
 
 class Frames(NamedTuple):
     """Frames of an envelope: ``revs`` long, beginning at ``begin_rev``, in ``steps`` to a revolution, of ``n_fft``.
@@ -63,13 +68,13 @@ class Frames(NamedTuple):
     """
 
     revs: int
-    begin_rev: tuple[NDArray[np.int64], ...]
+    begin_rev: tuple[Ints, ...]
     steps: int
     n_fft: int
     n_orders: int
 
     @property
-    def order(self) -> NDArray[np.float64]:
+    def order(self) -> Floats:
         """Orders (orders,) of a spectrum."""
         return np.arange(self.n_orders) * self.steps / self.n_fft
 
@@ -86,8 +91,8 @@ class Frames(NamedTuple):
 class Stretch(NamedTuple):
     """Ends of the steps of crank angle of a piece, in samples, and the steps at which its frames begin."""
 
-    edges: NDArray[np.float64]
-    begins: NDArray[np.int64]
+    edges: Floats
+    begins: Ints
 
 
 class Turn(NamedTuple):
@@ -102,8 +107,8 @@ class Turn(NamedTuple):
 class Spectra(NamedTuple):
     """Power (bands, orders) of the lines of envelopes, their mean squares (bands,), and how many frames were used."""
 
-    power: NDArray[np.float64]
-    level: NDArray[np.float64]
+    power: Floats
+    level: Floats
     used: int
 
 
@@ -115,8 +120,8 @@ class Choice(NamedTuple):
     """
 
     band: Band
-    power: NDArray[np.float64]
-    floor: NDArray[np.float64]
+    power: Floats
+    floor: Floats
     mean_square: float
     share: float
     looks: NDArray[np.float32]
@@ -168,9 +173,7 @@ def _bands_and_pieces(
         return (), [], "the speed is not known"
     rate, fastest_hz = float(recording.attrs["rate_hz"]), float(speed.max()) / 60.0
     bands = band_tree(
-        settings.max_order * fastest_hz,
-        HIGHEST_SHARE * rate,
-        least_width_hz=settings.envelope_max_order * fastest_hz,
+        settings.max_order * fastest_hz, HIGHEST_SHARE * rate, least_width_hz=settings.envelope_max_order * fastest_hz
     )
     if not bands:
         return (
@@ -287,12 +290,7 @@ def _choose(
 
 
 def _band_of_combs(
-    seen: NDArray[np.float64],
-    bins: NDArray[np.int64],
-    combs: tuple[Comb, ...],
-    frames: Frames,
-    n_independent: float,
-    free: NDArray[np.bool_],
+    seen: Floats, bins: Ints, combs: tuple[Comb, ...], frames: Frames, n_independent: float, free: Bools
 ) -> int | None:
     """Band (row of ``seen``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
     step = float(frames.order[1])
@@ -341,9 +339,7 @@ def _spectra(
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
 
-def _tree_of(
-    parts: NDArray[Any], of: Callable[[NDArray[Any]], NDArray[np.float64]], *, level: int
-) -> NDArray[np.float64]:
+def _tree_of(parts: NDArray[Any], of: Callable[[NDArray[Any]], Floats], *, level: int) -> Floats:
     """What ``of`` makes of sums of the first ``level`` of ``parts`` (bands, …), widest first, and of all of them."""
     made = [of(parts)]
     parts = parts[:level]
@@ -353,10 +349,10 @@ def _tree_of(
     return np.concatenate(made)
 
 
-def _power(lines: NDArray[np.complex64]) -> NDArray[np.float64]:
+def _power(lines: NDArray[np.complex64]) -> Floats:
     """Sum of the power over the frames of ``lines`` (bands, frames, orders)."""
     both = np.square(lines.view(np.float32)).sum(axis=1).astype(np.float64)
-    made: NDArray[np.float64] = both[:, ::2] + both[:, 1::2]
+    made: Floats = both[:, ::2] + both[:, 1::2]
     return made
 
 
@@ -396,7 +392,7 @@ def _dataset(
     return made
 
 
-def _coords(recording: xr.Dataset, speed: NDArray[np.float64], order: NDArray[np.float64]) -> dict[str, Any]:
+def _coords(recording: xr.Dataset, speed: Floats, order: Floats) -> dict[str, Any]:
     reference = {"units": "1", "long_name": "order of the envelope", "order_reference": "crankshaft"}
     return {
         **channel_coords(recording),
@@ -440,10 +436,6 @@ def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, re
     return with_flags(made, [{"recording": name, "flag": "no_envelope_band", "severity": "info", "detail": reason}])
 
 
-SPECTRA = ("amplitude", "floor")
-"""Variables (channel, speed, order) whose fourth powers, the powers of a squared envelope's lines, are averaged."""
-
-
 def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
     """EnvelopeMap (channel, speed, order) of a test from the RecordingEnvelopes ``items`` of its recordings.
 
@@ -481,10 +473,10 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
     groups = [group for group in speed_groups(speed, width_rpm=speed_bin_rpm) if len(group)]
     first = used[0]
 
-    def stacked(name: str, group: NDArray[np.int64]) -> NDArray[np.float64]:
+    def stacked(name: str, group: Ints) -> Floats:
         return np.array([used[k][name].values[:, 0] for k in group])
 
-    columns: dict[str, list[NDArray[np.float64]]] = {name: [] for name in (*SPECTRA, *_OF_CHANNEL)}
+    columns: dict[str, list[Floats]] = {name: [] for name in (*SPECTRA, *_OF_CHANNEL)}
     revs = []
     for group in groups:
         count = stacked("n_independent", group)
@@ -510,9 +502,6 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         "order": first["order"],
     }
     return xr.Dataset(variables, coords=coords)
-
-
-_OF_CHANNEL = ("level", "n_independent", "band_low", "band_high")
 
 
 def _map_attrs(used: list[xr.Dataset]) -> dict[str, Any]:

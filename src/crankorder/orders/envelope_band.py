@@ -11,6 +11,8 @@ import pyfftw
 from numba import njit
 from numpy.typing import NDArray
 
+from crankorder.quantities import Floats, Ints
+
 BLOCK_SAMPLES = 65_536
 """Samples transformed at a time: they, their spectrum and the bands of one level stay in the second-level cache."""
 
@@ -52,9 +54,9 @@ class Envelopes(NamedTuple):
     """
 
     squared: NDArray[np.float32]
-    rate_hz: NDArray[np.float64]
+    rate_hz: Floats
     unit: float
-    bad: NDArray[np.int64]
+    bad: Ints
 
 
 class Blocks(NamedTuple):
@@ -66,7 +68,7 @@ class Blocks(NamedTuple):
     firsts: range
     spectra: NDArray[np.complex64]
     unit: float
-    bad: NDArray[np.int64]
+    bad: Ints
 
 
 def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[Band, ...]:
@@ -127,7 +129,7 @@ def without_tones(blocks: Blocks) -> Blocks:
 
 
 def envelopes_of(
-    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: NDArray[np.float64], reach_hz: float
+    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float
 ) -> Envelopes:
     """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
 
@@ -170,7 +172,7 @@ def envelopes_of(
 
 def _levels(
     bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float
-) -> list[tuple[slice, NDArray[np.int64], NDArray[np.float32], int]]:
+) -> list[tuple[slice, Ints, NDArray[np.float32], int]]:
     """Of each level: its rows among ``bands``, the bands' first bins in a block, their taper, samples of an envelope.
 
     What folds in a squared envelope sampled at the rate r lies above r less the band's width: r leaves ``reach_hz``.
@@ -219,7 +221,7 @@ def _inverse(rows: int, n_out: int) -> Any:
     return plans[rows, n_out]
 
 
-def _block(signal: NDArray[np.floating], first: int) -> tuple[NDArray[Any], NDArray[np.int64]]:
+def _block(signal: NDArray[np.floating], first: int) -> tuple[NDArray[Any], Ints]:
     """Samples of one block from ``first`` on, zero where there are none, and what a gap in it reaches.
 
     Single precision stays so; double stays until it is scaled, for small numbers would vanish and large ones overflow.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.orders.envelope_band import Band, middles
+from crankorder.quantities import Bools, Floats, Ints
 
 FLOOR_ORDERS = 1.0
 """Width in orders of the pieces of a spectrum whose medians are the floor: wide against any line and its skirts."""
@@ -35,73 +36,6 @@ LOWEST_ORDER = 0.25
 CLEAR_RATIO, WIDER_SHARE = 100.0, 0.5
 """Power ratio from which a line is clear, and share of it that a wider band must show to be taken instead."""
 
-
-def best_band(height: NDArray[np.float64]) -> int:
-    """Band in whose envelope most stands out, by the ``height`` (bands,) of it; bands come widest first.
-
-    Of a line that stands out clearly a wider band is taken that shows it half as well: it holds more of the resonance,
-    and the amplitude then depends less on which band the noise lets win.
-    """
-    best = int(np.argmax(height))
-    if height[best] < CLEAR_RATIO:
-        return best
-    return int(np.flatnonzero(height >= WIDER_SHARE * height[best])[0])
-
-
-def free_orders(order: NDArray[np.float64], revs: int, revs_per_cycle: int) -> NDArray[np.bool_]:
-    """Which ``order`` (orders,) is no multiple of the cycle's: what strikes there is not the engine itself.
-
-    ``revs`` of a frame, whose inverse is the resolution; ``revs_per_cycle`` of the engine, one or two.
-    """
-    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
-    return np.asarray((beside > LOCKED_BINS / revs) & (order > LOWEST_ORDER))
-
-
-def off_mains(order: NDArray[np.float64], *, speed_hz: float, cell: float) -> NDArray[np.bool_]:
-    """Which ``order`` (orders,) is, at ``speed_hz``, none at which multiples of the mains beat; ``cell`` in orders."""
-    made = np.ones(len(order), dtype=np.bool_)
-    for mains_hz in MAINS_HZ:
-        spacing = mains_hz / speed_hz
-        beside = np.abs(order - spacing * np.maximum(np.round(order / spacing), 1.0))
-        made &= beside > MAINS_CELLS * cell + MAINS_SHARE * order
-    return made
-
-
-def free_of_others(
-    order: NDArray[np.float64], *, revs_per_cycle: int, speed_hz: float, cell: float
-) -> NDArray[np.bool_]:
-    """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
-
-    ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
-    """
-    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
-    return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
-
-
-def floor_worth(step: float, cell: float) -> float:
-    """Independent bins that the floor of a spectrum is worth, with bins ``step`` apart and a resolution of ``cell``."""
-    return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
-
-
-def line_floor(power: NDArray[np.float64], order: NDArray[np.float64], n_independent: float) -> NDArray[np.float64]:
-    """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
-
-    ``power`` (bands, orders) at each ``order``, of which the spacing is even, is the mean of ``n_independent`` spectra.
-    """
-    from scipy.special import gammaincinv
-
-    width = max(round(FLOOR_ORDERS / float(order[1])), 8)
-    count = max(power.shape[1] // width, 1)
-    pieces = power[:, : count * width].reshape(len(power), count, -1)
-    shape = max(n_independent, 1.0)
-    middle = middles(pieces) * shape / float(gammaincinv(shape, 0.5))
-    at = (np.arange(count) + 0.5) * pieces.shape[2]
-    bins = np.arange(power.shape[1])
-    made: NDArray[np.float64] = np.stack([np.interp(bins, at, row) for row in middle])
-    return made
-
-
-Array = NDArray[np.float64]
 
 TEETH, SLOW_TEETH = 3, 6
 """First harmonics that are taken together, and those of a comb as slow as a cage's."""
@@ -133,6 +67,77 @@ SPARE_BINS = 4
 TABLE_STEP, TABLE_END = 0.004, 12.0
 """Steps and end of the table of chances, in the logarithm of the power ratio: nats are right to 1e-4 of themselves."""
 
+WIDER_EVIDENCE = 0.9
+"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
+
+_UNITS = {"ratio": "1", "level": "1", "floor": "see unit"}
+"""Units of what is kept of a spectrum: power over the skirts of other lines, that over the floor, root of the floor."""
+
+_OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
+
+
+def best_band(height: Floats) -> int:
+    """Band in whose envelope most stands out, by the ``height`` (bands,) of it; bands come widest first.
+
+    Of a line that stands out clearly a wider band is taken that shows it half as well: it holds more of the resonance,
+    and the amplitude then depends less on which band the noise lets win.
+    """
+    best = int(np.argmax(height))
+    if height[best] < CLEAR_RATIO:
+        return best
+    return int(np.flatnonzero(height >= WIDER_SHARE * height[best])[0])
+
+
+def free_orders(order: Floats, revs: int, revs_per_cycle: int) -> Bools:
+    """Which ``order`` (orders,) is no multiple of the cycle's: what strikes there is not the engine itself.
+
+    ``revs`` of a frame, whose inverse is the resolution; ``revs_per_cycle`` of the engine, one or two.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return np.asarray((beside > LOCKED_BINS / revs) & (order > LOWEST_ORDER))
+
+
+def off_mains(order: Floats, *, speed_hz: float, cell: float) -> Bools:
+    """Which ``order`` (orders,) is, at ``speed_hz``, none at which multiples of the mains beat; ``cell`` in orders."""
+    made = np.ones(len(order), dtype=np.bool_)
+    for mains_hz in MAINS_HZ:
+        spacing = mains_hz / speed_hz
+        beside = np.abs(order - spacing * np.maximum(np.round(order / spacing), 1.0))
+        made &= beside > MAINS_CELLS * cell + MAINS_SHARE * order
+    return made
+
+
+def free_of_others(order: Floats, *, revs_per_cycle: int, speed_hz: float, cell: float) -> Bools:
+    """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
+
+    ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
+    """
+    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
+
+
+def floor_worth(step: float, cell: float) -> float:
+    """Independent bins that the floor of a spectrum is worth, with bins ``step`` apart and a resolution of ``cell``."""
+    return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
+
+
+def line_floor(power: Floats, order: Floats, n_independent: float) -> Floats:
+    """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
+
+    ``power`` (bands, orders) at each ``order``, of which the spacing is even, is the mean of ``n_independent`` spectra.
+    """
+    from scipy.special import gammaincinv
+
+    width = max(round(FLOOR_ORDERS / float(order[1])), 8)
+    count = max(power.shape[1] // width, 1)
+    pieces = power[:, : count * width].reshape(len(power), count, -1)
+    shape = max(n_independent, 1.0)
+    middle = middles(pieces) * shape / float(gammaincinv(shape, 0.5))
+    at = (np.arange(count) + 0.5) * pieces.shape[2]
+    bins = np.arange(power.shape[1])
+    made: Floats = np.stack([np.interp(bins, at, row) for row in middle])
+    return made
+
 
 class Comb(NamedTuple):
     """Strikes that are looked for: the first harmonic may be from order ``low`` to ``high``.
@@ -154,13 +159,13 @@ class Comb(NamedTuple):
         """Harmonics that are taken together."""
         return SLOW_TEETH if self.is_slow else TEETH
 
-    def trials(self, step: float) -> Array:
+    def trials(self, step: float) -> Floats:
         """Orders (trials,) of the first harmonic that are tried in a spectrum with bins ``step`` apart."""
         return np.arange(self.low, self.high + 0.5 * step / TRIALS_PER_BIN, step / TRIALS_PER_BIN)
 
 
 @lru_cache(maxsize=64)
-def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> NDArray[np.int64]:
+def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> Ints:
     """Bins (looks,) of a spectrum of ``n_orders`` bins ``step`` apart that tell whether one of ``combs`` is there.
 
     They are those of its harmonics, one more than are taken together, of their sidebands, of what a slow comb (a cage)
@@ -187,14 +192,7 @@ def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> NDArray
     return bins
 
 
-def look_nats(
-    ratio: NDArray[np.floating],
-    bins: NDArray[np.int64],
-    *,
-    count: float,
-    floor_worth: float,
-    free: NDArray[np.bool_],
-) -> Array:
+def look_nats(ratio: NDArray[np.floating], bins: Ints, *, count: float, floor_worth: float, free: Bools) -> Floats:
     """Minus the logarithm of the chance (rows, looks) that noise makes a line of so high a ``ratio`` (rows, looks).
 
     The highest of each bin and its neighbours counts; each chance has a limit. The chance falls as the ratio grows, so
@@ -214,19 +212,19 @@ def look_nats(
     high = own.copy()
     high[:, 1:] = np.maximum(high[:, 1:], np.where(beside, own[:, :-1], 0.0))
     high[:, :-1] = np.maximum(high[:, :-1], np.where(beside, own[:, 1:], 0.0))
-    made: Array = np.clip(high - np.log(NEAR_TRIALS), 0.0, MOST_NATS)
+    made: Floats = np.clip(high - np.log(NEAR_TRIALS), 0.0, MOST_NATS)
     return made
 
 
 @lru_cache(maxsize=512)
-def _table(count: float, floor_worth: float) -> tuple[Array, Array]:
+def _table(count: float, floor_worth: float) -> tuple[Floats, Floats]:
     """Logarithms of power ratios from 0 on and those, with a minus, of their chances in noise (F-distribution)."""
     log_ratio = np.arange(0.0, TABLE_END, TABLE_STEP)
     chance = fdtrc(2.0 * count, 2.0 * floor_worth * count, np.exp(log_ratio))
     return log_ratio, -np.log(np.maximum(chance, 1e-300))
 
 
-def comb_nats(nats: Array, bins: NDArray[np.int64], comb: Comb, *, step: float, free: NDArray[np.bool_]) -> Array:
+def comb_nats(nats: Floats, bins: Ints, comb: Comb, *, step: float, free: Bools) -> Floats:
     """Minus the logarithm of the chance (rows, trials) that noise makes the lines of each trial of ``comb`` together.
 
     The chances of single lines are multiplied (Fisher's method), each with a limit: those of the first harmonics, more
@@ -243,13 +241,11 @@ def comb_nats(nats: Array, bins: NDArray[np.int64], comb: Comb, *, step: float, 
     sets = _sets(nats, bins, free, comb, trials, spacing=0.0)
     if comb.spacing:
         sets += _sets(nats, bins, free, comb, trials, spacing=comb.spacing / step)
-    made: Array = np.maximum(np.max(sets, axis=0) - np.log(len(sets)), 0.0)
+    made: Floats = np.maximum(np.max(sets, axis=0) - np.log(len(sets)), 0.0)
     return made
 
 
-def _sets(
-    nats: Array, bins: NDArray[np.int64], free: NDArray[np.bool_], comb: Comb, trials: Array, *, spacing: float
-) -> list[Array]:
+def _sets(nats: Floats, bins: Ints, free: Bools, comb: Comb, trials: Floats, *, spacing: float) -> list[Floats]:
     """Nats (rows, trials) of the first harmonics of ``comb`` that begin at ``trials``: of more and more of them."""
     total, lines = np.zeros((len(nats), len(trials))), np.zeros(len(trials), dtype=np.int64)
     first = np.ones(total.shape, dtype=np.bool_)
@@ -269,7 +265,7 @@ def _sets(
     return made
 
 
-def _fisher(total: Array, lines: NDArray[np.int64]) -> Array:
+def _fisher(total: Floats, lines: Ints) -> Floats:
     """Minus the logarithm of the chance that so many ``lines`` of noise have ``total`` nats or more together.
 
     Each has an exponential distribution: their sum has Erlang's, the chance of which is a short series.
@@ -278,31 +274,22 @@ def _fisher(total: Array, lines: NDArray[np.int64]) -> Array:
     for k in range(1, int(lines.max(initial=1))):
         term = term * total / k
         series += np.where(k < lines, term, 0.0)
-    made: Array = np.maximum(total - np.log(series), 0.0)
+    made: Floats = np.maximum(total - np.log(series), 0.0)
     return made
 
 
-def over_skirts(ratio: Array) -> Array:
+def over_skirts(ratio: Floats) -> Floats:
     """``ratio`` (rows, orders) over the median of the bins about each where that is higher: on a skirt no line is."""
     pieces = ratio.shape[1] // SKIRT_BINS
     middle = middles(ratio[:, : pieces * SKIRT_BINS].reshape(len(ratio), pieces, SKIRT_BINS))
     high = np.repeat(np.maximum(middle, 1.0), SKIRT_BINS, axis=1)
     rest = ratio.shape[1] - high.shape[1]
-    made: Array = ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge")
+    made: Floats = ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge")
     return made
 
 
-WIDER_EVIDENCE = 0.9
-"""Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
-
-_UNITS = {"ratio": "1", "level": "1", "floor": "see unit"}
-"""Units of what is kept of a spectrum: power over the skirts of other lines, that over the floor, root of the floor."""
-
-_OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
-
-
 def looks_of(
-    combs: tuple[Comb, ...], bands: tuple[Band, ...], *, order: Array, looks: NDArray[np.float32]
+    combs: tuple[Comb, ...], bands: tuple[Band, ...], *, order: Floats, looks: NDArray[np.float32]
 ) -> dict[str, Any]:
     """Variables of a RecordingEnvelope: what each of ``bands`` shows where lines of ``combs`` may be.
 
@@ -362,7 +349,7 @@ def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
     return combs_in(item) == combs_in(other) and np.array_equal(item["look"].values, other["look"].values)
 
 
-def _nearest(item: xr.Dataset, like: xr.Dataset) -> NDArray[np.int64]:
+def _nearest(item: xr.Dataset, like: xr.Dataset) -> Ints:
     """Which band of ``item`` is nearest to each of the bands of ``like``, by both ends in Hz."""
     away = np.zeros((like.sizes["band"], item.sizes["band"]))
     for end in ("look_band_low", "look_band_high"):
@@ -419,13 +406,13 @@ def _bands_of(
 def served(
     ratio: NDArray[np.floating],
     combs: tuple[Comb, ...],
-    bins: NDArray[np.int64],
+    bins: Ints,
     *,
     step: float,
-    count: Array,
+    count: Floats,
     worth: float,
-    free: NDArray[np.bool_],
-) -> Array:
+    free: Bools,
+) -> Floats:
     """Nats (combs, rows, bands) of the best trial of each of ``combs`` in each of ``ratio`` (rows, bands, looks).
 
     Parameters

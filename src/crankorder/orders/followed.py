@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.orders.averages import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.between_recordings import phases_compare
-from crankorder.orders.least_squares_tracks import (
+from crankorder.orders.least_squares import (
     Spans,
     beyond_remark,
     frame_spans,
@@ -21,13 +21,11 @@ from crankorder.orders.least_squares_tracks import (
     tracks_in_frames,
 )
 from crankorder.orders.swept_tracks import swept_tracks
-from crankorder.orders.track_means import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.vold_kalman.bandwidth import level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
-from crankorder.quantities import QualityFlag, flags_of, with_flags
+from crankorder.quantities import Bools, Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.smoothed_speed import smoothed_speed, speed_course
+from crankorder.shaft.angle import angle_at, knots_of, smoothed_speed, speed_course, time_at
 
 LEAST_USABLE = 0.5
 """Share of a frame's samples that must be usable for the filter to be read in its middle."""
@@ -35,7 +33,10 @@ LEAST_USABLE = 0.5
 SAME_ORDER = 1e-9
 """Orders closer than this are one."""
 
-Array = NDArray[np.float64]
+
+_SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
+
+_PUT = (*_SCALED, "phase", "degrees_of_freedom", "phase_ci95")
 
 
 def followed_tracks(
@@ -129,7 +130,7 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     return with_flags(made, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
 
 
-def _speeds_of_rows(shaft: xr.Dataset, spans: Spans, speed_rpm: Array, bandwidth_hz: Array) -> Array:
+def _speeds_of_rows(shaft: xr.Dataset, spans: Spans, speed_rpm: Floats, bandwidth_hz: Floats) -> Floats:
     """Speed [rpm] in the middle of ``spans`` by ``shaft``, over the time that the filter looks at.
 
     ``speed_rpm`` is that of a recording by crank angle, where nothing else is known.
@@ -140,27 +141,27 @@ def _speeds_of_rows(shaft: xr.Dataset, spans: Spans, speed_rpm: Array, bandwidth
     return smoothed_speed(shaft, middle, 1.0 / bandwidth_hz)
 
 
-def _put_middles(made: xr.Dataset, speed_rpm: Array, bandwidth_hz: Array) -> None:
+def _put_middles(made: xr.Dataset, speed_rpm: Floats, bandwidth_hz: Floats) -> None:
     """Speed and bandwidth of the filter in the middle of the frames of ``made``."""
     per_rev = bandwidth_hz * 60.0 / speed_rpm
     made.coords["speed"] = ("frame", speed_rpm, {"units": "min-1", "long_name": "speed in the middle of the frame"})
     made.coords["bandwidth_rev"] = ("frame", per_rev, {"units": "rev-1", "long_name": "bandwidth of the filter"})
 
 
-def _usable(band: xr.Dataset, part: slice) -> NDArray[np.bool_]:
+def _usable(band: xr.Dataset, part: slice) -> Bools:
     """Which samples (channels, samples) of ``part`` count: finite ones that ``usable`` of ``band`` does not deny."""
-    finite: NDArray[np.bool_] = np.isfinite(band["signal"].values[:, part])
+    finite: Bools = np.isfinite(band["signal"].values[:, part])
     return np.asarray(finite & band["usable"].values[:, part]) if "usable" in band else finite
 
 
-def _mostly_usable(usable: NDArray[np.bool_], angle_rev: Array, spans: Spans) -> NDArray[np.bool_]:
+def _mostly_usable(usable: Bools, angle_rev: Floats, spans: Spans) -> Bools:
     """Whether most samples of each frame (channels, frames) of ``spans`` are ``usable`` (channels, samples)."""
     total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
     first, last = (np.searchsorted(angle_rev, edge) for edge in spans)
     return np.asarray(total[:, last] - total[:, first] >= LEAST_USABLE * (last - first))
 
 
-def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, Floats, Floats]:
     """Sample rate [Hz], crank angle [rev] and speed [rpm] of every sample; NaN where they are not known."""
     n = band["signal"].shape[1]
     if band.attrs["domain"] == "crank_angle":
@@ -181,7 +182,7 @@ def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, NDArray[np.
     return rate, angle, np.interp(time_s, course.time_s, course.speed_rpm)
 
 
-def _flags(recording: str, notes: tuple[str, ...], beyond: Array, some_short: bool) -> list[QualityFlag]:
+def _flags(recording: str, notes: tuple[str, ...], beyond: Floats, some_short: bool) -> list[QualityFlag]:
     remarks = [f"{beyond_remark(order)} at the highest speed" for order in beyond]
     if some_short:
         remarks.append(f"a channel has fewer than {FEWEST_SAMPLES} usable samples: its orders are not tracked")
@@ -210,9 +211,9 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
             continue
         method[row] = items[0].attrs["track_method"]
         readings = _readings(items, int(place[0]))
-        one_mark = bool(phases_compare(items, np.array([order]))[0])
+        comparable = bool(phases_compare(items, np.array([order]))[0])
         for speed, group in enumerate(groups):
-            _put_speed(tracks, row, speed, readings.of(group), one_mark=one_mark)
+            _put_speed(tracks, row, speed, readings.of(group), comparable=comparable)
     tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
     known = flags_of(tracks)
     for flag in [flag for item in items for flag in flags_of(item)] + remarks:
@@ -236,7 +237,7 @@ def _readings(items: list[xr.Dataset], place: int) -> Readings:
     return Readings(values, errors, dof, revs, owner, begin, np.concatenate(per_rev))
 
 
-def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> tuple[list[NDArray[np.int64]], list[QualityFlag]]:
+def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> tuple[list[Ints], list[QualityFlag]]:
     """Numbers of the frames of ``items`` that belong to each speed of ``tracks``, and remarks on those that do not.
 
     A frame belongs to the nearest speed, where it is no further off than the width of a group or the next frame; a
@@ -251,7 +252,7 @@ def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> tuple[list
     apart = np.abs(speed[:, None] - rows)
     apart = np.where(np.isnan(apart), np.inf, apart)
     nearest = np.where(apart.min(axis=1) <= reach, apart.argmin(axis=1), -1)
-    groups: list[NDArray[np.int64]] = []
+    groups: list[Ints] = []
     for row in range(len(rows)):
         group = np.flatnonzero(nearest == row)
         if not len(group) and np.isfinite(rows[row]):
@@ -269,13 +270,13 @@ def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> tuple[list
     return groups, not_tracked_flags(str(items[unknown[0]].attrs["recording"]) if unknown else "", remarks)
 
 
-def _reach(speed_rpm: Array) -> Array:
+def _reach(speed_rpm: Floats) -> Floats:
     """How far the speed of each frame is from that of the frame before or after it, whichever is further."""
     step = np.abs(np.diff(speed_rpm, prepend=speed_rpm[:1], append=speed_rpm[-1:]))
     return np.nan_to_num(np.maximum(step[:-1], step[1:]))
 
 
-def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, one_mark: bool) -> None:
+def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, comparable: bool) -> None:
     """Put the average of ``readings`` into the ``row`` and ``speed`` of ``tracks``; NaN for channels without."""
     for name in _PUT:
         tracks[name].values[:, row, speed] = 0.0 if name == "degrees_of_freedom" else np.nan
@@ -292,14 +293,10 @@ def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, 
         unit = np.ldexp(1.0, np.frexp(np.where(largest > 0.0, largest, 1.0))[1] - 1)
         part = replace(part, values=part.values / unit[:, None], errors=part.errors / unit[:, None])
         names = np.unique(part.owner)
-        if one_mark or len(names) == 1:
-            made = by_phase(coherent_mean(part), with_phase=one_mark)
+        if comparable or len(names) == 1:
+            made = by_phase(coherent_mean(part), with_phase=comparable)
         else:
             made = by_energy([coherent_mean(part.of(np.flatnonzero(part.owner == name))) for name in names])
         for name, values in made.items():
             scale = unit if name in _SCALED else 1.0
             tracks[name].values[channels, row, speed] = scale * values
-
-
-_SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
-_PUT = (*_SCALED, "phase", "degrees_of_freedom", "phase_ci95")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
@@ -22,10 +21,9 @@ from crankorder.orders.method import (
 )
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.orders.true_angle import stated_errors
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import knots_of, time_at
-from crankorder.shaft.smoothed_speed import SpeedCourse, speed_at_angle, speed_course
+from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_course, time_at
 
 SWEPT_SHARE = 0.1
 """Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""
@@ -97,10 +95,10 @@ def _spectra_and_error(
     samples: TimeSamples,
     shaft: xr.Dataset,
     layout: FrameLayout,
-    speed_rpm: NDArray[np.float64],
+    speed_rpm: Floats,
     n_orders: int,
     settings: OrderSettings,
-) -> tuple[int, NDArray[np.complex128], float]:
+) -> tuple[int, Complexes, float]:
     """Density of the sampling, spectra and the error that these achieve, over the largest amplitude."""
     top = settings.max_order
     for density in (1, DENSER):
@@ -111,7 +109,7 @@ def _spectra_and_error(
     return density, spectrum, achieved
 
 
-def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> NDArray[np.float64]:
+def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> Floats:
     """Mean speed in rpm of each frame: revolutions over elapsed time."""
     begin = layout.begin_rev
     if shaft.attrs.get("domain", "time") == "crank_angle":
@@ -121,7 +119,7 @@ def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> NDArray[np.float64]:
     return np.asarray(60.0 * layout.revs / elapsed)
 
 
-def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np.float64]) -> float:
+def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) -> float:
     """Largest change of speed from the first to the last revolution of a frame, as a share of its mean speed."""
     if shaft.attrs.get("domain", "time") == "crank_angle" or layout.revs < 2:
         return 0.0
@@ -132,19 +130,13 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: NDArray[np
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
 
 
-def _is_swept(speed_rpm: NDArray[np.float64], settings: OrderSettings) -> bool:
+def _is_swept(speed_rpm: Floats, settings: OrderSettings) -> bool:
     """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes."""
     known = speed_rpm[np.isfinite(speed_rpm)]
     return len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
 
 
-def _dataset(
-    band: xr.Dataset,
-    spectrum: NDArray[np.complex128],
-    order: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    start_angle: NDArray[np.float64],
-) -> xr.Dataset:
+def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats, start_angle: Floats) -> xr.Dataset:
     return xr.Dataset(
         {
             "spectrum": (

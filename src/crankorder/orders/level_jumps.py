@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from crankorder.quantities import WHICH_IS_RIGHT, QualityFlag
+from crankorder.quantities import WHICH_IS_RIGHT, Floats, QualityFlag
 
 _STAYS = 0.25
 """Share of the jump by which what does not jump may move: the other channels, and the same channel elsewhere."""
@@ -42,7 +41,17 @@ _HALF = 16
 _STANDS = 20.0
 """Power of an order over its floor from which it is one whose size can be compared."""
 
-Floats = NDArray[np.float64]
+
+_LIKE_SPEED = 0.02
+"""Speeds of two recordings are alike within this share, and each is steady within it."""
+
+_OTHERS_STAY = 0.25
+"""Share of the jump that the others may move by: a load moves them all."""
+
+_EVIDENCE = ("blocks", "lines")
+
+_ENDS = ((0, (1, 2)), (-1, (-2, -3)))
+"""Places of the slowest and the fastest recording, and of the two next to each."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,7 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
     return [one for one in proven if _stays_elsewhere(whole, one, proven)]
 
 
-def line_sizes(frames: xr.Dataset | None, names: list[str]) -> dict[str, NDArray[np.float64]]:
+def line_sizes(frames: xr.Dataset | None, names: list[str]) -> dict[str, Floats]:
     """Amplitudes in ``frames`` of the cycle's orders in the channels ``names``, by name; NaN where none stands out."""
     if frames is None or "spectrum" not in frames or frames.sizes["order"] <= 2 * _HALF:
         return {}
@@ -212,17 +221,6 @@ def _median(values: Floats, *, axis: int) -> Floats:
     return np.asarray(0.5 * (both[0] + both[1]))
 
 
-_LIKE_SPEED = 0.02
-"""Speeds of two recordings are alike within this share, and each is steady within it."""
-_OTHERS_STAY = 0.25
-"""Share of the jump that the others may move by: a load moves them all."""
-
-
-_EVIDENCE = ("blocks", "lines")
-_ENDS = ((0, (1, 2)), (-1, (-2, -3)))
-"""Places of the slowest and the fastest recording, and of the two next to each."""
-
-
 @dataclass(frozen=True)
 class RecordedLevel:
     """One recording: its name, lowest and highest speed [rpm], and by channel name root mean square and ``floor``.
@@ -235,8 +233,8 @@ class RecordedLevel:
     speed_rpm: tuple[float, float]
     rms: dict[str, float]
     floor: dict[str, float] = field(default_factory=dict)
-    blocks: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    lines: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    blocks: dict[str, Floats] = field(default_factory=dict)
+    lines: dict[str, Floats] = field(default_factory=dict)
 
     @property
     def is_steady(self) -> bool:
@@ -343,9 +341,7 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
     return flags
 
 
-def _beyond(
-    logs: NDArray[np.float64], speed: NDArray[np.float64], at: int, near: tuple[int, int]
-) -> NDArray[np.float64]:
+def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floats:
     """How far the floors (recording, channel) at one end lie off the line through the two ``near`` it."""
     first, second = near
     apart = speed[first] - speed[second]
@@ -363,7 +359,7 @@ def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:
     return groups
 
 
-def _outliers(logs: NDArray[np.float64], least: float) -> list[tuple[int, int, float]]:
+def _outliers(logs: Floats, least: float) -> list[tuple[int, int, float]]:
     """Recording, channel and logarithm of the factor of the ``logs`` (recording, channel) that jump."""
     # the lower of two middle ones: between two halves that differ nothing lies
     apart = logs - np.sort(logs, axis=0)[(len(logs) - 1) // 2]

@@ -12,15 +12,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
-from crankorder.orders.intervals import (
-    beyond_chance,
+from crankorder.orders.averages import (
     contrasts,
     frame_correlation,
     helped_by_beside,
     noise_of_mean,
     steepest_noise_beside,
 )
-from crankorder.quantities import QualityFlag, with_flags
+from crankorder.orders.intervals import beyond_chance
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, with_flags
 from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
 
 LEAST_WINDOW = 0.1
@@ -32,7 +32,12 @@ CUT_OVERLAP = 0.5
 SHAPE_SAMPLES = 1024
 """Samples on which the shape of the window is evaluated where only its overlap matters."""
 
-Array = NDArray[np.float64]
+
+ALIKE_SHARE = 0.01
+"""Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
+
+DIFFER_CHANCE = 1e-3
+"""Chance that noise alone makes two speeds differ in any bin of any channel."""
 
 
 def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[QualityFlag]]:
@@ -93,9 +98,7 @@ def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
     )
 
 
-def _regained(
-    spectrum: NDArray[np.complex128], begin_rev: Array, length: int, per_rev: int
-) -> tuple[Array, Array, Array]:
+def _regained(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int) -> tuple[Floats, Floats, Floats]:
     """Signals (channels, samples) ``per_rev`` times in a revolution from the first frame on, the windows' sum, limits.
 
     ``spectrum`` (channels, frames, orders) of frames of ``length`` revolutions from ``begin_rev`` (frames,) on. NaN are
@@ -123,9 +126,7 @@ def _regained(
     return signal / np.maximum(weight, LEAST_WINDOW), weight, top
 
 
-def _cut(
-    signal: Array, weight: Array, revs: int, hop: int, per_rev: int, n_orders: int
-) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
+def _cut(signal: Floats, weight: Floats, revs: int, hop: int, per_rev: int, n_orders: int) -> tuple[Complexes, Ints]:
     """Spectra (channels, frames, ``n_orders``) of frames of ``revs`` every ``hop`` revolutions, and where they begin.
 
     Only where ``weight`` (samples,) allows; phases count from the begin of each frame.
@@ -141,12 +142,12 @@ def _cut(
     return np.asarray(np.fft.rfft(pieces, axis=2)[..., :n_orders] * (2.0 / window.sum())), first
 
 
-def _lowest(top: Array, first: NDArray[np.int64], revs: int, per_rev: int) -> Array:
+def _lowest(top: Floats, first: Ints, revs: int, per_rev: int) -> Floats:
     """Lowest of the limits ``top`` (samples,) within each frame of ``revs`` that begins at the samples ``first``."""
     return np.array([top[begin : begin + revs * per_rev].min() for begin in first]) + 1e-9
 
 
-def _speeds_at(middle_rev: Array, known_rev: Array, speed_rpm: Array) -> Array:
+def _speeds_at(middle_rev: Floats, known_rev: Floats, speed_rpm: Floats) -> Floats:
     """Speeds at ``middle_rev`` from those of longer frames at ``known_rev``; beyond the ends they go on as there."""
     if len(known_rev) < 2:
         return np.full(len(middle_rev), speed_rpm[0])
@@ -155,9 +156,7 @@ def _speeds_at(middle_rev: Array, known_rev: Array, speed_rpm: Array) -> Array:
     return np.asarray(speed_rpm[at - 1] + slope * (middle_rev - known_rev[at - 1]))
 
 
-def _dataset(
-    item: xr.Dataset, spectrum: NDArray[np.complex128], begin_rev: Array, speed_rpm: Array, revs: int
-) -> xr.Dataset:
+def _dataset(item: xr.Dataset, spectrum: Complexes, begin_rev: Floats, speed_rpm: Floats, revs: int) -> xr.Dataset:
     order = np.arange(spectrum.shape[2]) / revs
     made = xr.Dataset(
         {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)},
@@ -211,12 +210,12 @@ class LikeSpeedFrames:
     ``remarks`` on what was left out.
     """
 
-    spectrum: NDArray[np.complex128]
-    owner: NDArray[np.int64]
-    groups: list[NDArray[np.int64]]
-    speed_rpm: NDArray[np.float64]
-    n_power: NDArray[np.float64]
-    n_complex: NDArray[np.float64]
+    spectrum: Complexes
+    owner: Ints
+    groups: list[Ints]
+    speed_rpm: Floats
+    n_power: Floats
+    n_complex: Floats
     used: list[xr.Dataset]
     remarks: list[QualityFlag]
 
@@ -229,10 +228,7 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
     used, remarks = common_frames(frames)
     speed = np.concatenate([item["speed"].values for item in used])
     owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
-    groups = speed_groups(speed, width_rpm=speed_bin_rpm)
-    if groups and np.isnan(speed[groups[-1][0]]):
-        unknown = groups.pop()
-        groups += [unknown[owner[unknown] == name] for name in np.unique(owner[unknown])]
+    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm), speed, owner)
     window = hann(SHAPE_SAMPLES)
     hop = max(1, round(SHAPE_SAMPLES * (1.0 - float(used[0].attrs["overlap"]))))
     worth = [[window.independent_frames(hop, len(group), power=power) for group in groups] for power in (True, False)]
@@ -252,12 +248,12 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
 class Frames:
     """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
 
-    spectrum: NDArray[np.complex128]
-    owner: NDArray[np.int64]
-    begin_rev: NDArray[np.float64]
-    speed_rpm: NDArray[np.float64]
+    spectrum: Complexes
+    owner: Ints
+    begin_rev: Floats
+    speed_rpm: Floats
 
-    def of(self, which: NDArray[np.bool_]) -> Frames:
+    def of(self, which: Bools) -> Frames:
         """Those of the frames that ``which`` picks."""
         return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
 
@@ -271,12 +267,12 @@ class AllFrames:
     """
 
     spectra: list[NDArray[np.complexfloating]]
-    owner: NDArray[np.int64]
-    begin_rev: NDArray[np.float64]
-    speed_rpm: NDArray[np.float64]
-    exponent: NDArray[np.int64]
+    owner: Ints
+    begin_rev: Floats
+    speed_rpm: Floats
+    exponent: Ints
 
-    def of(self, which: NDArray[np.int64]) -> Frames:
+    def of(self, which: Ints) -> Frames:
         """Those of the frames that ``which`` (numbers that grow) picks; a view where they are neighbours."""
         owner, first = self.owner[which], np.searchsorted(self.owner, np.arange(len(self.spectra)))
         parts = []
@@ -309,20 +305,11 @@ def all_frames(used: Sequence[xr.Dataset]) -> AllFrames:
     )
 
 
-def _largest(spectrum: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _largest(spectrum: Complexes) -> Floats:
     """Largest real or imaginary part of each channel, NaN left out."""
     parts = np.ascontiguousarray(spectrum).reshape(len(spectrum), -1)
     parts = parts.view(parts.real.dtype)
     return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
-
-
-ALIKE_SHARE = 0.01
-"""Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
-
-DIFFER_CHANCE = 1e-3
-"""Chance that noise alone makes two speeds differ in any bin of any channel."""
-
-Columns = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -332,9 +319,9 @@ class Bins:
     ``with_phase`` (orders,) says which orders have phases that recordings share.
     """
 
-    beside: NDArray[np.int64]
-    worth: NDArray[np.float64]
-    with_phase: NDArray[np.bool_]
+    beside: Ints
+    worth: Floats
+    with_phase: Bools
 
 
 @dataclass(frozen=True)
@@ -346,12 +333,12 @@ class AtSpeed:
     freedom of both noise powers.
     """
 
-    coherent: NDArray[np.complex128]
-    error: Columns
-    energy: Columns
-    noise: Columns
-    powers: Columns
-    freedom: Columns
+    coherent: Complexes
+    error: Floats
+    energy: Floats
+    noise: Floats
+    powers: Floats
+    freedom: Floats
 
 
 def rows(every: AllFrames, *, bins: Bins, revs_per_frame: float, window: str, speed_bin_rpm: float) -> list[Indices]:
@@ -362,21 +349,28 @@ def rows(every: AllFrames, *, bins: Bins, revs_per_frame: float, window: str, sp
     ``bins`` say what noise is told from; ``revs_per_frame`` and ``window`` are those of the frames.
     """
     speed, owner = every.speed_rpm, every.owner
-    known = speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner)
-    unknown = known.pop() if known and np.isnan(speed[known[-1][0]]) else np.empty(0, dtype=np.int64)
+    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner), speed, owner)
     held = held_speeds(speed, owner, width_rpm=speed_bin_rpm)
     place = np.full(len(speed), -1)
     for number, part in enumerate(held):
         place[part] = number
     made: list[Indices] = []
-    for group in known:
+    for group in groups:
         steps = np.unique(place[group])
         if len(steps) < 2 or steps[0] < 0:
             made.append(group)
             continue
         shown = [(held[k], _at_speed(every.of(held[k]), bins, revs_per_frame, window)) for k in steps.tolist()]
         made += _agreeing(shown, bins)
-    return [*made, *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
+    return made
+
+
+def _unknown_apart(groups: list[Indices], speed: Floats, owner: Ints) -> list[Indices]:
+    """``groups`` of frames with those of unknown speed, which come last, by recording."""
+    if not groups or not np.isnan(speed[groups[-1][0]]):
+        return groups
+    unknown = groups[-1]
+    return [*groups[:-1], *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
 
 
 def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]:
@@ -403,7 +397,7 @@ def _at_speed(frames: Frames, bins: Bins, revs_per_frame: float, window: str) ->
     return AtSpeed(mean, noise * shape.mean_variance, energy, louder, powers, 2.0 * own)
 
 
-def agree(first: AtSpeed, second: AtSpeed, *, with_phase: NDArray[np.bool_]) -> bool:
+def agree(first: AtSpeed, second: AtSpeed, *, with_phase: Bools) -> bool:
     """Whether ``first`` and ``second`` differ nowhere by more than their noise, or by 1 % of the line.
 
     Lines that are locked are compared by amplitude and phase, by amplitude alone where not ``with_phase`` (orders,);

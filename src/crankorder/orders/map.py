@@ -10,32 +10,31 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from crankorder.orders.averages import (
+    FEW_CONTRASTS,
+    NEAREST_BINS,
+    Contrasts,
+    beside_bins,
+    contrasts,
+    frame_correlation,
+    helped_by_beside,
+    independent_by_memory,
+    noise_of_mean,
+    steepest_noise_beside,
+)
 from crankorder.orders.between_recordings import (
     BetweenRecordings,
     between_recordings,
     ends_between,
-    mark_of,
-    one_mark,
+    one_phase_reference,
+    phase_reference_of,
     phases_compare,
     wider_of,
 )
-from crankorder.orders.intervals import (
-    FEW_CONTRASTS,
-    NEAREST_BINS,
-    Contrasts,
-    amplitude_interval,
-    beside_bins,
-    contrasts,
-    energy_interval,
-    frame_correlation,
-    helped_by_beside,
-    noise_of_mean,
-    phase_interval_deg,
-    steepest_noise_beside,
-)
+from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import Bins, Frames, all_frames, common_frames, rows
 from crankorder.orders.true_angle import AngleErrors, errors_of_rows, given_to
-from crankorder.quantities import channel_coords, flags_of, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 BESIDE_WORTH = 2.0
@@ -54,7 +53,12 @@ two lines too close to be parted do. A resonance within a bin seldom stands so f
 MOST_BLOCKS = 8
 """Stretches of a recording whose means are the values that it held."""
 
-Columns = NDArray[np.float64]
+
+SWEPT_SHARE = 0.1
+"""Share of a speed bin from which frames in it are taken to differ in speed."""
+
+Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
+"""Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
 
 
 @dataclass(frozen=True)
@@ -65,20 +69,14 @@ class Held:
     mean phase, 0 where that is steady; each (channels, orders).
     """
 
-    noise: Columns
-    least: Columns
-    most: Columns
-    turned: Columns
+    noise: Floats
+    least: Floats
+    most: Floats
+    turned: Floats
 
 
 def held_values(
-    spectrum: NDArray[np.complex128],
-    owner: NDArray[np.int64],
-    *,
-    mean: NDArray[np.complex128],
-    noise: Columns,
-    shape: Contrasts,
-    beside: Columns | None = None,
+    spectrum: Complexes, owner: Ints, *, mean: Complexes, noise: Floats, shape: Contrasts, beside: Floats | None = None
 ) -> Held:
     """Values that lines held within the recordings where these surely differ, and the ``noise`` without them.
 
@@ -90,7 +88,7 @@ def held_values(
     spectrum : (channels, frames, orders)
     owner : (frames,), number of the recording of each
     mean : (channels, orders), mean over the frames
-    noise : (channels, orders), noise power of ``mean`` as of :func:`~crankorder.orders.intervals.noise_of_mean`
+    noise : (channels, orders), noise power of ``mean`` as of :func:`~crankorder.orders.averages.noise_of_mean`
     shape : contrasts of the frames
     beside : (channels, orders), noise power of a frame by the bins beside; None where it is not known
     """
@@ -125,14 +123,7 @@ def held_values(
     return held
 
 
-def _changes_both(
-    waves: NDArray[np.float64],
-    channel: NDArray[np.int64],
-    order: NDArray[np.int64],
-    *,
-    beside: Columns | None,
-    shape: Contrasts,
-) -> NDArray[np.bool_]:
+def _changes_both(waves: Floats, channel: Ints, order: Ints, *, beside: Floats | None, shape: Contrasts) -> Bools:
     """Where the power of slow ``waves`` (lines,) is far more than the noise ``beside`` makes."""
     if beside is None:
         return np.zeros(len(waves), dtype=np.bool_)
@@ -141,9 +132,7 @@ def _changes_both(
     return np.asarray(ratio > max(BOTH_RATIO, surely))
 
 
-def _extremes(
-    turned_back: NDArray[np.complex128], owner: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _extremes(turned_back: Complexes, owner: Ints) -> tuple[Floats, Floats, Floats]:
     """Least and largest amplitude and largest turn [rad] of stretches of ``turned_back`` (lines, frames)."""
     means = []
     for name in np.unique(owner):
@@ -154,15 +143,6 @@ def _extremes(
     least, most, turn = size.min(axis=1), size.max(axis=1), np.abs(np.angle(values)).max(axis=1)
     beyond = (most - least) / (2.0 * len(means))  # a ramp goes on for half a stretch
     return np.maximum(least - beyond, 0.5 * least), most + beyond, turn * (1.0 + 1.0 / len(means))
-
-
-SWEPT_SHARE = 0.1
-"""Share of a speed bin from which frames in it are taken to differ in speed."""
-
-Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
-"""Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
-
-"""Something of every channel and order of a group of frames: (channels, orders)."""
 
 
 @dataclass(frozen=True)
@@ -177,24 +157,24 @@ class Average:
     ``most`` and ``turned`` those of Held.
     """
 
-    energy: Columns
-    coherent: NDArray[np.complex128]
-    kurtosis: Columns
-    apart: Columns
-    noise: Columns
-    own: Columns
-    share: Columns
-    bias: Columns
-    powers: Columns
-    phases: Columns
-    count: Columns
-    along: Columns
-    across: Columns
-    recordings: Columns
-    between: Columns
-    least: Columns
-    most: Columns
-    turned: Columns
+    energy: Floats
+    coherent: Complexes
+    kurtosis: Floats
+    apart: Floats
+    noise: Floats
+    own: Floats
+    share: Floats
+    bias: Floats
+    powers: Floats
+    phases: Floats
+    count: Floats
+    along: Floats
+    across: Floats
+    recordings: Floats
+    between: Floats
+    least: Floats
+    most: Floats
+    turned: Floats
 
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
@@ -233,13 +213,13 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     given = given_to(np.abs(whole.coherent), used)
     angle = errors_of_rows(used, every.owner, groups).by_order
     _put_intervals(made, whole, unit, (bins, worth), angle, order, given)
-    if not one_mark(used):
+    if not one_phase_reference(used):
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = result.assign(made)
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + remarks)
 
 
-def _put_averages(result: Variables, whole: Average, unit: NDArray[np.float64]) -> None:
+def _put_averages(result: Variables, whole: Average, unit: Floats) -> None:
     """Averages of ``whole`` (channel, speed, order) into ``result``; amplitudes are multiples of ``unit``."""
     dims = ("channel", "speed", "order")
     _put(result, "amplitude", dims, unit * np.sqrt(whole.energy), "peak amplitude, energy average")
@@ -261,11 +241,11 @@ def _put_averages(result: Variables, whole: Average, unit: NDArray[np.float64]) 
 def _put_intervals(
     result: Variables,
     whole: Average,
-    unit: NDArray[np.float64],
-    beside: tuple[NDArray[np.int64], NDArray[np.float64]],
+    unit: Floats,
+    beside: tuple[Ints, Floats],
     angle: AngleErrors,
-    order: NDArray[np.float64],
-    given: Columns,
+    order: Floats,
+    given: Floats,
 ) -> None:
     """Standard error, degrees of freedom and 95 % intervals of ``whole`` (channel, speed, order) into ``result``.
 
@@ -280,12 +260,7 @@ def _put_intervals(
     if len(few):
         own = own.copy()
         noise[:, few], own[:, few] = helped_by_beside(
-            noise[:, few],
-            own[:, few],
-            energy=whole.energy[:, few],
-            powers=whole.powers[:, few],
-            bins=bins,
-            worth=worth,
+            noise[:, few], own[:, few], energy=whole.energy[:, few], powers=whole.powers[:, few], bins=bins, worth=worth
         )
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)
@@ -315,13 +290,7 @@ def _put_intervals(
     _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
 
 
-def _average(
-    frames: Frames,
-    comparable: NDArray[np.bool_],
-    attrs: dict[str, Any],
-    settings: OrderSettings,
-    bins: NDArray[np.int64],
-) -> Average:
+def _average(frames: Frames, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings, bins: Ints) -> Average:
     """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
 
     Where some are, columns (one channel, one order) with the same frames are averaged together.
@@ -348,11 +317,7 @@ def _average(
 
 
 def _average_whole(
-    frames: Frames,
-    comparable: NDArray[np.bool_],
-    attrs: dict[str, Any],
-    settings: OrderSettings,
-    bins: NDArray[np.int64] | None = None,
+    frames: Frames, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings, bins: Ints | None = None
 ) -> Average:
     """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`.
 
@@ -363,13 +328,11 @@ def _average_whole(
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     energy = power.mean(axis=1)
     mean = spectrum.mean(axis=1)
-    kept = _without_memory(spectrum, mean, frames.owner, energy)
+    count = np.full(columns, n_frames)
+    kept = independent_by_memory(spectrum - mean[:, None], frames.owner, count, chance="taken off")
     # noise of different recordings is surely independent, whatever they differ by
     kept = np.maximum(kept, float(len(np.unique(frames.owner))))
     phases = np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance))
-    own = np.full(columns, float(len(shape.rows)) if shape.dof > 0.0 else 0.0) * (
-        shape.dof / max(2.0 * len(shape.rows), 1.0)
-    )
     share = np.full(columns, shape.mean_variance)
     beside = None if bins is None else steepest_noise_beside(energy, bins)
     noise = noise_of_mean(spectrum, shape)
@@ -382,12 +345,12 @@ def _average_whole(
         kurtosis=_spectral_kurtosis(power, energy, shape.independent_powers),
         apart=np.ones(columns),
         noise=noise,
-        own=own,
+        own=np.full(columns, 0.5 * shape.dof),
         share=share,
         bias=share,
         powers=np.full(columns, shape.independent_powers),
         phases=phases,
-        count=np.full(columns, float(n_frames)),
+        count=count.astype(np.float64),
         along=apart.along,
         across=apart.across,
         recordings=apart.recordings,
@@ -411,7 +374,7 @@ def _shape(frames: Frames, attrs: dict[str, Any], settings: OrderSettings) -> Co
 
 
 def _without_common_phase(
-    frames: Frames, made: Average, comparable: NDArray[np.bool_], attrs: dict[str, Any], settings: OrderSettings
+    frames: Frames, made: Average, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings
 ) -> Average:
     """``made`` with the orders whose phases in different recordings say nothing averaged by coherent power instead."""
     names, counts = np.unique(frames.owner, return_counts=True)
@@ -449,32 +412,7 @@ def _without_common_phase(
     )
 
 
-def _without_memory(
-    spectrum: NDArray[np.complex128], mean: NDArray[np.complex128], owner: NDArray[np.int64], energy: Columns
-) -> Columns:
-    """Independent complex spectra (channels, orders) that the frames are worth, for their memory of one another.
-
-    Each frame's scatter about the ``mean`` correlates with the next one's by their overlap and, where noise excites a
-    resonance, by its decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r. Its square is
-    relieved of what chance adds, 1/n.
-    """
-    n_frames = spectrum.shape[1]
-    if n_frames < 3:
-        return np.full(energy.shape, float(n_frames))
-    scatter = spectrum - mean[:, None]
-    first, second = scatter[:, :-1], scatter[:, 1:]
-    if owner[0] != owner[-1]:
-        next_to = owner[1:] == owner[:-1]
-        first, second = first[:, next_to], second[:, next_to]
-    product = np.einsum("cko,cko->co", second, first.conj())
-    parts = scatter.view(np.float64)
-    total = np.einsum("cko,cko->co", parts, parts).reshape(*energy.shape, 2).sum(axis=-1)
-    squared = (np.square(product.real) + np.square(product.imag)) / np.maximum(total**2, np.finfo(np.float64).tiny)
-    memory = np.sqrt(np.clip(squared - 1.0 / n_frames, 0.0, 1.0))
-    return np.asarray(n_frames * (1.0 - memory) / (1.0 + memory))
-
-
-def _spectral_kurtosis(power: NDArray[np.float64], energy: Columns, n: float) -> Columns:
+def _spectral_kurtosis(power: Floats, energy: Floats, n: float) -> Floats:
     """Spectral kurtosis (channels, orders) of ``power`` (channels, frames, orders) with the mean ``energy``.
 
     Unbiased for Gaussian noise whose frames are worth ``n`` independent ones (Antoni 2006; Vrabie et al. 2003); NaN
@@ -493,9 +431,7 @@ def _put(
     target[name] = (dims, values, {"units": units, "long_name": long_name})
 
 
-def _dataset(
-    used: list[xr.Dataset], order: NDArray[np.float64], speed: NDArray[np.float64], settings: OrderSettings
-) -> xr.Dataset:
+def _dataset(used: list[xr.Dataset], order: Floats, speed: Floats, settings: OrderSettings) -> xr.Dataset:
     first = used[0]
     result = xr.Dataset(
         coords={
@@ -506,7 +442,7 @@ def _dataset(
     )
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
-    result.attrs |= {"phase_reference": mark_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
+    result.attrs |= {"phase_reference": phase_reference_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
     return result
 
 

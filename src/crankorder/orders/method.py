@@ -12,15 +12,43 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.smoothed_speed import SpeedCourse
+from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, time_at
 
 MOST_CONTENT = 0.4
 """Share of the sample rate up to which content is resampled; beyond it, kernels become long."""
 
 CONTENT_STEP = 0.02
 """Steps of that share: kernels are designed for a few of them and then known."""
+
+MOST_CARRIED = 0.49
+"""Share of the sample rate up to which a transform straight from the samples is trusted."""
+
+METHOD_SHARE = 0.5
+"""Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
+
+ROUNDING_REV = 1e-9
+"""By so much less than a whole frame may be covered: the last digits of an angle."""
+
+MOST_SWEPT = 0.03
+"""Change of speed within a frame, as a share, above which frames are halved: the half-power width of 1.5 % damping."""
+
+WANDERS = 0.1
+"""Range of the speed over its mean up to which a recording wanders, which frames need not follow."""
+
+FEWEST_REVS = 4
+"""Revolutions of a frame below which half orders fall into one main lobe of a Hann window."""
+
+SWEPT_OVERLAP = 0.75
+"""Overlap of shortened frames: a resonance is soon passed."""
+
+SLOWEST_SHARE = 0.25
+"""Least speed in a frame over its mean below which the shaft is said to stand in it."""
+
+MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
+"""Range of the speed in a frame over its mean, where it also changes so many times as fast as in most frames, from
+which the frame stands for no speed: a step."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +62,7 @@ class TimeSamples:
     rate_hz: float
     start_s: float
     content: float
-    usable: NDArray[np.bool_] | None = None
+    usable: Bools | None = None
 
     @property
     def double(self) -> bool:
@@ -61,9 +89,9 @@ class SignalsByAngle(NamedTuple):
     """
 
     signals: NDArray[np.floating]
-    angle_rev: NDArray[np.float64]
+    angle_rev: Floats
     samples_per_rev: int
-    usable: NDArray[np.bool_] | None
+    usable: Bools | None
     predicted_error: float
 
 
@@ -108,8 +136,8 @@ def covered_angles(samples: TimeSamples, shaft: xr.Dataset, *, margin: int) -> t
 
 
 def signals_at(
-    samples: TimeSamples, shaft: xr.Dataset, angle_rev: NDArray[np.float64], kernel: Kernel
-) -> tuple[NDArray[np.floating], NDArray[np.bool_] | None]:
+    samples: TimeSamples, shaft: xr.Dataset, angle_rev: Floats, kernel: Kernel
+) -> tuple[NDArray[np.floating], Bools | None]:
     """Values (channels, angles) of ``samples`` at ``angle_rev`` (angles,) of ``shaft`` by ``kernel``; which are usable.
 
     The second is None where ``samples`` have no gap.
@@ -121,7 +149,7 @@ def signals_at(
     return values, ~touches_gap(samples.usable, positions - kernel.margin, positions + kernel.margin)
 
 
-def touches_gap(usable: NDArray[np.bool_], begin: NDArray[Any], end: NDArray[Any]) -> NDArray[np.bool_]:
+def touches_gap(usable: Bools, begin: NDArray[Any], end: NDArray[Any]) -> Bools:
     """Whether (channels, spans) a sample from ``begin`` to ``end`` (spans,) is not ``usable`` (channels, samples)."""
     before = np.zeros((len(usable), usable.shape[1] + 1), dtype=np.int64)
     np.cumsum(~usable, axis=1, out=before[:, 1:])
@@ -150,7 +178,7 @@ def _is_smooth(number: int) -> bool:
     return number == 1
 
 
-def rev_frequencies(shaft: xr.Dataset, edges_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+def rev_frequencies(shaft: xr.Dataset, edges_rev: Floats) -> Floats:
     """Mean rotational frequencies [Hz] of ``shaft`` between the crank angles ``edges_rev``: one fewer than these."""
     elapsed = np.diff(time_at(edges_rev, **knots_of(shaft)))
     return np.asarray(np.diff(edges_rev) / np.maximum(elapsed, 1e-12))
@@ -179,37 +207,6 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
     return SignalsByAngle(values, angle, samples_per_rev, usable, kernel.predicted_error)
 
 
-MOST_CARRIED = 0.49
-"""Share of the sample rate up to which a transform straight from the samples is trusted."""
-
-METHOD_SHARE = 0.5
-"""Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
-
-ROUNDING_REV = 1e-9
-"""By so much less than a whole frame may be covered: the last digits of an angle."""
-
-
-MOST_SWEPT = 0.03
-"""Change of speed within a frame, as a share, above which frames are halved: the half-power width of 1.5 % damping."""
-
-WANDERS = 0.1
-"""Range of the speed over its mean up to which a recording wanders, which frames need not follow."""
-
-FEWEST_REVS = 4
-"""Revolutions of a frame below which half orders fall into one main lobe of a Hann window."""
-
-SWEPT_OVERLAP = 0.75
-"""Overlap of shortened frames: a resonance is soon passed."""
-
-SLOWEST_SHARE = 0.25
-"""Least speed in a frame over its mean below which the shaft is said to stand in it."""
-
-
-MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
-"""Range of the speed in a frame over its mean, where it also changes so many times as fast as in most frames, from
-which the frame stands for no speed: a step."""
-
-
 @dataclass(frozen=True)
 class OrderMethod:
     """A way from samples to order spectra and what it costs in accuracy.
@@ -236,7 +233,7 @@ class FrameLayout:
     method: OrderMethod
     revs: int
     hop_rev: int
-    begin_rev: NDArray[np.float64]
+    begin_rev: Floats
     shortened: bool = False
     left_out: int = 0
 
@@ -300,7 +297,7 @@ def frame_layout(
     )
 
 
-def _turning(begin_rev: NDArray[np.float64], revs: int, shaft: xr.Dataset, course: SpeedCourse) -> NDArray[np.bool_]:
+def _turning(begin_rev: Floats, revs: int, shaft: xr.Dataset, course: SpeedCourse) -> Bools:
     """Whether the shaft turns throughout each frame, and its speed changes little or as fast as mostly; or all."""
     knots = knots_of(shaft)
     ends = np.minimum(begin_rev + revs, knots["knot_angle_rev"][-1])

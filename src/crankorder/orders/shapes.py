@@ -13,17 +13,11 @@ from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.between_recordings import between_recordings, mark_of, phases_compare, wider_of
-from crankorder.orders.intervals import (
-    NEAREST_BINS,
-    amplitude_interval,
-    beside_bins,
-    is_seen,
-    phase_interval_deg,
-    steepest_noise_beside,
-)
+from crankorder.orders.averages import NEAREST_BINS, beside_bins, independent_by_memory, pooled, steepest_noise_beside
+from crankorder.orders.between_recordings import between_recordings, phase_reference_of, phases_compare, wider_of
+from crankorder.orders.intervals import amplitude_interval, is_seen, phase_interval_deg
 from crankorder.orders.like_speed import LikeSpeedFrames, like_speed_frames
-from crankorder.quantities import channel_coords, flags_of, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 LEAST_FRAMES = 2.0
@@ -31,6 +25,15 @@ LEAST_FRAMES = 2.0
 
 GRID, TERMS = 257, 400
 """Coherences for which the expected estimate is tabulated, and terms of its series: right to 1e-5."""
+
+FEW_FRAMES = 2.5
+"""With fewer independent frames their scatter says too little, and the bins beside help out."""
+
+ON_BIN = 1e-6
+"""An order this close to one of the frames lies on it; between bins no phase from the crank exists."""
+
+CRANK = -1
+"""In the place of a channel's number: phases are from the mark of the crank."""
 
 
 def place_of(name: str, names: list[str]) -> int:
@@ -40,7 +43,7 @@ def place_of(name: str, names: list[str]) -> int:
     return names.index(name)
 
 
-def coherence_level(n_frames: NDArray[np.float64], *, probability: float = 0.95) -> NDArray[np.float64]:
+def coherence_level(n_frames: Floats, *, probability: float = 0.95) -> Floats:
     """Estimated coherence that independent signals stay below with ``probability``, before its bias is taken off.
 
     ``n_frames`` independent ones, any shape; NaN below two. Source: Carter 1973, from Goodman's distribution: of
@@ -51,7 +54,7 @@ def coherence_level(n_frames: NDArray[np.float64], *, probability: float = 0.95)
     return np.where(enough, -np.expm1(np.log1p(-probability) / np.where(enough, n - 1.0, 1.0)), np.nan)
 
 
-def expected_coherence(coherence: NDArray[np.float64], *, n_frames: float) -> NDArray[np.float64]:
+def expected_coherence(coherence: Floats, *, n_frames: float) -> Floats:
     """Mean of the estimated magnitude-squared coherence from few frames: 1 / n_frames where the true one is 0.
 
     ``coherence`` the true one, 0…1, any shape; ``n_frames`` independent frames, at least 2. Source: Carter, Knapp and
@@ -64,7 +67,7 @@ def expected_coherence(coherence: NDArray[np.float64], *, n_frames: float) -> ND
     return np.asarray(1.0 / n_frames + (n_frames - 1.0) / (n_frames + 1.0) * true * series)
 
 
-def unbiased_coherence(estimate: NDArray[np.float64], *, n_frames: NDArray[np.float64]) -> NDArray[np.float64]:
+def unbiased_coherence(estimate: Floats, *, n_frames: Floats) -> Floats:
     """Coherence whose expected estimate is the one found: 0…1, and 0 where chance explains it; NaN below two frames.
 
     ``estimate`` magnitude-squared, any shape; ``n_frames`` independent frames, broadcast against it.
@@ -78,7 +81,7 @@ def unbiased_coherence(estimate: NDArray[np.float64], *, n_frames: NDArray[np.fl
 
 
 @lru_cache(maxsize=256)
-def _expected_table(n_frames: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _expected_table(n_frames: float) -> tuple[Floats, Floats]:
     """Expected estimates from ``n_frames`` and the true coherences that they belong to, both growing."""
     true = np.linspace(0.0, 1.0, GRID)
     expected = expected_coherence(true, n_frames=n_frames)
@@ -86,30 +89,16 @@ def _expected_table(n_frames: float) -> tuple[NDArray[np.float64], NDArray[np.fl
     return expected, true
 
 
-FEW_FRAMES = 2.5
-"""With fewer independent frames their scatter says too little, and the bins beside help out."""
-
-CHANCE_MEMORY = 3.0
-"""Frames resemble each other by more than chance where the squared correlation passes this over their number."""
-
-ON_BIN = 1e-6
-"""An order this close to one of the frames lies on it; between bins no phase from the crank exists."""
-
-
-CRANK = -1
-"""In the place of a channel's number: phases are from the mark of the crank."""
-
-
 @dataclass(frozen=True)
 class _Estimate:
     """Amplitudes and phases of all orders at one speed: every field is (channels, orders)."""
 
-    amplitude: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    phase_deg: NDArray[np.float64]
-    half_phase_deg: NDArray[np.float64]
-    coherence: NDArray[np.float64]
+    amplitude: Floats
+    low: Floats
+    high: Floats
+    phase_deg: Floats
+    half_phase_deg: Floats
+    coherence: Floats
 
 
 def operating_shapes(
@@ -157,14 +146,12 @@ def operating_shapes(
             values[:, row] = getattr(estimate, name)
     for name in ("amplitude", "low", "high"):
         made[name] *= scale
-    crank = mark_of(grouped.used)
+    crank = phase_reference_of(grouped.used)
     phase_from = [crank if place == CRANK else names[place] for place in origin]
     return _dataset(grouped, wanted, made, phase_from, reference=reference, speed_bin_rpm=settings.speed_bin_rpm)
 
 
-def _lines(
-    grouped: LikeSpeedFrames, orders: NDArray[np.float64], scale: NDArray[np.float64]
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+def _lines(grouped: LikeSpeedFrames, orders: Floats, scale: Floats) -> tuple[Complexes, Floats]:
     """Complex amplitudes (channels, frames, orders) in units of ``scale``, and how many bins each is beside its bin.
 
     Between bins the Hann window's loss is made up for: the line may lie up to half a bin off.
@@ -180,7 +167,7 @@ def _lines(
     return lines, np.abs(off)
 
 
-def _strongest(lines: NDArray[np.complex128], scale: NDArray[np.float64], units: list[str]) -> NDArray[np.int64]:
+def _strongest(lines: Complexes, scale: Floats, units: list[str]) -> Ints:
     """Channel (orders,) of the commonest unit whose ``lines`` (channels, frames, orders) · ``scale`` are strongest."""
     common = max(units, key=units.count)
     power = np.nan_to_num(np.abs(lines * (scale / scale.max())) ** 2).sum(axis=1)
@@ -188,13 +175,7 @@ def _strongest(lines: NDArray[np.complex128], scale: NDArray[np.float64], units:
     return np.asarray(np.argmax(np.where(alike[:, None], power, -1.0), axis=0))
 
 
-def _estimate(
-    lines: NDArray[np.complex128],
-    origin: NDArray[np.int64],
-    grouped: LikeSpeedFrames,
-    row: int,
-    beside: _Beside,
-) -> _Estimate:
+def _estimate(lines: Complexes, origin: Ints, grouped: LikeSpeedFrames, row: int, beside: _Beside) -> _Estimate:
     """Mean phasors of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
     group = grouped.groups[row]
     lines, owner = lines[:, group], grouped.owner[group]
@@ -214,7 +195,9 @@ def _estimate(
         noise, worth = beside.noise_of_mean(row, share)
         of_channel = np.where(origin == CRANK, 0.0, _relative(noise, amplitude, origin))
         helped = (noise, noise + of_channel * amplitude**2, noise)
-        parts = [_pooled(*own, power, worth, n_power < FEW_FRAMES) for own, power in zip(parts, helped, strict=True)]
+        parts = [
+            pooled(*own, power, worth, where=n_power < FEW_FRAMES) for own, power in zip(parts, helped, strict=True)
+        ]
     between = between_recordings(turned, owner, mean)
     seen = is_seen(amplitude, *parts[2]) & is_seen(amplitude, *wider_of(*parts[2], between.both, between, parts=2))
     low, high = amplitude_interval(amplitude, *wider_of(*parts[0], between.along, between), seen=seen)
@@ -223,36 +206,27 @@ def _estimate(
     return _Estimate(amplitude, low, high, np.degrees(np.angle(mean)), half_phase, coherence)
 
 
-def _from_channel(lines: NDArray[np.complex128], origin: NDArray[np.int64]) -> NDArray[np.complex128]:
+def _from_channel(lines: Complexes, origin: Ints) -> Complexes:
     """Lines (1, frames, orders) of the channel that each order's phases are measured from."""
     return np.take_along_axis(lines, np.maximum(origin, 0)[None, None, :], axis=0)
 
 
-def _direction(values: NDArray[Any]) -> NDArray[np.complex128]:
+def _direction(values: NDArray[Any]) -> Complexes:
     """``values`` of length 1, those that are 0 to the right."""
     length = np.abs(values)
     return np.asarray(np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), 1.0 + 0j * length))
 
 
-def _errors(
-    scatter: NDArray[np.complex128], count: NDArray[np.int64], owner: NDArray[np.int64], n_complex: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _errors(scatter: Complexes, count: Ints, owner: Ints, n_complex: Floats) -> tuple[Floats, Floats]:
     """Noise powers (channels, orders) of the mean, twice its variance along and across it.
 
     ``scatter`` (channels, frames, orders) is about it, ``n_complex`` is what the frames are worth for their overlap; a
     memory beyond chance (1 - r) / (1 + r) takes more.
     """
-    follows = owner[1:] == owner[:-1]
-    product = np.abs((scatter[:, 1:] * scatter[:, :-1].conj())[:, follows].sum(axis=1))
-    total = (np.abs(scatter) ** 2).sum(axis=1)
-    squared = np.divide(product, total, out=np.zeros_like(total), where=total > 0.0) ** 2
-    memory = np.sqrt(np.where(squared > CHANCE_MEMORY / np.maximum(count, 1), np.minimum(squared, 1.0), 0.0))
-    worth = np.maximum(1.0, np.minimum(n_complex, count * (1.0 - memory) / (1.0 + memory)))
+    kept = independent_by_memory(scatter, owner, count, chance="passed")
+    worth = np.maximum(1.0, np.minimum(n_complex, kept))
     spare = np.where(n_complex > 1.0, count * (1.0 - 1.0 / np.maximum(n_complex, 1.0)), np.nan)
-    return (
-        2.0 * (scatter.real**2).sum(axis=1) / spare / worth,
-        2.0 * (scatter.imag**2).sum(axis=1) / spare / worth,
-    )
+    return (2.0 * (scatter.real**2).sum(axis=1) / spare / worth, 2.0 * (scatter.imag**2).sum(axis=1) / spare / worth)
 
 
 @dataclass(frozen=True)
@@ -260,10 +234,10 @@ class _Beside:
     """What the bins beside ``orders`` say of the noise, in units of ``scale``."""
 
     grouped: LikeSpeedFrames
-    orders: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    orders: Floats
+    scale: Floats
 
-    def noise_of_mean(self, row: int, share: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def noise_of_mean(self, row: int, share: Floats) -> tuple[Floats, Floats]:
         """Noise power (channels, orders) of the mean of group ``row`` by the bins beside, and its degrees of freedom.
 
         ``share`` (channels, orders) of the frames take part.
@@ -280,35 +254,14 @@ class _Beside:
         return noise / np.maximum(grouped.n_complex[row] * share, 1.0), freedom
 
 
-def _relative(
-    noise: NDArray[np.float64], amplitude: NDArray[np.float64], origin: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _relative(noise: Floats, amplitude: Floats, origin: Ints) -> Floats:
     """Noise power over squared amplitude (1, orders) of the channel that phases are from: its phase errs as well."""
     at = np.maximum(origin, 0)[None, :]
     power, size = (np.take_along_axis(values, at, axis=0) for values in (noise, np.nan_to_num(amplitude)))
     return np.asarray(np.divide(power, size**2, out=np.zeros_like(power), where=size > 0.0))
 
 
-def _pooled(
-    power: NDArray[np.float64],
-    dof: NDArray[np.float64],
-    other: NDArray[np.float64],
-    other_dof: NDArray[np.float64],
-    where: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Noise power and degrees of freedom of two estimates together ``where`` one alone says too little."""
-    total = dof + other_dof
-    mean = (dof * np.nan_to_num(power) + other_dof * other) / np.maximum(total, 1e-9)
-    return np.where(where, mean, power), np.where(where, total, dof)
-
-
-def _coherence(
-    lines: NDArray[np.complex128],
-    mean: NDArray[np.complex128],
-    kept: NDArray[np.bool_],
-    origin: NDArray[np.int64],
-    n_power: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _coherence(lines: Complexes, mean: Complexes, kept: Bools, origin: Ints, n_power: Floats) -> Floats:
     """Share (channels, orders) of the power of ``lines`` that is locked to the crank, or to a channel."""
     filled = np.where(kept, lines, 0.0)
     power = (np.abs(filled) ** 2).sum(axis=1)
@@ -330,8 +283,8 @@ def _coherence(
 
 def _dataset(
     grouped: LikeSpeedFrames,
-    orders: NDArray[np.float64],
-    made: dict[str, NDArray[np.float64]],
+    orders: Floats,
+    made: dict[str, Floats],
     phase_from: list[str],
     *,
     reference: str | None,
@@ -351,13 +304,7 @@ def _dataset(
         ("phase_ci95", (*dims, "bound"), turn, "degree", "95 % interval of phase"),
         ("coherence", dims, made["coherence"], "1", "share of the power that is locked to phase_from"),
         ("coherence_level", ("speed",), level, "1", "95 % level of what is not locked, before bias is taken off"),
-        (
-            "phase_from",
-            ("order",),
-            np.array(phase_from, dtype=object),
-            "1",
-            "mark or channel that phases are from",
-        ),
+        ("phase_from", ("order",), np.array(phase_from, dtype=object), "1", "mark or channel that phases are from"),
         ("n_frames", ("speed",), count, "1", "frames"),
         ("n_independent", ("speed",), grouped.n_power, "1", "independent frames"),
     )
@@ -372,7 +319,7 @@ def _dataset(
     kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
     shapes.attrs = {key: first.attrs[key] for key in kept}
     shapes.attrs |= {
-        "phase_reference": mark_of(grouped.used),
+        "phase_reference": phase_reference_of(grouped.used),
         "reference": reference or "",
         "speed_bin_rpm": speed_bin_rpm,
     }

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.nonuniform import (
-    ComplexArray,
-    FloatArray,
     OrderTransform,
     Upsampling,
     folding_error,
@@ -38,6 +36,7 @@ from crankorder.orders.method import (
     signals_at,
     touches_gap,
 )
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
 from crankorder.shaft.angle import knots_of, time_at
 
@@ -56,7 +55,16 @@ PASS_SHARES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.325, 0.35, 0.375, 0.4, 0.42, 0
 KNOT_SLACK = 1e-6
 """Samples by which one may miss the knots' range by rounding and still belong to it."""
 
-Knots = dict[str, FloatArray]
+Knots = dict[str, Floats]
+
+CHUNK_SAMPLES = 1 << 19
+"""Samples by angle that are held at a time: the memory does not grow with the recording."""
+
+CHUNK_SPEED_RATIO = 1.3
+"""Frames whose speeds differ by more are sampled at different angles: the slowest sets the samples per revolution."""
+
+DENSER = 4
+"""Factor by which a frame is sampled more densely to judge it, and all frames where that shows an error."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +77,9 @@ class _Frame:
     number: int
     signals: NDArray[np.floating]
     first: int
-    turns: FloatArray
-    weights: FloatArray
-    usable: NDArray[np.bool_]
+    turns: Floats
+    weights: Floats
+    usable: Bools
     highest_order: float
 
 
@@ -85,8 +93,8 @@ def order_frames_nufft(
     revs: float,
     n_orders: int,
     tolerance: float,
-    usable: NDArray[np.bool_] | None = None,
-) -> ComplexArray:
+    usable: Bools | None = None,
+) -> Complexes:
     """Complex spectra (channels, frames, n_orders) at orders 0, 1/revs, 2/revs…, peak amplitudes, phases from angle 0.
 
     Hann frames of ``revs`` from each ``begin_rev`` on, by the non-uniform FFT of the samples themselves. Amplitudes
@@ -146,13 +154,13 @@ def _checked(signals: NDArray[np.floating], rate_hz: float, revs: float, toleran
     return real_signals(signals)
 
 
-def _keep(spectrum: ComplexArray, frame: _Frame, found: ComplexArray, order: FloatArray) -> None:
+def _keep(spectrum: Complexes, frame: _Frame, found: Complexes, order: Floats) -> None:
     """Put those channels and orders of ``found`` (channels, orders) into ``spectrum`` for which ``frame`` counts."""
     counts = frame.usable[:, None] & (order <= frame.highest_order)
     np.copyto(spectrum[:, frame.number], found, where=counts)
 
 
-def _from_zero_angle(spectrum: ComplexArray, begin: FloatArray, order: FloatArray) -> ComplexArray:
+def _from_zero_angle(spectrum: Complexes, begin: Floats, order: Floats) -> Complexes:
     """``spectrum`` (channels, frames, orders), phases from each frame's ``begin``, with phases from angle 0."""
     spectrum *= phase_of_whole_revs(begin, order)[None]
     return spectrum
@@ -162,12 +170,7 @@ class _Record:
     """Signals in time with the crank angle between knots, of which frames are taken."""
 
     def __init__(
-        self,
-        signals: NDArray[np.floating],
-        rate_hz: float,
-        start_s: float,
-        knots: Knots,
-        usable: NDArray[np.bool_] | None,
+        self, signals: NDArray[np.floating], rate_hz: float, start_s: float, knots: Knots, usable: Bools | None
     ) -> None:
         self.signals, self.rate_hz, self.start_s, self.usable = signals, rate_hz, start_s, usable
         self.time_s = np.ascontiguousarray(knots["knot_time_s"], dtype=np.float64)
@@ -175,7 +178,7 @@ class _Record:
         self.rev_per_s = np.asarray(knots["knot_speed_rpm"], dtype=np.float64) / 60.0
         self.knots = knots
 
-    def frames(self, begin: FloatArray, revs: float, highest_order: float, tolerance: float) -> Iterator[_Frame]:
+    def frames(self, begin: Floats, revs: float, highest_order: float, tolerance: float) -> Iterator[_Frame]:
         """Each frame once; as recorded and then denser, where only some channels or orders have the neighbours."""
         low, high = self._bounds(begin, revs)
         for number in range(len(begin)):
@@ -199,7 +202,7 @@ class _Record:
             if dense is not None:
                 yield dense
 
-    def _bounds(self, begin: FloatArray, revs: float) -> tuple[list[int], list[int]]:
+    def _bounds(self, begin: Floats, revs: float) -> tuple[list[int], list[int]]:
         """First and last sample within each frame."""
         edges = np.stack([time_at(begin, **self.knots), time_at(begin + revs, **self.knots)])
         place = (edges - self.start_s) * self.rate_hz
@@ -218,13 +221,13 @@ class _Record:
                 raise RequestError("a frame holds no samples", found=found)
         return low, high
 
-    def _all_usable(self, first: int, last: int) -> NDArray[np.bool_]:
+    def _all_usable(self, first: int, last: int) -> Bools:
         """Whether each channel is usable from sample ``first`` to ``last``."""
         if self.usable is None:
             return np.ones(len(self.signals), dtype=np.bool_)
         return np.asarray(self.usable[:, max(first, 0) : last + 1].all(axis=1))
 
-    def _turns(self, first: int, last: int, factor: int, begin: float, revs: float) -> tuple[FloatArray, FloatArray]:
+    def _turns(self, first: int, last: int, factor: int, begin: float, revs: float) -> tuple[Floats, Floats]:
         """Share of the frame passed, and its change per sample, at samples ``factor`` times as dense."""
         n = (last - first) * factor + 1
         turns, slope = np.empty(n), np.empty(n)
@@ -291,25 +294,9 @@ def _angle_and_slope(start, period, time, angle, rate, out, slope):  # type: ign
         out[i], slope[i] = np.nan, np.nan
 
 
-CHUNK_SAMPLES = 1 << 19
-"""Samples by angle that are held at a time: the memory does not grow with the recording."""
-
-CHUNK_SPEED_RATIO = 1.3
-"""Frames whose speeds differ by more are sampled at different angles: the slowest sets the samples per revolution."""
-
-DENSER = 4
-"""Factor by which a frame is sampled more densely to judge it, and all frames where that shows an error."""
-
-
 def spectra(
-    samples: TimeSamples,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    *,
-    n_orders: int,
-    max_order: float,
-    density: int = 1,
-) -> NDArray[np.complex128]:
+    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, n_orders: int, max_order: float, density: int = 1
+) -> Complexes:
     """Spectra (channels, frames, ``n_orders``) of ``samples`` by the method and on the frames of ``layout``.
 
     In peak amplitude, phases from crank angle 0 of ``shaft``. Where the angle is smooth, nothing folds onto an order up
@@ -339,13 +326,8 @@ def spectra(
 
 
 def _resampled(
-    samples: TimeSamples,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    chunk: slice,
-    per_rev: int,
-    n_orders: int,
-) -> NDArray[np.complex128]:
+    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, chunk: slice, per_rev: int, n_orders: int
+) -> Complexes:
     """Spectra of the frames ``chunk``, resampled ``per_rev`` times in a revolution."""
     kernel = layout.method.kernel
     assert kernel is not None
@@ -357,13 +339,13 @@ def _resampled(
 
 def spectra_by_angle(
     signals: NDArray[np.floating],
-    usable: NDArray[np.bool_] | None,
+    usable: Bools | None,
     samples_per_rev: int,
     revs: int,
     hop_rev: int,
-    begin_rev: NDArray[np.float64],
+    begin_rev: Floats,
     n_orders: int,
-) -> NDArray[np.complex128]:
+) -> Complexes:
     """Spectra (channels, frames, ``n_orders`` or as many as there are) of ``signals`` at even crank angles.
 
     ``signals`` (channels, samples) begin with the first frame; frames are ``revs`` long, ``hop_rev`` apart and begin at
@@ -407,9 +389,9 @@ def achieved_error(
     samples: TimeSamples,
     shaft: xr.Dataset,
     layout: FrameLayout,
-    spectrum: NDArray[np.complex128],
+    spectrum: Complexes,
     *,
-    speed_rpm: NDArray[np.float64],
+    speed_rpm: Floats,
     max_order: float,
     density: int = 1,
 ) -> float:

@@ -7,18 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
-from crankorder.orders.least_squares_tracks import beyond_remark, not_tracked_flags, put_track_values
-from crankorder.orders.track_means import POLES
+from crankorder.orders.averages import POLES
+from crankorder.orders.least_squares import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, impulse_response, level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
-from crankorder.quantities import QualityFlag, channel_coords, flags_of, with_flags
-from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.smoothed_speed import SpeedCourse, smoothed_speed, speed_course
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_speed, speed_course, time_at
 
 RESOLVED_DAMPING = 0.01
 """Damping ratio of a mode that a sweep passes whose peak the filter lowers by 1 %."""
@@ -48,20 +46,18 @@ MARGIN = 6.0
 RATE_PER_BANDWIDTH = 24.0
 """Band [Hz] kept over the widest bandwidth, so that knots are several samples apart."""
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class _Plan:
     """What is followed: ``orders``, bandwidths [Hz] (orders, times) over the ``course``, and rows [s] of one part."""
 
-    orders: Array
+    orders: Floats
     course: SpeedCourse
-    bandwidth_hz: Array
+    bandwidth_hz: Floats
     span_s: tuple[float, float]
-    rows_s: Array
+    rows_s: Floats
 
-    def widths(self, time_s: Array) -> Array:
+    def widths(self, time_s: Floats) -> Floats:
         """Bandwidth [Hz] (orders, times) at ``time_s``."""
         return np.array([np.interp(time_s, self.course.time_s, one) for one in self.bandwidth_hz])
 
@@ -80,7 +76,7 @@ def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -
     course = speed_course(shaft)
     width = bandwidths_hz(named, course)
     first, last = _covered(band, shaft)
-    made: list[tuple[_Plan, NDArray[np.complex128], Array]] = []
+    made: list[tuple[_Plan, Complexes, Floats]] = []
     notes: list[str] = []
     for begin, end in course.parts():
         span = (max(begin, first), min(end, last))
@@ -94,7 +90,7 @@ def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -
     return _dataset(band, shaft, named, course, made, notes)
 
 
-def bandwidths_hz(orders: Array, course: SpeedCourse) -> Array:
+def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
     """Bandwidth [Hz] (orders, times) with which ``orders`` (orders,) are followed along the SpeedCourse ``course``."""
     speed_hz = course.speed_rpm / 60.0
     wanted = PASSED * course.rate_rpm_per_s / 60.0 / (RESOLVED_DAMPING * speed_hz)
@@ -116,7 +112,7 @@ def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
     return max(start, float(first)), min(start + (band["signal"].shape[1] - 1) / rate, float(last))
 
 
-def _rows(course: SpeedCourse, width_hz: Array, span_s: tuple[float, float]) -> Array:
+def _rows(course: SpeedCourse, width_hz: Floats, span_s: tuple[float, float]) -> Floats:
     """Times [s] of rows, half a reciprocal bandwidth apart, from half of one after the begin to as much before the end.
 
     ``width_hz`` (times,) is the widest bandwidth at the times of ``course``.
@@ -127,7 +123,7 @@ def _rows(course: SpeedCourse, width_hz: Array, span_s: tuple[float, float]) -> 
     return np.asarray(np.interp(np.arange(first + 1.0, last - 1.0 + 1e-9), count, course.time_s))
 
 
-def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[NDArray[np.complex128], Array]:
+def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[Complexes, Floats]:
     """Amplitudes (channels, orders, rows) and their standard errors, piece by piece of the part that ``plan`` is of."""
     inside = (plan.course.time_s >= plan.span_s[0]) & (plan.course.time_s <= plan.span_s[1])
     fastest_hz = float(plan.course.speed_rpm[inside].max()) / 60.0
@@ -163,7 +159,7 @@ def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[NDArray
     return amplitude, error
 
 
-def _smoothing(amplitude: NDArray[np.complex128], plan: _Plan) -> NDArray[np.complex128]:
+def _smoothing(amplitude: Complexes, plan: _Plan) -> Complexes:
     """What the filter would take of ``amplitude`` (channels, orders, rows) once more: nearly what it took at first."""
     width = plan.widths(plan.rows_s)
     # rows are half a reciprocal of the widest bandwidth apart
@@ -184,8 +180,8 @@ def _smoothing(amplitude: NDArray[np.complex128], plan: _Plan) -> NDArray[np.com
 
 
 def _piece(
-    band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: NDArray[np.int64]
-) -> tuple[VoldKalmanTracks, NDArray[np.int64]] | None:
+    band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: Ints
+) -> tuple[VoldKalmanTracks, Ints] | None:
     """Tracks of the orders ``carried`` in the samples ``piece``, and of which channels; None where too few count."""
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     time_s = start + np.arange(piece.start, piece.stop) / rate
@@ -213,7 +209,7 @@ def _piece(
     return tracks, channels
 
 
-def _usable_rows(band: xr.Dataset, plan: _Plan) -> NDArray[np.bool_]:
+def _usable_rows(band: xr.Dataset, plan: _Plan) -> Bools:
     """Whether most samples (channels, rows) within a reciprocal bandwidth about each row are usable."""
     signals = band["signal"].values
     usable = np.isfinite(signals)
@@ -233,9 +229,9 @@ def _usable_rows(band: xr.Dataset, plan: _Plan) -> NDArray[np.bool_]:
 def _dataset(
     band: xr.Dataset,
     shaft: xr.Dataset,
-    orders: Array,
+    orders: Floats,
     course: SpeedCourse,
-    made: list[tuple[_Plan, NDArray[np.complex128], Array]],
+    made: list[tuple[_Plan, Complexes, Floats]],
     notes: list[str],
 ) -> xr.Dataset:
     shape = (band.sizes["channel"], len(orders), 0)
@@ -277,7 +273,7 @@ def _usual_rate(course: SpeedCourse) -> float:
     return float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
 
 
-def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Array, width_hz: Array) -> None:
+def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: Floats) -> None:
     """Put time, speed and crank angle of each row into ``found``, and the bandwidths (orders, rows) that made them."""
     empty = not len(time_s)
     speed = np.empty(0) if empty else smoothed_speed(shaft, time_s, 1.0 / width_hz.max(axis=0))

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import OrderSettings
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
@@ -30,8 +30,30 @@ TURN_POINTS = 64
 LEAST_SHARE = 1e-7
 """Sidebands smaller than this share of their line are left alone."""
 
-Complex = NDArray[np.complex128]
-Floats = NDArray[np.float64]
+
+LEAST_REVS = 8
+"""Revolutions of a frame below which the noise between half orders is not told."""
+
+ROUNDS = 3
+"""Times that E_k is told from what the last one left."""
+
+LIKELY = 3.0
+"""Standard errors from which an E_k is taken out on trial."""
+
+TEETH_LARGEST = 3.0
+"""Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
+
+RADII, PHASES = 72, 40
+"""Grid of E_k over which the odds are summed …"""
+
+GRID_SLACK = 0.1
+"""… and the share of E_k by which its points are apart, about."""
+
+SLACKS = (0.15, 0.1, 0.06)
+"""Shares of a sideband by which it may be off, step by step, while E_k is refined …"""
+
+LAST_STEPS = 9
+"""… and steps with the share that is allowed in the end."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +86,7 @@ class Swing:
         return max(self.bound_rev, shown) if shown < self.largest_rev else self.bound_rev
 
 
-def modulation(swings: dict[int, complex], order: Floats) -> tuple[NDArray[np.int64], Complex]:
+def modulation(swings: dict[int, complex], order: Floats) -> tuple[Ints, Complexes]:
     """Shifts q [orders] and coefficients g_q (shifts, orders) by which lines at ``order`` (orders,) are brought back.
 
     ``swings``: E_k [rev] by harmonic k.
@@ -79,7 +101,7 @@ def modulation(swings: dict[int, complex], order: Floats) -> tuple[NDArray[np.in
     return shift[matters], spectrum.T[matters]
 
 
-def in_true_angle(spectrum: Complex, *, bins_per_order: int, swings: dict[int, complex]) -> Complex:
+def in_true_angle(spectrum: Complexes, *, bins_per_order: int, swings: dict[int, complex]) -> Complexes:
     """``spectrum`` (…, orders) by the shown angle, brought back to the true one.
 
     The axis begins at order 0 and has ``bins_per_order`` bins per order; what is NaN stays so and gives nothing to its
@@ -106,7 +128,7 @@ def in_true_angle(spectrum: Complex, *, bins_per_order: int, swings: dict[int, c
     return made if known.all() else np.where(known, made, np.nan)
 
 
-def _mirrored(swings: dict[int, complex], order: Floats, shift: int) -> Complex:
+def _mirrored(swings: dict[int, complex], order: Floats, shift: int) -> Complexes:
     """Coefficient g_shift of lines at minus ``order``."""
     shifts, gains = modulation(swings, -order)
     place = np.flatnonzero(shifts == shift)
@@ -145,36 +167,11 @@ def _moved(values: Floats, step: int) -> Floats:
     return made
 
 
-LEAST_REVS = 8
-"""Revolutions of a frame below which the noise between half orders is not told."""
-
-ROUNDS = 3
-"""Times that E_k is told from what the last one left."""
-
-LIKELY = 3.0
-"""Standard errors from which an E_k is taken out on trial."""
-
-TEETH_LARGEST = 3.0
-"""Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
-
-RADII, PHASES = 72, 40
-"""Grid of E_k over which the odds are summed …"""
-
-GRID_SLACK = 0.1
-"""… and the share of E_k by which its points are apart, about."""
-
-SLACKS = (0.15, 0.1, 0.06)
-"""Shares of a sideband by which it may be off, step by step, while E_k is refined …"""
-
-LAST_STEPS = 9
-"""… and steps with the share that is allowed in the end."""
-
-
 @dataclass(frozen=True)
 class Rows:
     """Complex amplitudes (rows, half orders) of channels, and recordings or frames of sweeps; ``noise`` power."""
 
-    value: Complex
+    value: Complexes
     noise: Floats
 
 
@@ -209,9 +206,9 @@ class _Sums:
 
     below: Floats
     above: Floats
-    both: Complex
-    low: Complex
-    high: Complex
+    both: Complexes
+    low: Complexes
+    high: Complexes
     own: Floats
     count: Floats
     carrier: Floats
@@ -255,7 +252,7 @@ def _median(power: Floats) -> Floats:
     return np.asarray(0.5 * (lower + upper)[..., 0] / np.log(2.0))
 
 
-def _mean_of_frames(grid: Complex, noise: Floats) -> tuple[Complex, Floats]:
+def _mean_of_frames(grid: Complexes, noise: Floats) -> tuple[Complexes, Floats]:
     """Means over the frames (channels, 1, half orders) and the noise in them; frames overlap by half."""
     kept = np.isfinite(grid.real) & np.isfinite(noise)
     count = kept.sum(axis=1, keepdims=True)
@@ -270,7 +267,7 @@ def _per_half(half: int) -> int:
     return max(1, half - 2 * max(2, half // 4) + 1)
 
 
-def _between(half: int, n: int) -> NDArray[np.int64]:
+def _between(half: int, n: int) -> Ints:
     """Bins (of ``n``) between the half orders, ``half`` bins apart, group by group; above each half order."""
     first = max(2, half // 4) if half > 4 else half // 2
     groups = np.arange(0, n, half)[:, None] + first + np.arange(_per_half(half))
@@ -326,7 +323,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     return Swing(harmonic, size, error, bound, bool(proved), chance, carriers, largest)
 
 
-def _sums(value: Complex, noise: Floats, harmonic: int, expected: Expected) -> _Sums:
+def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) -> _Sums:
     """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for, as ``expected``."""
     n = value.shape[1]
     step = 2 * harmonic
@@ -346,7 +343,7 @@ def _sums(value: Complex, noise: Floats, harmonic: int, expected: Expected) -> _
     weight[:, 0] = 0.0
     u, v = -1j * np.pi * u, -1j * np.pi * v
 
-    def total(product: Complex) -> Complex:
+    def total(product: Complexes) -> Complexes:
         return np.asarray((weight * product).sum(axis=0))
 
     below, above, own = (np.asarray((weight * np.abs(one) ** 2).sum(axis=0)) for one in (u, v, seen))
@@ -357,7 +354,7 @@ def _sums(value: Complex, noise: Floats, harmonic: int, expected: Expected) -> _
     return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
 
 
-def _is_line(value: Complex, noise: Floats, ratio: float) -> NDArray[np.bool_]:
+def _is_line(value: Complexes, noise: Floats, ratio: float) -> Bools:
     """Which of the half orders of ``value`` (rows, half orders) have ``ratio`` times the power of their ``noise``."""
     known = np.isfinite(value.real) & np.isfinite(noise)
     power, least = (np.where(known, one, 0.0).sum(axis=0) for one in (np.square(np.abs(value)), noise))
@@ -374,38 +371,43 @@ def _put_back(sums: _Sums, known: complex) -> _Sums:
     return _Sums(sums.below, sums.above, sums.both, low, high, own, sums.count, sums.carrier)
 
 
-def _power(sums: _Sums, size: complex | Complex) -> Floats:
+def _power(sums: _Sums, size: complex | Complexes) -> Floats:
     """Sum of |p|² over the noise, p = size u + conj(size) v; (…, targets) for ``size`` (…, 1)."""
     return np.asarray(np.abs(size) ** 2 * (sums.below + sums.above) + 2.0 * (np.square(size) * sums.both).real)
 
 
-def _product(sums: _Sums, size: complex | Complex) -> Complex:
+def _product(sums: _Sums, size: complex | Complexes) -> Complexes:
     """Sum of conj(p) y over the noise."""
     return np.asarray(np.conj(size) * sums.low + size * sums.high)
 
 
-def _grid(largest_rev: float) -> Complex:
+def _grid(largest_rev: float) -> Complexes:
     """E_k up to ``largest_rev`` over which odds are weighed: even in the logarithm of the size and in the phase."""
     radius = np.geomspace(2e-4, 1.0, RADII) * largest_rev
     phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
     return np.asarray((radius[:, None] * np.exp(1j * phase)).ravel())
 
 
-def _prior(grid: Complex, usual_rev: float) -> Floats:
+def _prior(grid: Complexes, usual_rev: float) -> Floats:
     return np.asarray(-0.5 * np.square(np.abs(grid) / usual_rev))
 
 
-def _gains(sums: _Sums, grid: Complex, settings: OrderSettings, *, slack: float) -> Floats:
-    """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
-    size = grid[:, None]
+def _seen_of(sums: _Sums, size: complex | Complexes) -> tuple[Floats, Complexes, Floats]:
+    """Power of what E_k of ``size`` makes of each target, how much of that is seen, and the spread about it."""
     power = np.maximum(_power(sums, size), 1e-300)
     ratio = _product(sums, size) / power
     rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
-    spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+    return power, ratio, np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+
+
+def _gains(sums: _Sums, grid: Complexes, settings: OrderSettings, *, slack: float) -> Floats:
+    """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
+    size = grid[:, None]
+    power, ratio, spread = _seen_of(sums, size)
     # beside the rows' own noise, what is of second order and how coarse the grid is
     variance = spread / power + slack**2
 
-    def odds(off: Complex) -> Floats:
+    def odds(off: Complexes) -> Floats:
         square = np.abs(off) ** 2
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
         other = 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range)
@@ -419,10 +421,7 @@ def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[comp
     size, error = start, np.inf
     weights = np.zeros(len(sums.own))
     for slack in (*SLACKS, *(settings.sideband_slack,) * LAST_STEPS):
-        power = np.maximum(_power(sums, size), 1e-300)
-        ratio = _product(sums, size) / power
-        rest = np.maximum(sums.own - np.abs(ratio) ** 2 * power, 0.0)
-        spread = np.maximum(rest / np.maximum(sums.count - 1.0, 1.0), 1.0)
+        power, ratio, spread = _seen_of(sums, size)
         square = np.abs(ratio - 1.0) ** 2
         variance = spread / power + slack**2
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)

@@ -9,26 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.fft.windows import power_of_two
+from crankorder.findings import Findings
+from crankorder.orders.averages import beside_bins, noise_beside
 from crankorder.orders.between_recordings import LOCATED
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
-from crankorder.orders.intervals import (
-    amplitude_interval,
-    beside_bins,
-    energy_interval,
-    noise_beside,
-    phase_interval_deg,
-)
+from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
-from crankorder.quantities import flags_of, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
+from crankorder.records import Interval
 from crankorder.settings import OrderSettings
 
 ON_BIN = 1e-6
@@ -52,7 +47,31 @@ HANN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)
 OF_BANDWIDTH = 0.2
 """A followed order this near, in bandwidths, is the order itself: the filter lets it pass with a phase that turns."""
 
-Array = NDArray[np.float64]
+
+_ON_BIN_NAMES = (
+    "coherent_amplitude",
+    "phase",
+    "standard_error",
+    "degrees_of_freedom",
+    "coherent_amplitude_low",
+    "coherent_amplitude_high",
+    "phase_ci95",
+)
+"""Variables of the map that stand for the fields of OrderRows."""
+
+BAND_HELD = 0.5
+"""Share of a band, or of a main lobe, that must hold numbers for its sum to say something."""
+
+_VARIABLES = (
+    ("amplitude", "see unit", "peak amplitude"),
+    ("phase", "degree", "phase from top dead centre"),
+    ("standard_error", "see unit", "standard error of amplitude"),
+    ("degrees_of_freedom", "1", "degrees of freedom of standard_error"),
+    ("amplitude_low", "see unit", "lower end of the 95 % interval of amplitude"),
+    ("amplitude_high", "see unit", "upper end of the 95 % interval of amplitude"),
+    ("phase_ci95", "degree", "half width of the 95 % interval of phase; 180: unknown"),
+    ("band_rms", "see unit", "RMS within the band around the order"),
+)
 
 
 @dataclass(frozen=True)
@@ -62,13 +81,13 @@ class OrderRows:
     Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
     """
 
-    amplitude: Array
-    phase: Array
-    standard_error: Array
-    degrees_of_freedom: Array
-    amplitude_low: Array
-    amplitude_high: Array
-    phase_ci95: Array
+    amplitude: Floats
+    phase: Floats
+    standard_error: Floats
+    degrees_of_freedom: Floats
+    amplitude_low: Floats
+    amplitude_high: Floats
+    phase_ci95: Floats
 
     @classmethod
     def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
@@ -77,7 +96,7 @@ class OrderRows:
         given[3] = np.zeros((n_channels, n_rows))
         return cls(*given)
 
-    def of(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> OrderRows:
+    def of(self, which: Ints | Bools) -> OrderRows:
         """Those of the rows that ``which`` picks."""
         return OrderRows(*(getattr(self, item.name)[:, which] for item in fields(self)))
 
@@ -104,8 +123,8 @@ class TrackReader:
         self.order_map = order_map
         self.items = [item for item in followed if item.attrs.get("swept", 0) and item.sizes.get("frame", 0)]
         self._frames = list(frames)
-        self.map_rpm: Array = order_map["speed"].values
-        self.speed_rpm: Array = np.concatenate([self.map_rpm, *(item["speed"].values for item in self.items)])
+        self.map_rpm: Floats = order_map["speed"].values
+        self.speed_rpm: Floats = np.concatenate([self.map_rpm, *(item["speed"].values for item in self.items)])
 
     def rows(self, order: float, others: Sequence[float] = ()) -> OrderRows:
         """OrderRows of ``order`` (cycles per crank revolution, exact), told from ``others`` that are close to it."""
@@ -125,7 +144,7 @@ class TrackReader:
         """Whether ``order`` was followed through a sweep."""
         return any(_place_in(item, order) >= 0 for item in self.items)
 
-    def worth(self, order: float) -> Array:
+    def worth(self, order: float) -> Floats:
         """How many independent values each row (rows,) of ``order`` stands for, 1 at most.
 
         Rows of an order that was followed through a sweep are closer than its filter parts.
@@ -140,7 +159,7 @@ class TrackReader:
             parts.append(np.minimum(share, 1.0))
         return np.concatenate(parts)
 
-    def nearest_row_of_map(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    def nearest_row_of_map(self, rows: Ints) -> Ints:
         """Of each of the ``rows`` (chosen,) the row of the map at the nearest speed: itself where it is one."""
         known = np.flatnonzero(np.isfinite(self.map_rpm))
         if not len(known):
@@ -149,7 +168,7 @@ class TrackReader:
         nearest = known[np.where(np.isnan(apart), np.inf, apart).argmin(axis=1)]
         return np.asarray(np.where(rows < len(self.map_rpm), rows, nearest))
 
-    def _rows_of_sweeps(self, followed: list[xr.Dataset]) -> NDArray[np.bool_]:
+    def _rows_of_sweeps(self, followed: list[xr.Dataset]) -> Bools:
         """Rows of the map in which all frames are of recordings that ``followed`` holds: theirs are better."""
         names = {str(item.attrs["recording"]) for item in followed}
         if not names or not self._frames:
@@ -167,7 +186,7 @@ class TrackReader:
         return common_frames(self._frames)[0]
 
     @cached_property
-    def _row_of_frames(self) -> list[NDArray[np.int64]]:
+    def _row_of_frames(self) -> list[Ints]:
         """Row of the map nearest in speed to each frame; those of unknown speed by recording, as the map has them."""
         known = np.flatnonzero(np.isfinite(self.map_rpm))
         unnamed = iter(np.flatnonzero(~np.isfinite(self.map_rpm)))
@@ -225,7 +244,7 @@ class TrackReader:
             values["phase_ci95"][:, row] = np.where(phase_known, one.phase_half, np.nan)
         return OrderRows(**values)
 
-    def _stretches(self, lines: Array, others: list[float]) -> list[Stretch]:
+    def _stretches(self, lines: Floats, others: list[float]) -> list[Stretch]:
         """Phasors of each recording in each row, of what is about ``lines`` (lines,) apart from ``others`` [orders]."""
         axis = self.order_map["order"].values
         step = float(axis[1] - axis[0])
@@ -268,17 +287,17 @@ class TrackReader:
         return OrderRows(unit * line, nothing, unit * error, dof, unit * low, unit * high, nothing)
 
     @cached_property
-    def _beside(self) -> tuple[NDArray[np.int64], Array]:
+    def _beside(self) -> tuple[Ints, Floats]:
         """Bins beside each bin that hold noise, and how many independent ones they are worth."""
         cycle = int(self.order_map.attrs["revs_per_cycle"])
         return beside_bins(self.order_map["order"].values, line_step=1.0 / cycle)
 
     @cached_property
-    def _unit(self) -> Array:
+    def _unit(self) -> Floats:
         """Power of two (channels, 1) by which amplitudes are divided before they are squared."""
         return power_of_two(self.order_map["amplitude"].values)[..., 0]
 
-    def _energy(self, place: float, close: list[float]) -> tuple[Array, float]:
+    def _energy(self, place: float, close: list[float]) -> tuple[Floats, float]:
         """Mean squared amplitude (channels, rows) of the line ``place`` bins up, and its share of a bin's noise power.
 
         Each frame is solved for the line and those ``close`` to it by generalised least squares over the bins of their
@@ -301,7 +320,7 @@ class TrackReader:
         with np.errstate(invalid="ignore"):
             return total / count, share
 
-    def _lobe_fit(self, place: float, close: list[float]) -> tuple[NDArray[np.int64], Array, float]:
+    def _lobe_fit(self, place: float, close: list[float]) -> tuple[Ints, Floats, float]:
         """Bins (used,) about a line ``place`` bins up, their weights in its amplitude apart from lines ``close`` to it.
 
         Last, what share of a bin's noise power that amplitude holds.
@@ -317,7 +336,7 @@ class TrackReader:
         covariance = np.linalg.inv(lobes.T @ weighted)
         return used, (covariance @ weighted.T)[0], float(covariance[0, 0])
 
-    def _phasors(self, item: xr.Dataset, used: NDArray[np.int64], solve: Array) -> NDArray[np.complex128]:
+    def _phasors(self, item: xr.Dataset, used: Ints, solve: Floats) -> Complexes:
         """Bins ``used`` of the frames of ``item``, turned to their middles, weighted by ``solve``."""
         revs = float(item.attrs["revs_per_frame"])
         centre = item["crank_angle"].values + 0.5 * revs
@@ -325,19 +344,7 @@ class TrackReader:
         return np.asarray((values @ solve) / self._unit)
 
 
-_ON_BIN_NAMES = (
-    "coherent_amplitude",
-    "phase",
-    "standard_error",
-    "degrees_of_freedom",
-    "coherent_amplitude_low",
-    "coherent_amplitude_high",
-    "phase_ci95",
-)
-"""Variables of the map that stand for the fields of OrderRows."""
-
-
-def hann_lobe(off_bins: Array) -> Array:
+def hann_lobe(off_bins: Floats) -> Floats:
     """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
     edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -380,10 +387,6 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     if item.attrs["phase_reference"] not in LOCATED:
         phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
     return OrderRows(magnitude, phase, error, dof, low, high, half)
-
-
-BAND_HELD = 0.5
-"""Share of a band, or of a main lobe, that must hold numbers for its sum to say something."""
 
 
 def order_tracks(
@@ -433,14 +436,14 @@ def order_tracks(
     return with_flags(tracks, flags + [flag for item in reader.items for flag in flags_of(item) if flag not in flags])
 
 
-def _replaced(reader: TrackReader, at: NDArray[np.int64], amplitude: list[NDArray[np.float64]]) -> NDArray[np.bool_]:
+def _replaced(reader: TrackReader, at: Ints, amplitude: list[Floats]) -> Bools:
     """Which rows hold no number of any order although there are sweeps whose rows stand in their place."""
     if not reader.items or not amplitude:
         return np.zeros(len(at), dtype=bool)
     return np.asarray(~np.any(np.isfinite(amplitude), axis=(0, 1)))
 
 
-def _nearest_row(known_rpm: NDArray[np.float64], speed_rpm: NDArray[np.float64]) -> NDArray[np.int64]:
+def _nearest_row(known_rpm: Floats, speed_rpm: Floats) -> Ints:
     """Number of the row of ``known_rpm`` nearest to each of ``speed_rpm``, whose first ones they are themselves."""
     apart = np.abs(speed_rpm[:, None] - known_rpm)
     nearest = np.where(np.isnan(apart), np.inf, apart).argmin(axis=1)
@@ -448,7 +451,7 @@ def _nearest_row(known_rpm: NDArray[np.float64], speed_rpm: NDArray[np.float64])
     return np.asarray(nearest)
 
 
-def _band_rms(order_map: xr.Dataset, orders: NDArray[np.float64], width_orders: float) -> NDArray[np.float64]:
+def _band_rms(order_map: xr.Dataset, orders: Floats, width_orders: float) -> Floats:
     """RMS (channels, speeds, orders) of everything within ``width_orders`` around each of ``orders``."""
     level = order_map["amplitude"].values
     largest = np.nanmax(level, axis=(1, 2), keepdims=True, initial=0.0)
@@ -471,17 +474,20 @@ _VARIABLES = (
 )
 
 
-def followed_orders(order_map: xr.Dataset, findings: dict[str, Any], settings: OrderSettings) -> list[float]:
+def followed_orders(order_map: xr.Dataset, findings: Findings, settings: OrderSettings) -> list[float]:
     """Orders to follow: those that ``findings`` name and those that ``settings`` ask for.
 
     Each found one stands where ``track_order`` of the OrderMap ``order_map`` says.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
-    found = (
-        track_order(record["order"], record["order_ci95"], record["lock"], revs_per_cycle=cycle)
-        for record in findings["orders"]
-    )
+    found = (track_order(one.order, _ends(one.order_ci95), one.lock, revs_per_cycle=cycle) for one in findings.orders)
     return all_tracked(found, settings)
+
+
+def _ends(interval: Interval | None) -> tuple[float, float]:
+    """Ends of ``interval``; without bound where one is not known."""
+    low, high = interval or (None, None)
+    return -np.inf if low is None else low, np.inf if high is None else high
 
 
 def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:
@@ -489,7 +495,7 @@ def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:
     return sorted({round(float(order), 9) for order in settings.track_orders} | set(found))
 
 
-def track_order(order: float, order_ci95: Sequence[float], lock: str, *, revs_per_cycle: int) -> float:
+def track_order(order: float, order_ci95: Sequence[float], lock: str | None, *, revs_per_cycle: int) -> float:
     """The number at which the track of a found ``order`` stands, with its interval ``order_ci95`` (low, high).
 
     An order that is locked to the shaft (``lock`` "locked"), or may be ("undecided" with a multiple of the cycle's
@@ -503,9 +509,7 @@ def track_order(order: float, order_ci95: Sequence[float], lock: str, *, revs_pe
     return round(multiple if locked else order, 6)
 
 
-def _band_sum(
-    power: NDArray[np.float64], centre: NDArray[np.float64], width: float, *, least_share: float
-) -> NDArray[np.float64]:
+def _band_sum(power: Floats, centre: Floats, width: float, *, least_share: float) -> Floats:
     """Sum of ``power`` (…, bins) over ``width`` bins around each ``centre`` (in bins); part bins count in part.
 
     NaN where less than ``least_share`` of the width holds numbers.
@@ -515,11 +519,11 @@ def _band_sum(
     return np.where(held < least_share * width, np.nan, _sum_around(power, centre, width))
 
 
-def _sum_around(power: NDArray[np.float64], centre: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+def _sum_around(power: Floats, centre: Floats, width: float) -> Floats:
     filled = np.nan_to_num(power)
     cumulative = np.concatenate([np.zeros_like(filled[..., :1]), np.cumsum(filled, axis=-1)], axis=-1)
 
-    def up_to(edge: NDArray[np.float64]) -> NDArray[np.float64]:
+    def up_to(edge: Floats) -> Floats:
         edge = np.clip(edge + 0.5, 0.0, cumulative.shape[-1] - 1.0)
         low = np.minimum(edge.astype(int), cumulative.shape[-1] - 2)
         share = edge - low

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from crankorder.orders.between_recordings import one_mark
+from crankorder.orders.between_recordings import one_phase_reference
 from crankorder.orders.intervals import NORMAL
 from crankorder.orders.swing_evidence import (
     HARMONICS,
@@ -25,10 +24,10 @@ from crankorder.orders.swing_evidence import (
     rows_of,
     swings_of,
 )
-from crankorder.quantities import QualityFlag, with_flags
+from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of
-from crankorder.shaft.reference_errors import reference_of
+from crankorder.shaft.audit import reference_of
 from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel
 
 ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"
@@ -46,17 +45,33 @@ MANY_LINES = 360.0
 UNKNOWN_DEG = 180.0
 """Half width of the interval of a phase that is not known."""
 
-Array = NDArray[np.float64]
+
+LEFT = "angle_swing_left_rev"
+"""Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
+
+GIVEN = "given_by_swing"
+"""Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
+
+LINES_PER_HARMONIC = 8.0
+"""Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
+
+WHOLE = 1e-6
+
+STEPS = 4
+"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
+
+NAMES = {1: "eccentricity", 2: "ovality"}
+"""What makes a swing so often per turn; the others are of uneven lines."""
 
 
 @dataclass(frozen=True, eq=False)
 class AngleErrors:
     """Errors of the crank angle [rev] by row: ``random`` (rows,) within it, ``mean`` (rows,) that of its mean."""
 
-    random: Array
-    mean: Array
+    random: Floats
+    mean: Floats
 
-    def phase_half_deg(self, half_deg: Array, order: Array) -> Array:
+    def phase_half_deg(self, half_deg: Floats, order: Floats) -> Floats:
         """``half_deg``, half widths of 95 % intervals of phases, with the error of the angle at each ``order``.
 
         All have shapes that follow from (rows,) by broadcasting; unknown phases stay so.
@@ -66,7 +81,7 @@ class AngleErrors:
             np.where(half_deg < UNKNOWN_DEG, np.minimum(np.hypot(half_deg, turned), UNKNOWN_DEG), half_deg)
         )
 
-    def kept(self, order: Array) -> Array:
+    def kept(self, order: Floats) -> Floats:
         """Share of its amplitude, 0 to 1, that a line at each ``order`` keeps; shapes as of :meth:`phase_half_deg`."""
         return np.asarray(np.exp(-0.5 * np.square(2.0 * np.pi * order * self.random)))
 
@@ -102,9 +117,7 @@ def _lines_per_rev(shaft: xr.Dataset) -> float:
     return float(shaft.attrs.get("teeth_per_rev", 0.0)) if int(shaft.attrs.get("n_pulses", 0)) > 0 else 0.0
 
 
-def errors_of_rows(
-    frames: Sequence[xr.Dataset], owner: NDArray[np.int64], rows: Sequence[NDArray[np.int64]]
-) -> AngleErrors:
+def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Ints]) -> AngleErrors:
     """Errors of the rows of a map of OrderFrames ``frames``, whose recordings err each on its own.
 
     ``owner`` (frames of all,) is the number of the recording of each, ``rows`` the frames of each row.
@@ -121,7 +134,7 @@ def errors_of_rows(
     return AngleErrors(random, mean)
 
 
-def errors_along(shaft: xr.Dataset, time_s: Array, revs: Array) -> AngleErrors:
+def errors_along(shaft: xr.Dataset, time_s: Floats, revs: Floats) -> AngleErrors:
     """Errors of ``shaft`` at the times ``time_s`` (rows,), each over so many ``revs`` (rows,), above 0."""
     overall, of_one = _errors(shaft, float(np.median(revs)) if len(revs) else 1.0)
     if not overall > 0.0:
@@ -151,24 +164,6 @@ def _errors(shaft: xr.Dataset, revs_per_frame: float) -> tuple[float, float]:
     return error, reference.pulse_error_rev / float(np.sqrt(reference.teeth_per_rev))
 
 
-LEFT = "angle_swing_left_rev"
-"""Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
-
-GIVEN = "given_by_swing"
-"""Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
-
-LINES_PER_HARMONIC = 8.0
-"""Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
-
-WHOLE = 1e-6
-
-STEPS = 4
-"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
-
-NAMES = {1: "eccentricity", 2: "ovality"}
-"""What makes a swing so often per turn; the others are of uneven lines."""
-
-
 @dataclass(frozen=True)
 class Swings:
     """Swings of the angle, those of each recording: ``of`` by its name; ``shared`` where all have one mark."""
@@ -184,7 +179,7 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
     its teeth say that it is another. ``settings``: of orders, for what is taken of encoders.
     """
     used = [item for item in frames if float(item.attrs.get(LINES, 0.0)) > 0.0]
-    shared = bool(used) and one_mark(used) and same_teeth(used)
+    shared = bool(used) and one_phase_reference(used) and same_teeth(used)
     made: dict[str, tuple[Swing, ...]] = {}
     for group in [used] if shared else [[item] for item in used]:
         rows = rows_of(group)
@@ -227,7 +222,7 @@ def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSett
     return with_flags(made, [_flag(recording, one, "the angle") for one in own if one.proved])
 
 
-def _error(taken: dict[int, complex], angle: NDArray[np.float64], *, slope: bool = False) -> NDArray[np.float64]:
+def _error(taken: dict[int, complex], angle: Floats, *, slope: bool = False) -> Floats:
     """Error [rev] of the angle shown at the true ``angle`` [rev] by the swings ``taken``, or its ``slope``."""
     total = np.zeros(angle.shape)
     for harmonic, size in taken.items():
@@ -280,7 +275,7 @@ def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
     return {} if not stated else dict(zip(HARMONICS, np.max(stated, axis=0).tolist(), strict=True))
 
 
-def given_to(amplitude: NDArray[np.float64], frames: Sequence[xr.Dataset]) -> NDArray[np.float64]:
+def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
     """Largest amplitude that the rest of the swing in ``frames`` gives to each (…, orders) of ``amplitude``."""
     left = left_of(frames)
     if not any(left.values()):
@@ -329,9 +324,7 @@ def _stated(own: Sequence[Swing], item: xr.Dataset | None = None) -> dict[str, l
     return {LEFT: [one.left_rev for one in own], TAKEN: np.maximum(before, now).tolist()}
 
 
-def _brought_back(
-    values: NDArray[np.complex128], order: NDArray[np.float64], taken: dict[int, complex]
-) -> NDArray[np.complex128]:
+def _brought_back(values: Complexes, order: Floats, taken: dict[int, complex]) -> Complexes:
     """``values`` (channel, order, frame) at each ``order`` in the true angle, as far as all are followed."""
     if not taken:
         return values
@@ -345,7 +338,7 @@ def _brought_back(
     return np.where(np.isfinite(values.real), np.einsum("os,csf->cof", turn, sources), np.nan)
 
 
-def _given(amplitude: NDArray[np.float64], order: NDArray[np.float64], left: dict[int, float]) -> NDArray[np.float64]:
+def _given(amplitude: Floats, order: Floats, left: dict[int, float]) -> Floats:
     """Largest amplitude (channel, order, frame) that swings of up to ``left`` give to each, by its neighbours."""
     square = np.zeros(amplitude.shape)
     for harmonic, size in left.items():

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError, SchemaError
+from crankorder.findings import Findings
 from crankorder.quantities import check_dataset
 
 _NOUNS = {
@@ -73,8 +74,10 @@ def findings_of(findings: object, picture: str) -> Mapping[str, Any]:
     """``findings`` as crankorder.diagnose returns them, empty for None; ``picture`` stands in the RequestError."""
     if findings is None:
         return {}
+    if isinstance(findings, Findings):
+        return findings.as_dict()
     if not isinstance(findings, Mapping) or isinstance(findings, xr.Dataset | _TREE):
-        wanted = "a dict, as crankorder.diagnose returns it or findings.json holds it"
+        wanted = "findings, as crankorder.diagnose returns it, or a dict, as findings.json holds it"
         found = type(findings).__name__
         raise RequestError("these are no findings", file=f"crankorder.plot.{picture}", found=found, allowed=wanted)
     return findings

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, dress, key_below, note, whole_ticks
 from crankorder.plot.cells import bin_edges, speed_cells, with_gaps
 from crankorder.plot.given import channel_number, dataset_of, findings_of, number_of, quantity_text, unit_of, values_of
@@ -73,7 +74,7 @@ class _Map:
 
 def campbell(
     campbell_map: xr.Dataset,
-    findings: Mapping[str, Any] | None = None,
+    findings: Findings | Mapping[str, Any] | None = None,
     *,
     channel: str | None = None,
     ax: Axes | None = None,
@@ -123,7 +124,7 @@ def campbell(
 
 def order_map(
     order_map: xr.Dataset,
-    findings: Mapping[str, Any] | None = None,
+    findings: Findings | Mapping[str, Any] | None = None,
     *,
     channel: str | None = None,
     ax: Axes | None = None,

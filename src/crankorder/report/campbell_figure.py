@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings, ModeFinding, OrderFinding
 from crankorder.plot.cells import speed_cells
+from crankorder.records import known
 from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
 from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
 from crankorder.report.drawing.colour_map import level_colours
@@ -44,7 +47,7 @@ from crankorder.report.notation import (
     order_name,
     scaling_text,
 )
-from crankorder.report.sentences.story import NOT_ASKED_FOR, strongest_sentence
+from crankorder.report.sentences.story import strongest_sentence
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
@@ -69,9 +72,7 @@ class _Map:
         return speed_cells(self.speed) if len(self.speed) else np.array([[0.0, 1.0]])
 
 
-def campbell_figure(
-    campbell: xr.Dataset, channel: str, findings: dict[str, Any], *, settings: ReportSettings
-) -> Drawing:
+def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Campbell diagram of one channel, ready for :func:`crankorder.report.figures.png_bytes`.
 
     Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
@@ -91,7 +92,7 @@ def campbell_figure(
     _draw_map(panel, one, settings=settings)
     orders = orders_of(findings, channel, limit=settings.max_labelled_orders)
     modes = fixed_frequencies(findings)
-    guides = _guides(panel) if NOT_ASKED_FOR in findings else []
+    guides = _guides(panel) if findings.not_asked_for else []
     _draw_orders(panel, guides or orders, findings)
     _draw_modes(panel, modes, channel)
     circles = _draw_crossings(panel, findings, channel)
@@ -103,21 +104,23 @@ def campbell_figure(
     return drawing
 
 
-def orders_of(findings: dict[str, Any], channel: str, *, limit: int) -> list[dict[str, Any]]:
+def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFinding]:
     """Order records of a ``channel`` in ``findings``, the ``limit`` strongest and as many of its half orders, by order.
 
     The half orders of a four-stroke cycle are what sets it apart: strong whole ones must not hide them.
     """
-    records = [record for record in findings.get("orders", []) if record.get("channel") == channel]
-    records.sort(key=lambda record: -float(record.get("amplitude") or 0))
+    records = [record for record in findings.orders if record.channel == channel]
+    records.sort(key=lambda record: -record.amplitude)
     half = [record for record in records[limit:] if is_of_cycle(record)]
-    return sorted([*records[:limit], *half[:limit]], key=lambda record: float(record["order"]))
+    return sorted([*records[:limit], *half[:limit]], key=lambda record: record.order)
 
 
-def is_of_cycle(record: dict[str, Any]) -> bool:
+def is_of_cycle(record: OrderFinding | Guide) -> bool:
     """Whether an order ``record`` is a half order that combustion or the camshaft of a four-stroke engine makes."""
-    cause = str(record.get("explained_by") or "")
-    return bool(record.get("half_order")) and ("gas cycle" in cause or "half order" in cause)
+    if isinstance(record, Guide):
+        return False
+    cause = record.explained_by or ""
+    return record.half_order and ("gas cycle" in cause or "half order" in cause)
 
 
 def _map_of(campbell: xr.Dataset, channel: str, settings: ReportSettings) -> _Map:
@@ -192,49 +195,65 @@ def _draw_notes(panel: Panel, one: _Map) -> None:
         panel.note("no signal: every value is zero" if len(one.speed) else "no speed is known")
 
 
-def _draw_orders(panel: Panel, orders: list[dict[str, Any]], findings: dict[str, Any]) -> None:
+def _draw_orders(panel: Panel, orders: Sequence[OrderFinding | Guide], findings: Findings) -> None:
     low, high = panel.y
     everywhere = np.array([low, high])
     for record in orders:
-        order = float(record["order"])
-        span = record.get("speed_range_rpm") or [low, high]
-        seen = np.clip(np.array([span[0], span[1]], dtype=float), low, high)
+        order = record.order
+        seen = np.clip(np.array(_seen(record) or (low, high)), low, high)
         name = f"order-{order_name(record, findings)}"
-        for speed, alpha in ((everywhere, 0.25), (seen, 0.5)) if "amplitude" in record else ((everywhere, 0.3),):
+        for speed, alpha in (
+            ((everywhere, 0.25), (seen, 0.5)) if isinstance(record, OrderFinding) else ((everywhere, 0.3),)
+        ):
             panel.curve(order * speed / 60, speed, color=_WHITE, width=0.7, alpha=alpha, name=name)
 
 
-def _guides(panel: Panel) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Guide:
+    """A whole order that is drawn for orientation."""
+
+    order: float
+
+
+def _seen(record: OrderFinding | Guide) -> tuple[float, float] | None:
+    return known(record.speed_range_rpm) if isinstance(record, OrderFinding) else None
+
+
+def _size(record: OrderFinding | Guide) -> float:
+    return record.amplitude if isinstance(record, OrderFinding) else 0.0
+
+
+def _guides(panel: Panel) -> list[Guide]:
     """Whole orders that run through the map, few enough to be told apart; they claim nothing."""
     highest = 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
     step = next((one for one in (1, 2, 5, 10, 20, 50, 100) if highest / one <= _MOST_GUIDES), 0)
     orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
-    return [{"order": order} for order in sorted(orders)]
+    return [Guide(order) for order in sorted(orders)]
 
 
-def _draw_modes(panel: Panel, modes: list[dict[str, Any]], channel: str) -> None:
+def _draw_modes(panel: Panel, modes: list[ModeFinding], channel: str) -> None:
     """Natural frequencies and tones, fainter where another channel shows them; a whirl's moves with the speed."""
     for mode in modes:
         if is_whirl(mode):
             speed = np.array(panel.y)
-            moved = float(mode["speed_slope"]) * (speed - float(mode["reference_rpm"])) / 60.0
-            place = float(mode["frequency_hz"]) + moved
+            moved = (mode.speed_slope or 0.0) * (speed - (mode.reference_rpm or 0.0)) / 60.0
+            place = mode.frequency_hz + moved
             panel.curve(place, speed, color=MODE_ON_MAP, width=1.0, alpha=0.75, name="whirl")
             continue
         mains, doubt = is_tone(mode), is_undecided(mode)
         panel.upright(
-            float(mode["frequency_hz"]), color=MAINS_ON_MAP if mains else MODE_ON_MAP,
-            alpha=0.75 if channel in (mode.get("channels") or [channel]) else 0.4,
+            mode.frequency_hz, color=MAINS_ON_MAP if mains else MODE_ON_MAP,
+            alpha=0.75 if channel in (mode.channels or (channel,)) else 0.4,
             dashes=TONE_DASHES if mains else DOUBT_DASHES if doubt else MODE_DASHES,
             name="tone" if mains else "doubt" if doubt else "mode",
         )  # fmt: skip
 
 
-def _draw_crossings(panel: Panel, findings: dict[str, Any], channel: str) -> bool:
+def _draw_crossings(panel: Panel, findings: Findings, channel: str) -> bool:
     places = [
-        (float(crossing["mode_hz"]), float(crossing["rpm"]))
-        for crossing in findings.get("crossings", [])
-        if crossing.get("excited") and crossing.get("in_range") and channel in (crossing.get("channels") or [channel])
+        (crossing.mode_hz, crossing.rpm)
+        for crossing in findings.crossings
+        if crossing.excited and crossing.in_range and channel in (crossing.channels or (channel,))
     ]
     if places:
         x, y = (np.array(values) for values in zip(*places, strict=True))
@@ -245,7 +264,7 @@ def _draw_crossings(panel: Panel, findings: dict[str, Any], channel: str) -> boo
 
 
 def _label_edges(
-    panel: Panel, orders: list[dict[str, Any]], modes: list[dict[str, Any]], findings: dict[str, Any]
+    panel: Panel, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], findings: Findings
 ) -> None:
     """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right."""
     drawing, box = panel.drawing, panel.box
@@ -253,7 +272,7 @@ def _label_edges(
     top, side = _order_labels(panel, orders, findings)
     named = []
     for number, mode in enumerate(modes):
-        frequency_hz = float(mode["frequency_hz"])
+        frequency_hz = mode.frequency_hz
         if panel.x[0] <= frequency_hz <= panel.x[1]:
             place = float(panel.at(frequency_hz, panel.y[0])[0, 0])
             text = f"{frequency_text(frequency_hz)}{'?' if is_undecided(mode) else ''} Hz"
@@ -269,15 +288,15 @@ def _label_edges(
 
 
 def _order_labels(
-    panel: Panel, orders: list[dict[str, Any]], findings: dict[str, Any]
+    panel: Panel, orders: Sequence[OrderFinding | Guide], findings: Findings
 ) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
     """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
     (f_low, f_high), (low, high) = panel.x, panel.y
-    loudest = max((float(record.get("amplitude") or 0) for record in orders), default=0.0)
+    loudest = max((_size(record) for record in orders), default=0.0)
     top, side = [], []
     for number, record in enumerate(orders):
-        order, text = float(record["order"]), order_name(record, findings)
-        bold = loudest > 0 and float(record.get("amplitude") or 0) == loudest
+        order, text = record.order, order_name(record, findings)
+        bold = loudest > 0 and _size(record) == loudest
         colour = HALF_ORDER if is_of_cycle(record) else INK
         if f_low <= order * high / 60 <= f_high:
             top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), text, colour, number, bold))
@@ -286,7 +305,7 @@ def _order_labels(
     return top, side
 
 
-def _keys(*, orders: list[dict[str, Any]], modes: list[dict[str, Any]], circles: bool) -> list[Key]:
+def _keys(*, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], circles: bool) -> list[Key]:
     keys = [Key("order found (bold: strongest)", INK)] if orders else []
     if any(is_of_cycle(record) for record in orders):
         keys.append(Key("half order: combustion or camshaft", HALF_ORDER))
@@ -294,7 +313,7 @@ def _keys(*, orders: list[dict[str, Any]], modes: list[dict[str, Any]], circles:
         keys.append(Key("natural frequency", MODE, MODE_DASHES))
     if any(is_undecided(mode) for mode in modes):
         keys.append(Key("not decided", MODE, DOUBT_DASHES))
-    tones = {str(mode.get("explained_by")) for mode in modes if is_tone(mode)}
+    tones = {mode.explained_by for mode in modes if is_tone(mode)}
     if tones:
         of_mains = {cause for cause in tones if cause.endswith("mains")}
         label = "mains" if tones == of_mains else "fixed tone" if not of_mains else "mains or fixed tone"
@@ -302,12 +321,12 @@ def _keys(*, orders: list[dict[str, Any]], modes: list[dict[str, Any]], circles:
     return [*keys, Key("excited crossing", INK, ring=True)] if circles else keys
 
 
-def _title(drawing: Drawing, findings: dict[str, Any], channel: str, *, settings: ReportSettings) -> None:
-    name = drawable(findings.get("test", ""), settings.max_name_characters)
+def _title(drawing: Drawing, findings: Findings, channel: str, *, settings: ReportSettings) -> None:
+    name = drawable(findings.test, settings.max_name_characters)
     name = shortened(name, LARGE, 0.62 * settings.width_in, bold=True)
     title = f"{name} · channel {drawable(channel, settings.max_name_characters)}"
     said = strongest_sentence(findings, channel)
-    if NOT_ASKED_FOR in findings:
+    if findings.not_asked_for:
         said = "Level over frequency and speed; findings were not asked for."
     title_lines(drawing, _LEFT, title, drawable(said, 300))
     quality_note(drawing, findings)

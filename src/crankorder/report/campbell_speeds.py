@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from crankorder.findings import Findings
+from crankorder.records import known
 from crankorder.report.drawing.drawn import Stroke
 from crankorder.report.drawing.keys import Key
 from crankorder.report.drawing.labels import EdgeLabel
 from crankorder.report.drawing.palette import AVOID, FREE, NOT_JUDGED
 from crankorder.report.drawing.panel import Panel
-from crankorder.report.sentences.of_speeds import free_bands, is_range, not_judged_rpm, open_bands, speeds_together
+from crankorder.report.sentences.of_speeds import free_bands, not_judged_rpm, open_bands, speeds_together
 
 STRIP_IN = 0.13
 """Room in inches that the strip takes right of the diagram."""
@@ -23,26 +23,22 @@ _LEAST_IN = 0.05  # a range is drawn at least this high
 _OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not judged
 
 
-def has_strip(findings: dict[str, Any]) -> bool:
+def has_strip(findings: Findings) -> bool:
     """True where the ``findings`` name ranges of speed to avoid, free ones or open ones."""
     return bool(_ranges(findings)) or bool(free_bands(findings)) or bool(open_bands(findings))
 
 
-def _ranges(findings: dict[str, Any]) -> list[tuple[float, float, float]]:
+def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
     """Low end, high end and middle of each range to stay out of."""
-    groups = speeds_together(findings) if findings.get("speeds_to_avoid") else []
+    groups = speeds_together(findings) if findings.speeds_to_avoid else []
     return [
-        (
-            min(float(one["rpm_range"][0]) for one in group),
-            max(float(one["rpm_range"][1]) for one in group),
-            sum(float(one["rpm"]) for one in group) / len(group),
-        )
+        (min(low for low, _ in ends), max(high for _, high in ends), sum(one.rpm for one in group) / len(group))
         for group in groups
-        if all(is_range(one.get("rpm_range")) for one in group)
+        if len(ends := [both for one in group if (both := known(one.rpm_range)) is not None]) == len(group)
     ]
 
 
-def draw_strip(panel: Panel, findings: dict[str, Any]) -> list[EdgeLabel]:
+def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
     """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
     low, high = panel.y
     for number, band in enumerate(open_bands(findings)):
@@ -62,7 +58,7 @@ def draw_strip(panel: Panel, findings: dict[str, Any]) -> list[EdgeLabel]:
     return labels[:_LABELS]
 
 
-def _open_rpm(findings: dict[str, Any]) -> list[float]:
+def _open_rpm(findings: Findings) -> list[float]:
     """Speeds in free bands at which a crossing could not be judged."""
     return [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free_bands(findings))]
 
@@ -78,7 +74,7 @@ def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> N
     panel.drawing.add(Stroke(ends, color, _WIDTH_PT, square=True, name=name, values=values))
 
 
-def strip_keys(findings: dict[str, Any]) -> list[Key]:
+def strip_keys(findings: Findings) -> list[Key]:
     """What the colours of the strip of the ``findings`` mean."""
     keys = [Key("speed to avoid", AVOID, width=_WIDTH_PT)] if _ranges(findings) else []
     keys += [Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else []

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
+from crankorder.findings import BearingFinding, CrossingFinding, Findings, ModeFinding, OrderFinding, Quality
 from crankorder.identify.mains import is_electric, multiple_in
-from crankorder.identify.said import CLEARLY_EXCITED, IF_WRONG, MAY_BE_ALL
-from crankorder.quantities import QualityFlag
+from crankorder.identify.said import IF_WRONG, MAY_BE_ALL
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
-from crankorder.report.sentences.of_speeds import free_bands, is_range, open_bands
+from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
 
 HALF = 0.5
@@ -44,7 +45,7 @@ APART = (
 """Pairs of words that no page may hold both of."""
 
 
-def contradictions(findings: dict[str, Any]) -> tuple[str, ...]:
+def contradictions(findings: Findings) -> tuple[str, ...]:
     """Every pair of statements of ``findings`` (as in ``data_schema/findings.json``) that cannot both be so, in words.
 
     The fields of each record are held against one another, records against those of other lists, and the sentences of
@@ -64,26 +65,26 @@ def contradictions(findings: dict[str, Any]) -> tuple[str, ...]:
     return tuple(words for check in checks for words in check(findings))
 
 
-def contradiction_flags(findings: dict[str, Any]) -> list[QualityFlag]:
+def contradiction_flags(findings: Findings) -> list[Quality]:
     """A flag for each of the :func:`contradictions` of ``findings``: neither statement is to be trusted."""
     return [
-        {"recording": "all", "flag": "contradiction", "severity": "suspect", "detail": f"{words}: trust neither"}
+        Quality(recording="all", flag="contradiction", severity="suspect", detail=f"{words}: trust neither")
         for words in contradictions(findings)
     ]
 
 
-def _of_orders(findings: dict[str, Any]) -> Iterator[str]:
-    for record in findings.get("orders", []):
-        name = f"order {order_text(float(record['order']))} in {record.get('channel')}"
+def _of_orders(findings: Findings) -> Iterator[str]:
+    for record in findings.orders:
+        name = f"order {order_text(record.order)} in {record.channel}"
         yield from (f"{name}: {words}" for words in _of_lock(record))
         yield from (f"{name}: {words}" for words in _of_growth(record))
         yield from (f"{name}: {words}" for words in _outside(record))
 
 
-def _of_lock(record: dict[str, Any]) -> Iterator[str]:
+def _of_lock(record: OrderFinding) -> Iterator[str]:
     """Verdict on the lock against the number, the words of its evidence and what would decide it."""
-    lock, ends = record.get("lock"), interval_of(record, "order")
-    evidence = str(record.get("evidence") or "")
+    lock, ends = record.lock, interval_of(record, "order")
+    evidence = str(record.evidence or "")
     if ends is not None and lock in ("slips", "locked"):
         holds = _multiple_within(ends)
         if lock == "slips" and holds is not None:
@@ -92,9 +93,9 @@ def _of_lock(record: dict[str, Any]) -> Iterator[str]:
             yield "it is locked, and its interval holds no multiple of the half revolution"
     if "not locked to the shaft" in evidence and (lock == "locked" or _says_locked(evidence)):
         yield "it is locked and not locked to the shaft"
-    if lock in ("slips", "locked") and is_number(record.get("revs_to_decide")):
+    if lock in ("slips", "locked") and is_number(record.revs_to_decide):
         yield f"its lock is decided ({lock}), and more revolutions would decide it"
-    if lock == "slips" and record.get("half_order") is True:
+    if lock == "slips" and record.half_order is True:
         yield "it slips and is a half order"
 
 
@@ -110,8 +111,8 @@ def _multiple_within(ends: tuple[float, float]) -> float | None:
     return nearest if ends[0] - spare <= nearest <= ends[1] + spare else None
 
 
-def _of_growth(record: dict[str, Any]) -> Iterator[str]:
-    law, exponent = str(record.get("speed_law") or ""), record.get("speed_exponent")
+def _of_growth(record: OrderFinding) -> Iterator[str]:
+    law, exponent = str(record.speed_law or ""), record.speed_exponent
     if is_number(exponent):
         if law.startswith("grows") and exponent < 0.0:
             yield f"it grows with the speed, with an exponent of {exponent:.2g}"
@@ -119,17 +120,15 @@ def _of_growth(record: dict[str, Any]) -> Iterator[str]:
             yield f"it falls with the speed, with an exponent of {exponent:.2g}"
 
 
-def _outside(record: dict[str, Any]) -> Iterator[str]:
+def _outside(record: Record) -> Iterator[str]:
     """Values that lie outside their own interval or range."""
     for key in ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification"):
-        ends, value = interval_of(record, key), record.get(key)
+        ends, value = interval_of(record, key), getattr(record, key, None)
         if ends is not None and is_number(value) and not _within(float(value), ends):
             yield f"{key} {value:.6g} lies outside its interval ({ends[0]:.6g} to {ends[1]:.6g})"
     for key, at in (("speed_range_rpm", "speed_rpm_at_max"), ("rpm_range", "rpm")):
-        ends, value = record.get(key), record.get(at)
-        if ends is None or not is_range(ends) or not is_number(value):
-            continue
-        if not _within(float(value), (float(ends[0]), float(ends[1]))):
+        ends, value = known(getattr(record, key, None)), getattr(record, at, None)
+        if ends is not None and is_number(value) and not _within(value, ends):
             yield f"{at} {value:.6g} lies outside {key} ({ends[0]:.6g} to {ends[1]:.6g})"
 
 
@@ -138,151 +137,147 @@ def _within(value: float, ends: tuple[float, float]) -> bool:
     return ends[0] - spare <= value <= ends[1] + spare
 
 
-def _of_modes(findings: dict[str, Any]) -> Iterator[str]:
-    for record in findings.get("modes", []):
-        name = f"{float(record['frequency_hz']):.5g} Hz"
+def _of_modes(findings: Findings) -> Iterator[str]:
+    for record in findings.modes:
+        name = f"{record.frequency_hz:.5g} Hz"
         yield from (f"{name}: {words}" for words in _outside(record))
-        if record.get("explained_by") == "mode" and record.get("undecided"):
+        if record.explained_by == "mode" and record.undecided:
             yield f"{name}: a natural frequency, and not decided"
-        if record.get("explained_by") == "mode":
+        if record.explained_by == "mode":
             yield from (f"{name}: a natural frequency, and {words}" for words in _tones_at(record, findings))
         if _may_be_a_tone(record):
             yield from (f"{name}: may be a natural frequency, and {words}" for words in _tones_at(record, findings))
-        if record.get("reached_by_orders") == [] and _is_excited(record, findings):
+        if record.reached_by_orders == () and _is_excited(record, findings):
             yield f"{name}: no order reaches it, and a crossing there is excited"
 
 
-def _may_be_a_tone(record: dict[str, Any]) -> bool:
+def _may_be_a_tone(record: ModeFinding) -> bool:
     """Whether a natural frequency is open, known well enough to stand at one place, and names no line there."""
-    ends, doubt = interval_of(record, "frequency_hz"), str(record.get("undecided") or "")
+    ends, doubt = interval_of(record, "frequency_hz"), str(record.undecided or "")
     narrow = ends is not None and ends[1] - ends[0] <= BESIDE * ends[1]
     return bool(doubt) and narrow and not is_tone(record) and MAY_BE_ALL not in doubt
 
 
-def _tones_at(mode: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
+def _tones_at(mode: ModeFinding, findings: Findings) -> Iterator[str]:
     """Tones that the findings name within the interval of a decided natural frequency and that are as sharp as it."""
     ends = interval_of(mode, "frequency_hz")
-    for tone in findings.get("modes", []):
-        if ends is not None and is_tone(tone) and _within(float(tone["frequency_hz"]), ends):
-            yield f"{tone['explained_by']} at {float(tone['frequency_hz']):.5g} Hz"
+    for tone in findings.modes:
+        if ends is not None and is_tone(tone) and _within(tone.frequency_hz, ends):
+            yield f"{tone.explained_by} at {tone.frequency_hz:.5g} Hz"
 
 
-def _is_excited(mode: dict[str, Any], findings: dict[str, Any]) -> bool:
+def _is_excited(mode: ModeFinding, findings: Findings) -> bool:
     return any(
-        record.get("excited") and record.get("in_range") and abs(record["mode_hz"] / mode["frequency_hz"] - 1.0) < SAME
-        for record in findings.get("crossings", [])
+        record.excited and record.in_range and abs(record.mode_hz / mode.frequency_hz - 1.0) < SAME
+        for record in findings.crossings
     )
 
 
-def _of_crossings(findings: dict[str, Any]) -> Iterator[str]:
-    speeds = [float(one) for one in findings.get("speed_range_rpm") or [] if is_number(one)]
-    known = [float(mode["frequency_hz"]) for mode in findings.get("modes", []) if not is_tone(mode)]
-    for record in findings.get("crossings", []):
-        name = f"order {order_text(float(record['order']))} with {float(record['mode_hz']):.5g} Hz"
-        verdict, excited = record.get("verdict"), record.get("excited")
+def _of_crossings(findings: Findings) -> Iterator[str]:
+    speeds = [float(one) for one in findings.speed_range_rpm or [] if is_number(one)]
+    known = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
+    for record in findings.crossings:
+        name = f"order {order_text(record.order)} with {record.mode_hz:.5g} Hz"
+        verdict, excited = record.verdict, record.excited
         if verdict in ("excited", "not excited") and bool(excited) != (verdict == "excited"):
             yield f"{name}: verdict {verdict!r}, and excited is {excited}"
-        if record.get("in_range") is True and speeds and not _reaches(record, speeds):
-            yield f"{name}: in the tested range, and at {record['rpm']:.0f} rpm"
+        if record.in_range is True and speeds and not _reaches(record, speeds):
+            yield f"{name}: in the tested range, and at {record.rpm:.0f} rpm"
         yield from (f"{name}: {words}" for words in _of_meeting(record, findings))
-        if excited and not any(abs(record["mode_hz"] / hz - 1.0) < SAME for hz in known):
+        if excited and not any(abs(record.mode_hz / hz - 1.0) < SAME for hz in known):
             yield f"{name}: excited, and no such natural frequency is listed"
 
 
-def _of_meeting(record: dict[str, Any], findings: dict[str, Any]) -> Iterator[str]:
+def _of_meeting(record: CrossingFinding, findings: Findings) -> Iterator[str]:
     """A crossing against the speed to avoid that it is, and against what its order is called."""
-    order, mode_hz, times = record["order"], record["mode_hz"], record.get("amplification")
-    for other in findings.get("speeds_to_avoid") or []:
-        same = other.get("order") == order and other.get("mode_hz") == mode_hz
-        twice = other.get("amplification")
+    order, mode_hz, times = record.order, record.mode_hz, record.amplification
+    for other in findings.speeds_to_avoid or []:
+        same = other.order == order and other.mode_hz == mode_hz
+        twice = other.amplification
         if same and is_number(times) and is_number(twice) and abs(times - twice) > SAME * max(times, twice):
             yield f"amplified {times:.3g} times, and {twice:.3g} times where it is to be avoided"
-    texts = [str(one.get("explained_by")) for one in findings.get("orders", []) if one.get("order") == order]
+    texts = [one.explained_by or "" for one in findings.orders if one.order == order]
     if any(is_electric(text) for text in texts):
         yield "a line of fixed frequency moves with the speed"
 
 
-def _reaches(record: dict[str, Any], speeds: Sequence[float]) -> bool:
+def _reaches(record: CrossingFinding, speeds: Sequence[float]) -> bool:
     """Whether a crossing, within its interval and the share of a speed that is as good as tested, lies in the range."""
-    low, high = interval_of(record, "rpm") or (record["rpm"], record["rpm"])
+    low, high = interval_of(record, "rpm") or (record.rpm, record.rpm)
     spare = max(BESIDE * max(speeds), BESIDE_RPM)
     return bool(low <= max(speeds) + spare and high >= min(speeds) - spare)
 
 
-def _is_felt(crossing: dict[str, Any]) -> bool:
+def _is_felt(crossing: CrossingFinding) -> bool:
     """Whether an excited crossing may make an order so much larger that nobody would call its speed free."""
     ends = interval_of(crossing, "amplification")
-    return bool(crossing.get("excited")) and (ends is None or ends[1] >= CLEARLY_EXCITED)
+    return bool(crossing.excited) and (ends is None or ends[1] >= SAID.clearly_excited_ratio)
 
 
-def _of_speeds(findings: dict[str, Any]) -> Iterator[str]:
+def _of_speeds(findings: Findings) -> Iterator[str]:
     free, unknown = free_bands(findings), open_bands(findings)
-    avoid = [
-        (float(record["rpm_range"][0]), float(record["rpm_range"][1]))
-        for record in findings.get("speeds_to_avoid") or []
-        if is_range(record.get("rpm_range"))
-    ]
+    avoid = [ends for one in findings.speeds_to_avoid or () if (ends := known(one.rpm_range)) is not None]
     for low, high in free:
         for words, others in (("to be avoided", avoid), ("not known", unknown)):
             for other in others:
                 if min(high, other[1]) - max(low, other[0]) > SAME * high:
                     yield f"{low:.0f} to {high:.0f} rpm: free, and {other[0]:.0f} to {other[1]:.0f} rpm {words}"
-        for record in findings.get("crossings", []):
-            if _is_felt(record) and is_number(record.get("rpm")) and low < record["rpm"] < high:
-                yield f"{low:.0f} to {high:.0f} rpm: free, and an excited crossing at {record['rpm']:.0f} rpm"
-    ranks = [record["rank"] for record in findings.get("speeds_to_avoid") or [] if is_number(record.get("rank"))]
+        for record in findings.crossings:
+            if _is_felt(record) and is_number(record.rpm) and low < record.rpm < high:
+                yield f"{low:.0f} to {high:.0f} rpm: free, and an excited crossing at {record.rpm:.0f} rpm"
+    ranks = [record.rank for record in findings.speeds_to_avoid or [] if is_number(record.rank)]
     if ranks != sorted(ranks):
         yield f"speeds to avoid are listed by rank, and stand as {ranks}"
 
 
-def _of_bearings(findings: dict[str, Any]) -> Iterator[str]:
-    struck = {record.get("name") for record in findings.get("bearings", []) if _is_damage(record)}
-    for record in findings.get("bearings", []):
-        name = f"{record.get('line')} of {record.get('name')}"
-        if record.get("name") in struck and "no bearing alarm" in str(record.get("verdict")):
+def _of_bearings(findings: Findings) -> Iterator[str]:
+    struck = {record.name for record in findings.bearings if _is_damage(record)}
+    for record in findings.bearings:
+        name = f"{record.line} of {record.name}"
+        if record.name in struck and "no bearing alarm" in record.verdict:
             yield f"{name}: no bearing alarm, and another line of it is called damage"
-        if record.get("lock") == "locked" and _is_damage(record) and record.get("seen_in") != "envelope":
+        if record.lock == "locked" and _is_damage(record) and record.seen_in != "envelope":
             yield f"{name}: damage, and locked to the shaft"
         yield from (f"{name}: {words}" for words in _outside(record))
 
 
-def _of_mains(findings: dict[str, Any]) -> Iterator[str]:
+def _of_mains(findings: Findings) -> Iterator[str]:
     """Two lines of one recording that are one multiple of the mains: a supply has one frequency."""
     lines: dict[tuple[str, float | None], list[tuple[float, float, float]]] = {}
-    for record in findings.get("orders", []):
-        rpm, ends, words = record.get("speed_rpm_at_max"), interval_of(record, "order"), str(record.get("explained_by"))
+    for record in findings.orders:
+        rpm, ends, words = record.speed_rpm_at_max, interval_of(record, "order"), record.explained_by or ""
         if multiple_in(words) is not None and is_number(rpm) and ends is not None:
-            middle, low, high = (float(one) * float(rpm) / 60.0 for one in (record["order"], *ends))
+            middle, low, high = (float(one) * float(rpm) / 60.0 for one in (record.order, *ends))
             lines.setdefault((words, round(float(rpm), 3)), []).append((middle, low, high))
-    for record in findings.get("modes", []):
-        words, ends = str(record.get("explained_by")), interval_of(record, "frequency_hz")
+    for mode in findings.modes:
+        words, ends = mode.explained_by, interval_of(mode, "frequency_hz")
         if multiple_in(words) is not None and ends is not None:
-            lines.setdefault((words, None), []).append((float(record["frequency_hz"]), *ends))
+            lines.setdefault((words, None), []).append((mode.frequency_hz, *ends))
     for (words, _), places in lines.items():
         below, above = min(places), max(places)
         if above[0] - below[0] > SAME_LINE_HZ and above[1] > below[2]:
             yield f"{words} at {below[0]:.6g} Hz and at {above[0]:.6g} Hz: a supply has one frequency"
 
 
-def _of_motor(findings: dict[str, Any]) -> Iterator[str]:
+def _of_motor(findings: Findings) -> Iterator[str]:
     """A slip told by a speed that the lines of the shaft speak against."""
-    told = [one for one in (findings.get("motor") or {}).get("speeds") or [] if is_number(one.get("slip"))]
-    if told and any(IF_WRONG in str(record.get("explained_by")) for record in findings.get("orders", [])):
+    told = [one for one in (findings.motor.speeds if findings.motor else ()) if is_number(one.slip)]
+    if told and any(IF_WRONG in (record.explained_by or "") for record in findings.orders):
         yield "the motor's slip is told, and lines of the shaft say that the speed may be wrong"
 
 
-def _of_quality(findings: dict[str, Any]) -> Iterator[str]:
+def _of_quality(findings: Findings) -> Iterator[str]:
     """What is flagged as of another gain must not take part in amplitudes, their growth, and modes told by these."""
-    for flag in findings.get("quality", []):
-        if flag.get("flag") == "level_jump" and flag.get("left_out") != "channel":
-            yield f"{flag.get('channel')} of {flag.get('recording')}: its gain was changed, and it took part"
+    for flag in findings.quality:
+        if flag.flag == "level_jump" and flag.left_out != "channel":
+            yield f"{flag.channel} of {flag.recording}: its gain was changed, and it took part"
 
 
-def _is_damage(record: dict[str, Any]) -> bool:
-    return str(record.get("verdict") or "").startswith("Damage")
+def _is_damage(record: BearingFinding) -> bool:
+    return str(record.verdict or "").startswith("Damage")
 
 
-def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
+def _of_sentences(findings: Findings) -> Iterator[str]:
     """Sentences of the page against each other and against the lists that they are made from."""
     story = story_of(findings)
     said = [*headline(findings), *story["what"], *story["why"], *story["how_sure"], *story["what_to_do"]]
@@ -290,12 +285,12 @@ def _of_sentences(findings: dict[str, Any]) -> Iterator[str]:
     yield from (f"the page says {one!r} and {other!r}" for one, other in APART if one in text and other in text)
     if "explained by orders and tones" in text and not has_lines(findings):
         yield "all energy is explained by orders and tones, and none was found"
-    if "No order stands above the noise" in text and findings.get("orders"):
+    if "No order stands above the noise" in text and findings.orders:
         yield "no order stands above the noise, and orders are listed"
-    for record in findings.get("levels") or []:
-        name = named(record.get("channel"), limit=NAME_CHARACTERS)
+    for record in findings.levels:
+        name = named(record.channel, limit=NAME_CHARACTERS)
         if f"The strongest line in {name} lies above" in text and f"is the strongest line in {name}:" in text:
             yield f"{name}: its strongest line lies above the band, and within"
-    decided = [mode for mode in findings.get("modes", []) if not is_tone(mode) and not is_undecided(mode)]
+    decided = [mode for mode in findings.modes if not is_tone(mode) and not is_undecided(mode)]
     if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
         yield "natural frequencies are named, and none is decided"

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
 from crankorder.report.notation import number_text, unit_text
 from crankorder.report.style import (
@@ -47,7 +48,7 @@ _FROM = {"tdc": "from top dead centre", "index": "from the index mark", "pulse":
 
 def cycle_figure(
     cycles: xr.Dataset,
-    findings: dict[str, Any],
+    findings: Findings,
     *,
     settings: ReportSettings,
     speeds_rpm: Sequence[float] | None = None,
@@ -87,7 +88,7 @@ def cycle_figure(
         reference = str(cycles.attrs.get("phase_reference", "none"))
         label = f"Crank angle {_FROM.get(reference, 'from where the recording begins')}, °"
         write(figure, _LEFT + (settings.width_in - _LEFT - _RIGHT) / 2, 0.2, label, ha="center")
-        name = drawable(findings.get("test", ""), settings.max_name_characters)
+        name = drawable(findings.test, settings.max_name_characters)
         title_lines(figure, _LEFT, f"{name} · average cycle", _subtitle(cycles, len(shown)))
         quality_note(figure, findings)
         return figure
@@ -117,8 +118,8 @@ def _subtitle(cycles: xr.Dataset, shown: int) -> str:
 
 def _heading(one: xr.Dataset) -> str:
     """Speed of a column and how many cycles it averages."""
-    speed = float(one["speed"])
-    count = one["n_cycles"].values
+    speed = one.speed
+    count = one.n_cycles.values
     least, most = int(count.min()), int(count.max())
     cycles = f"{least}…{most} cycles" if least < most else f"{most} cycle{'s' if most != 1 else ''}"
     return f"{f'{speed:.0f} rpm' if math.isfinite(speed) else 'unknown speed'} · {cycles}"
@@ -161,7 +162,7 @@ def _name_row(figure: Figure, channel: xr.Dataset, middle: float, height: float,
 
 def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
     """Mean and spread of one channel at one speed; the cycle is closed at its end."""
-    angle = np.append(one["cycle_angle"].values, 360.0 * int(one.attrs["revs_per_cycle"]))
+    angle = np.append(one.cycle_angle.values, 360.0 * int(one.attrs["revs_per_cycle"]))
     mean = _closed(one["mean"].values)
     if not np.isfinite(mean).all():
         axes.set_yticks([])
@@ -169,7 +170,7 @@ def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
         return
     deviation, error = (_closed(one[name].values) for name in ("standard_deviation", "standard_error"))
     fits = _value_axis(axes, mean, np.nan_to_num(deviation), height_in)
-    interval = error * t_quantile(np.array(max(int(one["n_cycles"]) - 1, 1)))
+    interval = error * t_quantile(np.array(max(int(one.n_cycles) - 1, 1)))
     for reach, alpha, gid in ((deviation, 0.16, "deviation"), (interval, 0.38, "interval")):
         if np.isfinite(reach).all() and (fits or gid != "deviation"):
             axes.fill_between(angle, mean - reach, mean + reach, color=color, alpha=alpha, linewidth=0, gid=gid)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.report.drawing.drawn import Drawing, Rings, Words, quality_note, title_lines
 from crankorder.report.drawing.keys import Key, draw_keys
 from crankorder.report.drawing.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
@@ -24,7 +23,7 @@ _SIDEBANDS = 2  # marked on either side of a line that has some
 _MULTIPLES = 12  # of a line that was found, marked at most
 
 
-def envelope_figure(envelope: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Per channel the envelope's order spectrum, averaged over the speeds, with its floor and the bearings' lines.
 
     Expected orders are dashed and named above; those that were found are circled, with their multiples as thin lines.
@@ -49,7 +48,7 @@ def envelope_figure(envelope: xr.Dataset, findings: dict[str, Any], *, settings:
         _write_band(panel, envelope, number)
     label_column(panels[0], [*marks, *_found(findings)], "")
     draw_keys(drawing, _LEFT, _keys(drawing, expected=bool(marks), found=found))
-    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    name = drawable(findings.test, settings.max_name_characters)
     title_lines(drawing, _LEFT, f"{name} · envelope spectra", _subtitle(envelope.sizes["speed"], bool(marks), found))
     quality_note(drawing, findings)
     return drawing
@@ -88,51 +87,47 @@ def _mean_over_speeds(envelope: xr.Dataset, name: str) -> NDArray[np.float64]:
     return np.asarray(scale * (total / np.maximum(known.sum(axis=1), 1)) ** 0.25, dtype=np.float64)
 
 
-def _expected(findings: dict[str, Any]) -> list[Mark]:
+def _expected(findings: Findings) -> list[Mark]:
     """Order, text and colour of every line that the bearings of ``findings`` are expected to show."""
-    records = [record for record in findings.get("bearings", []) if is_number(record.get("order_expected"))]
-    several = len({record.get("name") for record in records}) > 1
+    records = [record for record in findings.bearings if is_number(record.order_expected)]
+    several = len({record.name for record in records}) > 1
     marks: dict[float, list[str]] = {}
-    for record in sorted(records, key=lambda one: float(one["order_expected"])):
-        text = drawable(str(record.get("line") or "").replace("*", "·"), _NAME_LETTERS)
+    for record in sorted(records, key=lambda one: one.order_expected):
+        text = drawable(str(record.line or "").replace("*", "·"), _NAME_LETTERS)
         if several:
-            text = f"{text} {drawable(record.get('name') or '', _NAME_LETTERS)}"
-        texts = marks.setdefault(float(record["order_expected"]), [])
+            text = f"{text} {drawable(record.name, _NAME_LETTERS)}"
+        texts = marks.setdefault(record.order_expected, [])
         if text not in texts:
             texts.append(text)
     return [(order, f"{', '.join(texts[:2])} {order_text(order)}", MODE) for order, texts in marks.items()]
 
 
-def _found(findings: dict[str, Any]) -> list[Mark]:
+def _found(findings: Findings) -> list[Mark]:
     """Order, text and colour of every line that was found in the envelope."""
-    records = [
-        record
-        for record in findings.get("bearings", [])
-        if record.get("seen_in") == "envelope" and is_number(record.get("order"))
-    ]
-    texts = {float(record["order"]): order_name(record, findings) for record in records}
+    records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
+    texts = {record.order: order_name(record, findings) for record in records}
     return [(order, text, LINES[1]) for order, text in texts.items()]
 
 
 def _draw_found(
-    panel: Panel, orders: NDArray[np.float64], values: NDArray[np.float64], findings: dict[str, Any], channel: str
+    panel: Panel, orders: NDArray[np.float64], values: NDArray[np.float64], findings: Findings, channel: str
 ) -> bool:
     """Ring the lines that were found in the envelope of a ``channel``; thin lines at their multiples."""
     places = []
-    for record in findings.get("bearings", []):
-        own = record.get("channel") in (None, channel) and record.get("seen_in") == "envelope"
-        if not own or not is_number(record.get("order")) or not len(orders):
+    for record in findings.bearings:
+        own = record.channel in (None, channel) and record.seen_in == "envelope"
+        if not own or not is_number(record.order) or not len(orders):
             continue
-        order = float(record["order"])
+        order = record.order
         near = np.abs(orders - order) <= max(2 * float(np.median(np.diff(orders))) if len(orders) > 1 else 0.0, 1e-9)
         height = float(np.max(values, where=near, initial=0.0))
         if height > 0:
             places.append((order, height))
-        multiples = record.get("harmonics")
+        multiples = record.harmonics
         for number in range(2, min(int(multiples) if is_number(multiples) else 1, _MULTIPLES) + 1):
             if number * order <= panel.x[1]:
                 panel.upright(number * order, color=LINES[1], width=0.7, alpha=0.45, name=f"multiple-{number}")
-        _draw_sidebands(panel, order, record.get("sidebands"))
+        _draw_sidebands(panel, order, record.sidebands)
     if places:
         x, y = (np.array(one) for one in zip(*places, strict=True))
         panel.drawing.add(Rings(panel.at(x, y), 5.0, LINES[1], width=1.4, name="found", values=(x, y)))

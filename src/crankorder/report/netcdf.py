@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from functools import cache
 from io import BytesIO
 from itertools import count
 from pathlib import Path
@@ -15,6 +16,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError, UnsafeInputError, printable
+from crankorder.findings import Findings
+from crankorder.records import Document
 from crankorder.report.netcdf_layout import (
     BARE_DIMENSION,
     Variable,
@@ -45,10 +48,10 @@ _UNIT_OF = {
     "speed_exponent": "1", "amplification": "1", "amplification_predicted": "1", "slip_percent": "percent",
     "_mm": "mm",
 }  # fmt: skip
-_TABLES = (
-    "channels", "orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "open_bands", "bearings", "lines",
-    "quality",
-)  # fmt: skip
+
+
+_IN_ATTRIBUTES = ("levels", "speed_swing")
+"""Tables of the findings that stand as text in the attributes of their group."""
 
 
 def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any]) -> bytes:
@@ -153,25 +156,31 @@ def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def findings_datasets(findings: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Small tables for the groups ``findings/orders``, ``findings/modes`` … from the lists of records of ``findings``.
+def findings_datasets(findings: Findings) -> dict[str, xr.Dataset]:
+    """Small tables for the groups ``findings/orders``, ``findings/modes`` … from the records of ``findings``.
 
     Every key is a column over ``record``; an interval is a column over (record, bound) with the low end first; a
     missing number is NaN. Single numbers and texts become attributes of the group ``findings``, the balance ones of
     ``findings/balance``.
     """
-    single = {key: value for key, value in findings.items() if key not in (*_TABLES, "balance")}
+    single = {key: value for key, value in findings.as_dict().items() if key not in (*_tables(), "balance")}
     tables = {"findings": xr.Dataset(attrs=single)}
-    for table in _TABLES:
-        records = findings.get(table) or []
+    for table in _tables():
+        records = getattr(findings, table) or ()
         if records:
-            tables[f"findings/{table}"] = _table(records)
-    if isinstance(findings.get("balance"), Mapping):
-        tables["findings/balance"] = xr.Dataset(attrs=dict(findings["balance"]))
+            tables[f"findings/{table}"] = _table([one.as_dict() for one in records])
+    if findings.balance is not None:
+        tables["findings/balance"] = xr.Dataset(attrs=findings.balance.as_dict())
     return tables
 
 
-def _table(records: list[dict[str, Any]]) -> xr.Dataset:
+@cache
+def _tables() -> tuple[str, ...]:
+    """Fields of the findings that are tables of their own: those whose records hold nothing but columns."""
+    return tuple(name for name, kind in Findings.tables().items() if name not in _IN_ATTRIBUTES)
+
+
+def _table(records: list[Document]) -> xr.Dataset:
     keys = list(dict.fromkeys(key for record in records for key in record))
     return xr.Dataset({key.replace("/", "_"): _column(key, [record.get(key) for record in records]) for key in keys})
 

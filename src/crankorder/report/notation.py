@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, TypeGuard
+from typing import Any, Protocol, TypeGuard
 
 from crankorder.errors import printable
-from crankorder.identify.said import ALIKE_SPEEDS
+from crankorder.findings import Findings, ModeFinding
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import ReportSettings
 
 _TYPOGRAPHY = {
@@ -24,6 +25,22 @@ NAME_CHARACTERS = 60
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
 _SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
+
+
+class Numbered(Protocol):
+    """A record that has an order."""
+
+    @property
+    def order(self) -> float:
+        """Cycles per crank revolution."""
+
+
+class InChannel(Protocol):
+    """A record that belongs to a channel."""
+
+    @property
+    def channel(self) -> str | None:
+        """Name of the channel."""
 
 
 def named(value: object, *, limit: int) -> str:
@@ -49,17 +66,17 @@ def order_text(order: float) -> str:
     return f"{order:.3f}".rstrip("0").rstrip(".")
 
 
-def nominal_order(record: dict[str, Any] | float) -> float:
+def nominal_order(record: Numbered | float) -> float:
     """Order by which a line is called: the half order that it agrees with, else its value to the decimals it earns.
 
     ``record`` of the findings, or a measured order. With a 95 % interval it agrees with the half order inside of it
     (and is not called so where that lies outside), without one with a half order within 0.005. Else it keeps two
     decimals, or as many more, up to four, as its interval resolves.
     """
-    order = float(record["order"] if isinstance(record, dict) else record)
+    order = float(record if isinstance(record, int | float) else record.order)
     half = round(2 * order) / 2
-    interval = interval_of(record, "order") if isinstance(record, dict) else None
-    if isinstance(record, dict) and record.get("lock") == "locked" and abs(order - half) < _LOCKED_WITHIN:
+    interval = interval_of(record, "order")
+    if getattr(record, "lock", None) == "locked" and abs(order - half) < _LOCKED_WITHIN:
         return half
     if interval is None:
         return half if abs(order - half) < 0.005 else round(order, 2)
@@ -83,54 +100,48 @@ def order_texts(orders: Sequence[float]) -> list[str]:
     return [texts[float(order)] for order in orders]
 
 
-def order_name(record: dict[str, Any], findings: dict[str, Any]) -> str:
+def order_name(record: Numbered, findings: Findings) -> str:
     """Short text of the order of a ``record`` that no other order of the ``findings`` has: ``"2"``, ``"1.005"``."""
     own = nominal_order(record)
     near = {own}
-    for other in findings.get("orders", []):
-        if is_number(other.get("order")) and abs(float(other["order"]) - own) < _CLOSE_ORDERS:
-            near.add(nominal_order(other))
+    near |= {nominal_order(other) for other in findings.orders if abs(other.order - own) < _CLOSE_ORDERS}
     ordered = sorted(near)
     return order_texts(ordered)[ordered.index(own)]
 
 
-def order_estimate(record: dict[str, Any], findings: dict[str, Any]) -> str:
+def order_estimate(record: Numbered, findings: Findings) -> str:
     """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
-    if not is_number(record.get("order")):
-        return "–"
-    return estimate_text(record, "order") if record.get("order_ci95") else order_name(record, findings)
+    return estimate_text(record, "order") if getattr(record, "order_ci95", None) else order_name(record, findings)
 
 
-def is_tone(mode: dict[str, Any]) -> bool:
-    """True for a ``mode`` record of the findings that is no natural frequency: mains or another fixed tone."""
-    return str(mode.get("explained_by", "mode")) not in ("mode", "whirl", "undecided")
+def is_tone(mode: ModeFinding) -> bool:
+    """True for a ``mode`` of the findings that is no natural frequency: mains or another fixed tone."""
+    return mode.explained_by not in ("mode", "whirl", "undecided")
 
 
-def is_whirl(mode: dict[str, Any]) -> bool:
-    """True for a ``mode`` record of the findings that moves with the speed."""
-    return mode.get("explained_by") == "whirl" and is_number(mode.get("speed_slope"))
+def is_whirl(mode: ModeFinding) -> bool:
+    """True for a ``mode`` of the findings that moves with the speed."""
+    return mode.explained_by == "whirl" and is_number(mode.speed_slope)
 
 
-def is_undecided(mode: dict[str, Any]) -> bool:
-    """True for a ``mode`` record of the findings that may be a natural frequency or something else."""
-    return not is_tone(mode) and (mode.get("explained_by") == "undecided" or bool(mode.get("undecided")))
+def is_undecided(mode: ModeFinding) -> bool:
+    """True for a ``mode`` of the findings that may be a natural frequency or something else."""
+    return not is_tone(mode) and (mode.explained_by == "undecided" or bool(mode.undecided))
 
 
-def is_in_doubt(mode_hz: float, findings: dict[str, Any]) -> bool:
+def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
     """True where no mode of ``findings`` at ``mode_hz`` is for certain a natural frequency."""
-    modes = [mode for mode in findings.get("modes", []) if is_number(mode.get("frequency_hz"))]
-    nearest = min(modes, key=lambda mode: abs(float(mode["frequency_hz"]) - mode_hz), default=None)
+    nearest = min(findings.modes, key=lambda mode: abs(mode.frequency_hz - mode_hz), default=None)
     if nearest is None or is_undecided(nearest):
         return True
-    return abs(float(nearest["frequency_hz"]) - mode_hz) > _SAME_MODE * mode_hz
+    return abs(nearest.frequency_hz - mode_hz) > _SAME_MODE * mode_hz
 
 
-def unit_of(findings: dict[str, Any], record: dict[str, Any]) -> str:
+def unit_of(findings: Findings, record: InChannel) -> str:
     """Typographic unit of a ``record``: its own, else that of its channel in ``findings``; empty where unknown."""
-    if record.get("unit"):
-        return unit_text(str(record["unit"]))
-    units = {channel.get("name"): channel.get("unit", "") for channel in findings.get("channels", [])}
-    return unit_text(str(units.get(record.get("channel")) or ""))
+    own = getattr(record, "unit", None)
+    units = {channel.name: channel.unit for channel in findings.channels}
+    return unit_text(own or units.get(record.channel or "", ""))
 
 
 def number_text(value: float, *, digits: int = 3) -> str:
@@ -166,26 +177,22 @@ def _decimals(width: float, value: float) -> int:
     return min(wanted, 5 - size)
 
 
-def interval_of(record: dict[str, Any], key: str) -> tuple[float, float] | None:
+def interval_of(record: object, key: str) -> tuple[float, float] | None:
     """95 % interval of ``key`` in a ``record`` of the findings (its ``key_ci95``), or None where it has none."""
-    interval = record.get(f"{key}_ci95")
-    if not isinstance(interval, list | tuple) or len(interval) != 2 or any(not is_number(end) for end in interval):
-        return None
-    return float(interval[0]), float(interval[1])
+    low, high = getattr(record, f"{key}_ci95", None) or (None, None)
+    return (low, high) if is_number(low) and is_number(high) else None
 
 
-def least_of(record: dict[str, Any], key: str) -> float | None:
+def least_of(record: object, key: str) -> float | None:
     """Lower end of the 95 % interval of ``key`` in a ``record`` of the findings where it has no upper end, or None."""
-    ends = record.get(f"{key}_ci95")
-    if not isinstance(ends, list | tuple) or len(ends) != 2 or not is_number(ends[0]) or is_number(ends[1]):
-        return None
-    return float(ends[0])
+    low, high = getattr(record, f"{key}_ci95", None) or (None, None)
+    return low if is_number(low) and not is_number(high) else None
 
 
-def at_one_speed(findings: dict[str, Any]) -> bool:
+def at_one_speed(findings: Findings) -> bool:
     """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
-    low, high = (findings.get("speed_range_rpm") or (None, None))[:2]
-    return is_number(low) and is_number(high) and float(high) <= ALIKE_SPEEDS * float(low)
+    low, high = findings.speed_range_rpm
+    return is_number(low) and is_number(high) and high <= SAID.alike_speeds_ratio * low
 
 
 def is_number(value: object) -> TypeGuard[float]:
@@ -193,19 +200,22 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def estimate_text(record: dict[str, Any], key: str, *, unit: str = "") -> str:
+def estimate_text(record: object, key: str, *, unit: str = "") -> str:
     """Estimate with its 95 % interval: ``"0.83 (0.81…0.85) m/s²"``; ``"–"`` where there is none.
 
     ``record`` one of the findings; ``key`` the estimate's name; ``unit`` follows where given.
     """
-    value = record.get(key)
+    return with_interval(getattr(record, key), getattr(record, f"{key}_ci95", None), unit=unit)
+
+
+def with_interval(value: object, ends: Sequence[object] | None, *, unit: str = "") -> str:
+    """``value`` with the ``ends`` of its 95 % interval, to the digits that this earns, and its ``unit`` where given."""
     if not is_number(value):
         return "–"
     tail = f" {unit}" if unit else ""
-    interval = interval_of(record, key)
-    if interval is None:
+    low, high = ends or (None, None)
+    if not is_number(low) or not is_number(high):
         return number_text(float(value)) + tail
-    low, high = interval
     decimals = _decimals(high - low, float(value))
     if not -1 <= decimals <= 6:
         return f"{number_text(float(value))} ({number_text(low)}…{number_text(high)}){tail}"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.report.drawing.drawn import Drawing, quality_note, title_lines
 from crankorder.report.drawing.palette import LINES
 from crankorder.report.drawing.typeface import drawable
@@ -19,7 +19,7 @@ from crankorder.settings import ReportSettings
 _LEFT, _RIGHT = 1.0, 0.3  # inches
 
 
-def order_spectra_figure(order_map: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Per channel the largest peak amplitude that each order reaches at any speed, found orders named above.
 
     ``order_map`` an OrderMap, whose speeds may be unknown; ``findings`` of the same test; ``settings`` of the report.
@@ -28,7 +28,7 @@ def order_spectra_figure(order_map: xr.Dataset, findings: dict[str, Any], *, set
     width, largest = settings.width_in - _LEFT - _RIGHT, _largest(order_map)
     places = [(_LEFT, bottom, width, height) for bottom, height in heights]
     panels = column_panels(drawing, places, order_map, "order", largest, " (peak)", settings=settings)
-    found = sorted({nominal_order(record) for record in findings.get("orders", [])})
+    found = sorted({nominal_order(record) for record in findings.orders})
     for panel in panels:
         for order in found:
             panel.upright(order, color=LINES[1], width=0.7, alpha=0.5)
@@ -36,7 +36,7 @@ def order_spectra_figure(order_map: xr.Dataset, findings: dict[str, Any], *, set
     label_column(
         panels[0], [(order, text, LINES[1]) for order, text in zip(found, order_texts(found), strict=True)], "order"
     )
-    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    name = drawable(findings.test, settings.max_name_characters)
     speeds = order_map.sizes["speed"]
     said = f"Largest amplitude at any of {speeds} speeds." if speeds > 1 else "Amplitude by order."
     title_lines(drawing, _LEFT, f"{name} · order spectra", said)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.plot.cells import speed_cells
 from crankorder.report.cells import gaps_between
 from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
@@ -64,7 +64,7 @@ class _Tracks:
         return LINES[int(self.coloured[:number].sum())] if self.coloured[number] else LIGHT
 
 
-def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Peak amplitude with its 95 % band, and phase, of the strongest orders against speed, for every channel.
 
     Of many orders the strongest six are coloured, the others light; each line is labelled with its order at its right
@@ -86,7 +86,7 @@ def orders_figure(tracks: xr.Dataset, findings: dict[str, Any], *, settings: Rep
         _draw_channel(drawing, shown, number, (left, bottom, width, block))
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
-    title = f"{drawable(findings.get('test', ''), settings.max_name_characters)} · orders against speed"
+    title = f"{drawable(findings.test, settings.max_name_characters)} · orders against speed"
     clear = bool(np.isfinite(shown.amplitude).any())
     title_lines(drawing, _LEFT, title, _subtitle(tracks.sizes["order"], len(shown.orders), clear=clear))
     quality_note(drawing, findings)

@@ -12,6 +12,7 @@ from urllib.parse import quote
 from jinja2 import Environment, FunctionLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from crankorder.findings import Findings
 from crankorder.report.notation import named
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
@@ -30,7 +31,7 @@ _MARKED = frozenset({"excited", "suspect", "bad"})
 
 
 def report_page(
-    findings: dict[str, Any], *, pictures: list[tuple[str, str]], provenance: dict[str, Any], settings: ReportSettings
+    findings: Findings, *, pictures: list[tuple[str, str]], provenance: dict[str, Any], settings: ReportSettings
 ) -> str:
     """HTML page of a test: what shakes, why, how sure and what to do; pictures; tables with intervals; provenance.
 
@@ -44,7 +45,7 @@ def report_page(
     return page_template("report.html").render(
         policy=page_policy(),
         style=Markup(page_style()),  # our own file, never text from data
-        test=named(findings.get("test", ""), limit=limit),
+        test=named(findings.test, limit=limit),
         lead=lead,
         story=[(title, [one for one in said[key] if one != lead]) for key, title in _ANSWERS],
         pictures=[(_beside(file), named(caption, limit=4 * limit)) for file, caption in pictures],

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from crankorder.findings import Findings, nothing_sought
 from crankorder.report.figures import (
     campbell_figure,
     order_spectra_figure,
@@ -46,12 +47,14 @@ def prepare() -> None:
     )
     from crankorder.settings import load_settings
 
-    Picture("", partial(campbell_figure, map_, "Z", {"test": ""}, settings=load_settings().report), 130).png()
+    Picture(
+        "", partial(campbell_figure, map_, "Z", nothing_sought("", reason=""), settings=load_settings().report), 130
+    ).png()
 
 
 def pictures_of(
     groups: Mapping[str, xr.Dataset],
-    findings: dict[str, Any],
+    findings: Findings,
     *,
     settings: ReportSettings,
     name_of: Callable[[str], str],

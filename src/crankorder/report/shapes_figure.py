@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Wedge
 
+from crankorder.findings import Findings
 from crankorder.report.notation import nominal_order, number_text, order_text, unit_text
 from crankorder.report.style import (
     FAINT,
@@ -61,7 +62,7 @@ class _Cell:
 
 
 def shapes_figure(
-    shapes: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings, speed_rpm: float | None = None
+    shapes: xr.Dataset, findings: Findings, *, settings: ReportSettings, speed_rpm: float | None = None
 ) -> Figure:
     """Phasors of all channels (columns) at the strongest orders (rows), with amplitude, phase and 95 % intervals.
 
@@ -85,8 +86,8 @@ def shapes_figure(
         for number, block in enumerate(blocks):
             top = figure.get_size_inches()[1] - _TOP - number * block_height
             _draw_block(figure, canvas, one, block, orders, (top, cell_width, height), settings)
-        name = drawable(findings.get("test", ""), settings.max_name_characters)
-        speed = float(one["speed"])
+        name = drawable(findings.test, settings.max_name_characters)
+        speed = one.speed
         said = f" at {speed:.0f} rpm" if math.isfinite(speed) else ""
         title_lines(figure, 0.25, f"{name} · operating shapes{said}", _subtitle(shapes, len(orders)))
         quality_note(figure, findings)
@@ -105,14 +106,14 @@ def _speed_row(shapes: xr.Dataset, speed_rpm: float | None) -> int:
 
 def _strongest(one: xr.Dataset) -> list[int]:
     """Places of the orders to show, ascending: those clear in any channel, by their share of a channel's largest."""
-    amplitude = np.nan_to_num(one["amplitude"].transpose("channel", "order").values)
-    low = one["amplitude_ci95"].transpose("channel", "order", "bound").values[..., 0]
-    swing = np.ptp(one["phase_ci95"].transpose("channel", "order", "bound").values, axis=-1)
+    amplitude = np.nan_to_num(one.amplitude.transpose("channel", "order").values)
+    low = one.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
+    swing = np.ptp(one.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
     clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
     largest = clear.max(axis=1, initial=0.0)
     share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
     kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
-    return sorted(kept, key=lambda place: float(one["order"].values[place]))
+    return sorted(kept, key=lambda place: float(one.order.values[place]))
 
 
 def _subtitle(shapes: xr.Dataset, shown: int) -> str:
@@ -153,10 +154,10 @@ def _draw_block(
     for row, order in enumerate(orders):
         middle = top - _HEADER - (row + 0.5) * height
         canvas.plot([0.25, _LEFT + len(channels) * width], [middle + height / 2] * 2, color=GRID, linewidth=0.8)
-        _name_row(figure, one.isel(order=order), middle, mixed=len(set(one["phase_from"].values)) > 1)
+        _name_row(figure, one.isel(order=order), middle, mixed=len(set(one.phase_from.values)) > 1)
         for column, channel in enumerate(channels):
             cell = _cell(one.isel(channel=channel, order=order))
-            longest = _longest(one.isel(order=order), str(one["unit"].values[channel]))
+            longest = _longest(one.isel(order=order), str(one.unit.values[channel]))
             _draw_cell(figure, canvas, cell, longest, (_LEFT + column * width, middle, width))
 
 
@@ -191,24 +192,24 @@ def _two_lines(name: str, width_in: float) -> list[str]:
 
 def _name_row(figure: Figure, order: xr.Dataset, middle: float, *, mixed: bool) -> None:
     """Order of a row and, where rows differ in that, what its phases are from."""
-    value = nominal_order(float(order["order"]))
+    value = nominal_order(order.order)
     write(figure, 0.25, middle + 0.03, f"order {order_text(value)}", fontweight="bold")
-    origin = str(order["phase_from"].item())
+    origin = str(order.phase_from.item())
     if mixed:
         text = shortened(f"from {_SHORT.get(origin, drawable(origin, 24))}", SMALL, _LEFT - 0.3)
         write(figure, 0.25, middle - 0.12, text, fontsize=SMALL, color=FAINT)
 
 
 def _cell(one: xr.Dataset) -> _Cell:
-    low, high = (float(value) for value in one["amplitude_ci95"].values)
-    first, last = (float(value) for value in one["phase_ci95"].values)
-    return _Cell(float(one["amplitude"]), low, high, float(one["phase"]), 0.5 * (last - first))
+    low, high = (float(value) for value in one.amplitude_ci95.values)
+    first, last = (float(value) for value in one.phase_ci95.values)
+    return _Cell(one.amplitude, low, high, one.phase, 0.5 * (last - first))
 
 
 def _longest(order: xr.Dataset, unit: str) -> float:
     """Largest amplitude at an order among the channels of a unit."""
-    alike = np.flatnonzero(order["unit"].values == unit)
-    return float(np.nanmax(np.nan_to_num(order["amplitude"].values[alike]), initial=0.0))
+    alike = np.flatnonzero(order.unit.values == unit)
+    return float(np.nanmax(np.nan_to_num(order.amplitude.values[alike]), initial=0.0))
 
 
 def _draw_cell(figure: Figure, canvas: Axes, cell: _Cell, longest: float, place: tuple[float, float, float]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings, ModeFinding
 from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
 from crankorder.report.drawing.labels import EdgeLabel, fitted, label_top
 from crankorder.report.drawing.palette import (
@@ -44,7 +45,7 @@ Mark = tuple[float, str, str]
 """Place along the axis, text and colour of what is named above a column."""
 
 
-def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Per channel the median power spectral density over all speeds, and the peak spectrum at the highest speed.
 
     Natural frequencies are marked and named over the left column, orders over the right one. ``campbell`` a
@@ -66,13 +67,13 @@ def spectra_figure(campbell: xr.Dataset, findings: dict[str, Any], *, settings: 
         for mode in modes:
             tone = is_tone(mode)
             dashes = TONE_DASHES if tone else DOUBT_DASHES if is_undecided(mode) else MODE_DASHES
-            panel.upright(float(mode["frequency_hz"]), color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
+            panel.upright(mode.frequency_hz, color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
     orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
     draw_spectra(left, frequency, median)
     draw_spectra(right, frequency, peak)
     label_column(left[0], [_mode_mark(mode) for mode in modes], "")
     label_column(right[0], orders, "order")
-    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    name = drawable(findings.test, settings.max_name_characters)
     title_lines(
         drawing,
         _LEFT,
@@ -162,23 +163,23 @@ def _log_limits(values: NDArray[Any], decades: float) -> tuple[float, float] | N
     return max(quiet / 2, top * 10**-decades), min(2.5 * top, 1e307)
 
 
-def _mode_mark(mode: dict[str, Any]) -> Mark:
-    frequency_hz = float(mode["frequency_hz"])
+def _mode_mark(mode: ModeFinding) -> Mark:
+    frequency_hz = mode.frequency_hz
     doubt = "?" if is_undecided(mode) else ""
     return frequency_hz, f"{frequency_text(frequency_hz)}{doubt} Hz", MAINS if is_tone(mode) else MODE
 
 
 def _mark_orders(
-    panels: list[Panel], campbell: xr.Dataset, findings: dict[str, Any], rpm: float, *, limit: int
+    panels: list[Panel], campbell: xr.Dataset, findings: Findings, rpm: float, *, limit: int
 ) -> list[Mark]:
     if not np.isfinite(rpm):
         return []
     strength: dict[float, float] = {}
     found: set[tuple[str, float]] = set()
-    for record in findings.get("orders", []):
+    for record in findings.orders:
         order = nominal_order(record)
-        strength[order] = max(strength.get(order, 0.0), float(record.get("amplitude") or 0))
-        found.add((str(record.get("channel")), order))
+        strength[order] = max(strength.get(order, 0.0), record.amplitude)
+        found.add((record.channel, order))
     kept = sorted(sorted(strength, key=lambda order: -strength[order])[:limit])
     texts = order_texts(kept)
     for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):

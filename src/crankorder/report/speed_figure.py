@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.report.drawing.drawn import Drawing, quality_note, title_lines
 from crankorder.report.drawing.labels import EdgeLabel, label_right
 from crankorder.report.drawing.palette import FAINT, LIGHT, LINES, SMALL
@@ -52,7 +51,7 @@ def _spread(trace: NDArray[np.float64]) -> float:
     return float(means.max() / max(float(means.min()), 1e-3))
 
 
-def speed_figure(shaft: xr.Dataset, findings: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Speed [rpm] against time [s] of the :func:`shown_recordings`, with its swing as a band.
 
     ``shaft`` the group of that name of the results, with ``trace_time``, ``speed_trace`` and where known
@@ -85,7 +84,7 @@ def speed_figure(shaft: xr.Dataset, findings: dict[str, Any], *, settings: Repor
             EdgeLabel(height, shortened(name, SMALL, _RIGHT - 0.3), LINES[place] if place < _COLOURED else FAINT)
         )
     label_right(drawing, box, labels if len(labels) <= 2 * _COLOURED else labels[:_COLOURED])
-    name = drawable(findings.get("test", ""), settings.max_name_characters)
+    name = drawable(findings.test, settings.max_name_characters)
     title_lines(drawing, _LEFT, f"{name} · speed against time", _said(shaft, numbers))
     quality_note(drawing, findings)
     return drawing

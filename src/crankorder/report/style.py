@@ -18,8 +18,9 @@ from matplotlib.font_manager import get_font
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from crankorder.findings import Findings
+from crankorder.plot.axes import decade_text
 from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
-from crankorder.report.drawing.ticks import decade_text
 from crankorder.report.drawing.typeface import drawable
 
 __all__ = [
@@ -74,9 +75,9 @@ def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> No
         write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
 
 
-def quality_note(figure: Figure, findings: dict[str, Any]) -> None:
+def quality_note(figure: Figure, findings: Findings) -> None:
     """Note at the foot of ``figure`` when the ``findings`` carry suspect or bad data."""
-    doubtful = sum(flag.get("severity") in ("suspect", "bad") for flag in findings.get("quality", []))
+    doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
     if doubtful:
         text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
         place = figure.get_size_inches()[0] - 0.2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.findings import BearingFinding, Findings
 from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import estimate_text, is_number, named, order_estimate, order_text, unit_of
 from crankorder.report.rows import Table, table_of
@@ -19,71 +20,66 @@ NO_BEARING = (
 NO_BEARING_IN_ENVELOPE = "No bearing was named in the manifest, or none of its lines was seen in vibration or envelope."
 
 
-def tone_table(findings: dict[str, Any], limit: int) -> Table:
+def tone_table(findings: Findings, limit: int) -> Table:
     """Tones and mains of ``findings``, one row per tone and channel, names cut at ``limit``; empty where none is."""
     rows = []
     for tone in fixed_tones(findings):
-        kind, frequency = named(tone["kind"], limit=limit), estimate_text(tone["record"], "frequency_hz")
-        evidence = named(tone["record"].get("evidence") or "–", limit=4 * limit)
-        for line in tone["lines"]:
+        kind, frequency = named(tone.record.explained_by, limit=limit), estimate_text(tone.record, "frequency_hz")
+        evidence = named(tone.record.evidence or "–", limit=4 * limit)
+        for line in tone.lines:
             level = estimate_text(line, "amplitude", unit=unit_of(findings, line))
-            rows.append([frequency, kind, named(line.get("channel", ""), limit=limit), level, evidence])
-        if not tone["lines"]:
-            channels = ", ".join(str(name) for name in tone["record"].get("channels") or [])
+            rows.append([frequency, kind, named(line.channel, limit=limit), level, evidence])
+        if not tone.lines:
+            channels = ", ".join(tone.record.channels)
             rows.append([frequency, kind, named(channels, limit=limit), "–", evidence])
     heads = "Frequency, Hz#|What it is|Channel|Amplitude (peak)#|Evidence"
     return table_of("Tones and mains: no natural frequencies", heads, rows, empty="")
 
 
-def bearing_table(findings: dict[str, Any], limit: int) -> Table:
+def bearing_table(findings: Findings, limit: int) -> Table:
     """Bearing lines of ``findings`` with what was expected, found and concluded; names cut at ``limit``."""
-    rows = [_bearing_row(record, findings, limit) for record in findings.get("bearings", [])]
+    rows = [_bearing_row(record, findings, limit) for record in findings.bearings]
     heads = (
         "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#|"
         "Sidebands, orders apart#|To the shaft"
     )
-    empty = NO_BEARING_IN_ENVELOPE if "envelope" in (findings.get("looked_for") or []) else NO_BEARING
+    empty = NO_BEARING_IN_ENVELOPE if "envelope" in (findings.looked_for) else NO_BEARING
     return table_of("Bearings", heads, rows, empty=empty)
 
 
-def _bearing_row(record: dict[str, Any], findings: dict[str, Any], limit: int) -> list[str]:
-    band, multiples, apart = band_text(record), record.get("harmonics"), record.get("sidebands")
-    seen = named(record.get("seen_in") or "–", limit=limit)
-    lock = str(record.get("lock") or "–")
-    expected = record.get("order_expected")
+def _bearing_row(record: BearingFinding, findings: Findings, limit: int) -> list[str]:
+    band, multiples, apart = band_text(record), record.harmonics, record.sidebands
+    seen = named(record.seen_in or "–", limit=limit)
+    lock = str(record.lock or "–")
+    expected = record.order_expected
     return [
-        named(record.get("name") or "", limit=limit),
-        named(record.get("line") or "", limit=limit).replace("*", "·"),
-        named(record.get("verdict") or "", limit=4 * limit),
+        named(record.name or "", limit=limit),
+        named(record.line or "", limit=limit).replace("*", "·"),
+        named(record.verdict or "", limit=4 * limit),
         f"{seen}, {band} Hz" if band else seen,
         f"{expected:.4f}".rstrip("0").rstrip(".") if is_number(expected) else "–",
         order_estimate(record, findings),
-        estimate_text(record, "slip_percent") if record.get("slip_percent_ci95") else "–",
+        estimate_text(record, "slip_percent") if record.slip_percent_ci95 else "–",
         estimate_text(record, "amplitude", unit=unit_of(findings, record)),
-        named(record.get("channel") or "–", limit=limit),
+        named(record.channel or "–", limit=limit),
         f"{multiples:.0f}" if is_number(multiples) else "–",
         order_text(float(apart)) if is_number(apart) else "–",
         named(lock, limit=limit),
     ]
 
 
-def balance_table(findings: dict[str, Any], limit: int) -> Table:
+def balance_table(findings: Findings, limit: int) -> Table:
     """Residual unbalance of ``findings`` with intervals, then what is not decided and why; names cut at ``limit``."""
-    balance = findings.get("balance")
-    rows, note = [], ""
-    reason = findings.get("balance_reason")
-    if isinstance(balance, dict):
-        reason = reason or balance.get("reason")
-        known = [*QUANTITIES, *(key for key in balance if key not in QUANTITIES)]
-        for key in known:
-            if key.endswith("_ci95") or not is_number(balance.get(key)):
-                continue
-            title, unit = QUANTITIES.get(key, (key.replace("_", " "), ""))
-            rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
+    balance, rows, note = findings.balance, list[list[str]](), ""
+    if balance is not None:
+        for key, (title, unit) in QUANTITIES.items():
+            if is_number(getattr(balance, key)):
+                rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
         rows += [[title, f"not decided: {why}"] for title, why in undecided_quantities(balance)]
-        note = f"Worked out{source_text(balance)}." if balance.get("source") else ""
-        if balance.get("evidence"):
-            note = f"{note} {named(balance['evidence'], limit=6 * limit)}".strip()
+        note = f"Worked out{source_text(balance)}." if balance.source else ""
+        if balance.evidence:
+            note = f"{note} {named(balance.evidence, limit=6 * limit)}".strip()
+    reason = findings.balance_reason
     why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
     return table_of("Balance", "Quantity|Value", rows, note=note, empty=f"No residual unbalance was worked out.{why}")
 

@@ -1,4 +1,4 @@
-"""Crank angle and speed on time knots from numbered pulses, and between the knots, with the standard error."""
+"""Crank angle and speed, on time knots and between, with the error: from numbered pulses or a signal of the speed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from numba import njit
+from numpy.typing import NDArray
 
+from crankorder.errors import InputError
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.pulses import FloatArray
+from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.repair import IntArray
 from crankorder.shaft.smoother import (
     HIGHEST_CUT_OFF,
     LOWEST_CUT_OFF,
@@ -21,7 +24,6 @@ from crankorder.shaft.smoother import (
     noise_from_differences,
     penalty_of,
 )
-from crankorder.shaft.wheel import IntArray
 
 # Interpolation between knots may err by this share of the standard error, or by ROUND_OFF_REV if that is more.
 KNOT_ERROR_SHARE, ROUND_OFF_REV = 0.1, 1e-10
@@ -364,3 +366,150 @@ def _share_of_step(y, c1, c2, c3):  # type: ignore[no-untyped-def]
         x -= change
     x = x if x > low else low
     return x if x < high else high
+
+
+POINTS = 33
+"""Angles that are read in a stretch: rounded pulses average out over them."""
+
+GRID_S, STRETCH_S, STRETCH_REV, LONGEST_S = 0.05, 0.2, 4.0, 2.0
+"""Step of the speeds along a recording, and the stretch that each is read over: at least so long, and so many
+revolutions (two engine cycles: uneven running averages out), at most so long."""
+
+CHANGE_S = 0.5
+"""Time over which the rate of change of the speed is smoothed."""
+
+RUNNING_SHARE, SLOWEST_RPM = 0.03, 20.0
+"""Share of the highest speed, and speed, below which a shaft counts as standing."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SpeedCourse:
+    """Speed [rpm] of a recording at ``time_s``, its rate of change [rpm/s], and whether the shaft turns (times,)."""
+
+    time_s: Array
+    speed_rpm: Array
+    rate_rpm_per_s: Array
+    runs: NDArray[np.bool_]
+
+    def parts(self) -> list[tuple[float, float]]:
+        """Begin and end [s] of each stretch of time in which the shaft turns."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.runs, [False]])))
+        return [(float(self.time_s[a]), float(self.time_s[b - 1])) for a, b in edges.reshape(-1, 2) if b - a > 1]
+
+
+def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -> Array:
+    """Speed [rpm] at ``time_s`` (times,): slope of the parabola through the angle over ``stretch_s`` around each.
+
+    ``shaft`` is a ShaftAngle by time. The stretch (times,) is cut at the ends of the record, where the slope of the
+    parabola is still that at ``time_s``. No single pulse says much of it, unlike of the slope between two knots.
+    """
+    known = shaft["time"].values
+    time_s = np.asarray(time_s, dtype=np.float64)
+    half = 0.5 * np.broadcast_to(np.asarray(stretch_s, dtype=np.float64), time_s.shape)
+    low, high = np.maximum(time_s - half, known[0]), np.minimum(time_s + half, known[-1])
+    u = np.linspace(-1.0, 1.0, POINTS)
+    centre, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-12)
+    at = np.clip(centre[:, None] + reach[:, None] * u, known[0], known[-1])
+    angle = angle_at(at.ravel(), **knots_of(shaft)).reshape(at.shape)
+    angle -= angle[:, POINTS // 2, None]
+    fit = np.linalg.pinv(np.stack([np.ones(POINTS), u, u * u], axis=1))
+    _, slope, bend = (angle @ fit.T).T
+    return np.asarray(60.0 * (slope + 2.0 * bend * (time_s - centre) / reach) / reach)
+
+
+def speed_at_angle(shaft: xr.Dataset, angle_rev: Array, stretch_rev: Array | float) -> Array:
+    """Speed [rpm] at ``angle_rev`` (angles,) of ``shaft``, over the time that ``stretch_rev`` around each takes."""
+    knots = knots_of(shaft)
+    first, last = knots["knot_angle_rev"][[0, -1]]
+    half = 0.5 * np.asarray(stretch_rev, dtype=np.float64)
+    begin, middle, end = (time_at(np.clip(angle_rev + side * half, first, last), **knots) for side in (-1.0, 0.0, 1.0))
+    return smoothed_speed(shaft, middle, end - begin)
+
+
+def speed_course(shaft: xr.Dataset) -> SpeedCourse:
+    """SpeedCourse of the ShaftAngle ``shaft`` by time, in steps of 0.05 s (fewer than that where it is shorter)."""
+    first, last = shaft["time"].values[[0, -1]]
+    count = max(4, math.floor((last - first) / GRID_S) + 1)
+    at = np.linspace(first, last, count)
+    rough = np.maximum(smoothed_speed(shaft, at, STRETCH_S), 1e-9)
+    speed = smoothed_speed(shaft, at, np.clip(60.0 * STRETCH_REV / rough, STRETCH_S, LONGEST_S))
+    step = float(at[1] - at[0])
+    change = np.abs(np.gradient(speed, step))
+    length = 2 * max(1, round(0.5 * CHANGE_S / step)) + 1
+    window = np.hanning(length + 2)[1:-1]
+    padded = np.pad(change, length // 2, mode="edge")
+    rate = np.convolve(padded, window / window.sum(), mode="valid")
+    runs = speed > max(SLOWEST_RPM, RUNNING_SHARE * float(speed.max()))
+    return SpeedCourse(at, np.maximum(speed, 1e-9), rate, runs)
+
+
+NOISE_SIGMAS = 6.0
+"""A sample so many standard deviations of the noise below 0 is no standing shaft."""
+
+
+def integrated_speed(
+    speed_rpm: FloatArray, *, rate_hz: float, settings: ShaftSettings, start_s: float = 0.0
+) -> tuple[AngleKnots, list[Remark]]:
+    """Knots of crank angle, 0 at the first sample, from the integral of a speed signal, and remarks.
+
+    The integral itself is not smoothed, so the angle has no bias; the speed at a knot is the mean between its
+    neighbours, half of ``speed_lowpass_rev`` away on either side.
+
+    Parameters
+    ----------
+    speed_rpm : (samples,), rpm, crank speed; samples that are not finite are bridged and flagged
+    rate_hz : samples per second
+    settings : ``speed_lowpass_rev`` is the length over which speed is smoothed, revolutions
+    start_s : time of the first sample, s
+
+    Raises
+    ------
+    InputError where the shaft does not turn through two such lengths or more than half of the samples are not finite.
+    """
+    flags: list[Remark] = []
+    speed = np.asarray(speed_rpm, dtype=np.float64)
+    finite = np.isfinite(speed)
+    n_bad = int(speed.size - finite.sum())
+    if 2 * n_bad >= speed.size:
+        raise InputError(
+            "the speed signal is not finite", found=f"{n_bad} of {speed.size} samples", allowed="fewer than half"
+        )
+    if n_bad:
+        flags.append(("speed_gap", "suspect", f"{n_bad} of {speed.size} speed samples are not finite and were bridged"))
+        at = np.arange(speed.size)
+        speed = np.interp(at, at[finite], speed[finite])
+    noise_rpm = _noise(speed)
+    backward = speed < -NOISE_SIGMAS * noise_rpm
+    n_backward = int(backward.sum())
+    if n_backward:
+        flags.append(
+            ("speed_negative", "suspect", f"{n_backward} of {speed.size} speed samples are below 0, taken as 0")
+        )
+        speed = np.where(backward, 0.0, speed)
+    revs_per_s = speed / 60.0
+    # of a shaft that stands, noise adds up to nothing only as long as neither side of it is cut off
+    angle = np.concatenate(([0.0], np.cumsum(0.5 * (revs_per_s[1:] + revs_per_s[:-1])) / rate_hz))
+    step = 0.5 * settings.speed_lowpass_rev
+    rising = np.maximum.accumulate(angle)
+    at = np.unique(np.append(np.searchsorted(rising, np.arange(0.0, rising[-1], step)), speed.size - 1))
+    at = at[np.append(True, np.diff(rising[at]) > 0.0)]
+    if at.size < 5:
+        raise InputError(
+            "the shaft does not turn far enough to follow its speed",
+            found=f"{angle[-1]:.3g} revolutions",
+            allowed=f"{5 * step:g} revolutions or more",
+            remedy="Check the unit and source of the speed signal in run.toml",
+        )
+    time_s = at / rate_hz
+    rate = np.gradient(rising[at], time_s)
+    error = noise_rpm / 60.0 * np.sqrt(np.maximum(at, 1)) / rate_hz
+    knots = AngleKnots(time_s + start_s, rising[at], rate * 60.0, error, 0.5 / settings.speed_lowpass_rev, np.nan)
+    return knots, flags
+
+
+def _noise(speed_rpm: FloatArray) -> float:
+    """Standard deviation [rpm] of white noise in ``speed_rpm`` (samples,), by how it bends from sample to sample."""
+    bend = np.diff(speed_rpm, n=2)
+    return float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0

@@ -1,26 +1,263 @@
-"""What a crank angle can carry: the bias of each order to expect of its reference, before any is computed."""
+"""What a crank angle can carry: errors that its reference makes, and the bias of each order to expect of them.
+
+An error e of the angle modulates the phase of a line at order k by 2 pi k e. Random error of standard deviation s takes
+1 - exp(-(2 pi k s)^2 / 2) of its amplitude; error that swings with amplitude A at some order leaves J0(2 pi k A) of it
+and puts J1(2 pi k A) that order away on either side; error that stands still turns its phase (Carson 1922).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
+from scipy.special import j0, j1
 
 from crankorder.settings import ShaftSettings
+from crankorder.shaft.angle import knots_of, time_at
 from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.reference_errors import (
-    Modulation,
-    Reference,
-    lag_rev,
-    pulse_noise,
-    reference_of,
-    rounding_in_step,
-    seen_motion,
-    unseen_motion,
-)
+from crankorder.shaft.smoother import HIGHEST_CUT_OFF
+
+# Cycles whose common motion is looked at, points of a revolution that show it, frames that are looked at for steps.
+MOST_CYCLES, MOST_POINTS, MOST_FRAMES = 64, 256, 64
+# Harmonics of the sawtooth that rounding makes; images of a motion on either side that interpolation leaves.
+STEP_HARMONICS, IMAGES = 8, 2
+# A tone smaller than this share of the random error is lost in it.
+TONE_SHARE = 0.3
+# Motion is told from noise by so many standard deviations of its mean over the cycles.
+SURE_DEVIATIONS = 4.0
+# Share of the noise of one pulse that motion may have and yet be smoothed away, by the rule that finds the cut-off.
+HIDDEN_SHARE = 0.4
+# Phase modulation [rad] at which a sideband is at its largest: no deeper one makes it smaller here.
+DEEPEST_RAD = 1.8412
+
+
+@dataclass(frozen=True)
+class Modulation:
+    """Error of the crank angle from one ``cause``, and what it does to a line.
+
+    ``random_rev``: standard deviation of what is random; ``mean_rev``: of its mean over a frame. ``still_rev``:
+    amplitude, over all phases of its source, of what stands still. ``tone_rev`` (tones,): amplitudes of what swings
+    at ``tone_order`` (tones,), cycles per crank revolution.
+    """
+
+    cause: str
+    random_rev: float = 0.0
+    mean_rev: float = 0.0
+    still_rev: float = 0.0
+    tone_order: FloatArray = field(default_factory=lambda: np.empty(0))
+    tone_rev: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def loss(self, order: FloatArray) -> FloatArray:
+        """Share of its amplitude that a line at each ``order`` (orders,) loses, 0 to 1."""
+        turn = 2.0 * np.pi * order
+        left = np.exp(-0.5 * (turn * self.random_rev) ** 2) * np.prod(j0(np.outer(turn, self.tone_rev)), axis=1)
+        return np.asarray(1.0 - np.abs(left))
+
+    def sideband(self, order: FloatArray) -> FloatArray:
+        """Largest share of its amplitude that a line at each ``order`` (orders,) gives to an order beside it."""
+        depth = np.outer(2.0 * np.pi * order, np.append(self.tone_rev, 0.0))
+        return np.asarray(np.max(j1(np.minimum(depth, DEEPEST_RAD)), axis=1))
+
+    def phase_deg(self, order: FloatArray) -> FloatArray:
+        """Standard deviation of the phase of a frame at each ``order`` (orders,), degrees."""
+        return 360.0 * order * math.hypot(self.mean_rev, self.still_rev / math.sqrt(2.0))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A shaft angle seen as a sampler of motion.
+
+    ``cut_off_order`` is that of its smoother, ``edge_step_s`` the step to which pulse times are rounded (0: none),
+    ``error_rev`` the standard deviation of the angle.
+    """
+
+    teeth_per_rev: float
+    cut_off_order: float
+    edge_step_s: float
+    revs_per_cycle: int
+    error_rev: float
+
+    @property
+    def pulse_error_rev(self) -> float:
+        """Standard deviation of one pulse: smoothing has divided it by the root of the pulses that it joins."""
+        return self.error_rev * math.sqrt(max(1.0, self.teeth_per_rev / (2.1 * self.cut_off_order)))
+
+    def smoothing(self, cycles_per_tooth: FloatArray) -> FloatArray:
+        """Gain of the smoother at each of ``cycles_per_tooth``."""
+        cut_off = self.cut_off_order / self.teeth_per_rev
+        if cut_off > HIGHEST_CUT_OFF:
+            return np.ones_like(cycles_per_tooth)
+        return np.asarray(1.0 / (1.0 + (np.sin(np.pi * cycles_per_tooth) / math.sin(math.pi * cut_off)) ** 6))
+
+    def lowest_unseen(self, above: float) -> float:
+        """Lowest order of the engine cycle that is beyond the order ``above``."""
+        return (math.floor(above * self.revs_per_cycle + 1e-9) + 1) / self.revs_per_cycle
+
+    def error_of_motion(self, order: float, amplitude_rev: float) -> tuple[FloatArray, FloatArray]:
+        """Orders and amplitudes [rev] of the error of the angle where it swings by ``amplitude_rev`` at ``order``.
+
+        Teeth sample the motion, so it shows at order - n teeth_per_rev for every whole n, with the gain that the cubic
+        spline through the knots has there (Unser 1999); what the motion lacks and what the others add is error.
+        """
+        tooth = order / self.teeth_per_rev
+        at = np.unique(np.append(tooth - np.round(tooth) - np.arange(-IMAGES, IMAGES + 1), tooth))
+        gain = self.smoothing(np.full(1, tooth)) * np.sinc(at) ** 4 / (1.0 - 2.0 / 3.0 * np.sin(np.pi * at) ** 2)
+        return np.abs(at) * self.teeth_per_rev, amplitude_rev * np.where(np.abs(at - tooth) < 1e-9, 1.0 - gain, gain)
+
+
+def lag_rev(order: float, irregularity: float) -> float:
+    """Amplitude [rev] of the angle where the speed swings by the share ``irregularity`` of itself at ``order``."""
+    return irregularity / (2.0 * math.pi * order)
+
+
+def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
+    """The Reference that the ShaftAngle ``shaft`` rests on; of an integrated speed, its error within a frame.
+
+    ``revs_per_frame`` is the length of a frame. ``teeth_per_rev`` is 0 where the angle has but two knots.
+    """
+    attrs, error = shaft.attrs, shaft["standard_error"].values
+    n_pulses, revs = int(attrs["n_pulses"]), float(np.ptp(shaft["crank_angle"].values))
+    error_rev = float(np.sqrt(np.mean((error[1:-1] if error.size > 2 else error) ** 2)))
+    if n_pulses == 0:  # the integral of a speed walks at random
+        error_rev *= math.sqrt(min(1.0, revs_per_frame / revs))
+    # the outermost knots lie a tooth beyond the pulses
+    teeth = float(attrs.get("teeth_per_rev", ((n_pulses or error.size - 2) + 1) / revs))
+    return Reference(
+        teeth_per_rev=teeth if error.size > 2 else 0.0,
+        cut_off_order=float(attrs.get("cut_off_order", np.inf)),
+        edge_step_s=float(attrs.get("edge_step_s", 0.0)),
+        revs_per_cycle=int(attrs["revs_per_cycle"]),
+        error_rev=error_rev,
+    )
+
+
+def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
+    """Random error of the angle of ``reference``, within frames of ``revs_per_frame`` and in the mean of one."""
+    left = min(reference.error_rev, reference.pulse_error_rev / math.sqrt(reference.teeth_per_rev * revs_per_frame))
+    within = math.sqrt(reference.error_rev**2 - left**2)
+    return Modulation("the noise of the pulses", random_rev=within, mean_rev=left)
+
+
+def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
+    """Amplitude [rev] of the in-cycle motion that ``shaft`` shows surely, by order: what its cycles have in common.
+
+    In each cycle time is compared with the cubic through the ends of it and of its neighbours, which takes away what a
+    run-up does. ``reference`` is that of ``shaft``; where motion is only what rounding makes of it, it is left out.
+    """
+    turns, knots = reference.revs_per_cycle, knots_of(shaft)
+    first, last = math.ceil(knots["knot_angle_rev"][0]), math.floor(knots["knot_angle_rev"][-1])
+    points = min(MOST_POINTS, int(reference.teeth_per_rev + 1e-6)) * turns
+    cycles = min(MOST_CYCLES, (last - first) // turns - 2)
+    if cycles < 2 or points < 3:
+        return {}
+    x = np.arange(points) / points
+    begin = first + turns * (1 + ((last - first) // turns - 2 - cycles) // 2)
+    angle = begin + turns * (np.arange(cycles)[:, None] + x)
+    ends = time_at(begin + turns * np.arange(-1.0, cycles + 2.0), **knots)
+    weights = np.stack((-x * (x - 1) * (x - 2), 3 * (x + 1) * (x - 1) * (x - 2), -3 * (x + 1) * x * (x - 2)))
+    weights = np.vstack((weights, (x + 1) * x * (x - 1))) / 6.0
+    smooth = np.lib.stride_tricks.sliding_window_view(ends, 4) @ weights
+    late = (time_at(angle.ravel(), **knots).reshape(angle.shape) - smooth) / np.diff(ends)[1:-1, None]
+    order = np.arange(1, (points + 1) // 2) / turns
+    gain = reference.smoothing(order / reference.teeth_per_rev)
+    amplitude = 2.0 * turns * np.abs(np.fft.rfft(late.mean(axis=0)))[1 : order.size + 1] / points / gain
+    sure = (amplitude > SURE_DEVIATIONS * reference.error_rev / math.sqrt(cycles)) & (gain > 0.5)
+    if reference.edge_step_s > 0.0:
+        samples = (ends[-1] - ends[0]) / (turns * (ends.size - 1) * reference.teeth_per_rev) / reference.edge_step_s
+        for h in range(1, STEP_HARMONICS + 1):
+            beat = abs(h * samples - round(h * samples)) * reference.teeth_per_rev
+            small = amplitude * h * samples * reference.teeth_per_rev < 0.5
+            sure &= ~(small & (np.abs(order - beat) * turns < 0.5))
+    return {float(at): float(size) for at, size in zip(order[sure], amplitude[sure], strict=True)}
+
+
+def unseen_motion(
+    reference: Reference, seen: Mapping[float, float], *, percent: float, irregularity: Mapping[float, float] | None
+) -> Modulation:
+    """Error from in-cycle motion between the pulses of ``reference``, and from interpolating what is ``seen`` of it.
+
+    ``irregularity`` is the share of the speed that swings at each order, where known. Else the strongest motion seen
+    (by speed) goes on with 1 / order^2 to the lowest order that is not seen; without it, ``percent`` at order 1 does.
+    """
+    if irregularity is not None:
+        motion = {order: lag_rev(order, share) for order, share in irregularity.items() if order > 0.0}
+    else:
+        motion = dict(seen)
+        strongest = max(seen, key=lambda order: order * seen[order], default=0.0)
+        level = 2.0 * math.pi * strongest**3 * seen[strongest] if strongest else 0.01 * percent
+        between = reference.lowest_unseen(0.5 * reference.teeth_per_rev)
+        motion[between] = lag_rev(between, level / max(1.0, between**2))
+        hidden = reference.lowest_unseen(reference.cut_off_order) if math.isfinite(reference.cut_off_order) else between
+        if hidden < between and hidden not in motion:
+            largest = HIDDEN_SHARE * reference.pulse_error_rev
+            motion[hidden] = min(lag_rev(hidden, level / max(1.0, hidden**2)), largest)
+    parts = [reference.error_of_motion(at, size) for at, size in sorted(motion.items())]
+    order = np.concatenate([np.empty(0), *(part[0] for part in parts)])
+    size = np.concatenate([np.empty(0), *(part[1] for part in parts)])
+    still, matters = order < 1e-6, size > 1e-3 * size.max(initial=0.0)
+    return Modulation(
+        "motion between the pulses",
+        still_rev=float(np.sum(size[still])),
+        tone_order=order[~still & matters],
+        tone_rev=size[~still & matters],
+    )
+
+
+def rounding_in_step(
+    shaft: xr.Dataset, reference: Reference, seen: Mapping[float, float], *, revs_per_frame: float
+) -> Modulation:
+    """Error from rounding edges to samples where the sampling is in step with the teeth, in the frame of the largest.
+
+    Rounding is a sawtooth of the samples per tooth s: its harmonic h swings with 1 / (pi h) samples at |h s - n| cycles
+    per tooth (Bennett 1948). What passes the smoother and is above the noise counts; motion within the cycle (``seen``)
+    and change of speed within a frame of ``revs_per_frame`` spread it. ``reference`` is that of ``shaft``.
+    """
+    cause = "rounding in step"
+    if not reference.edge_step_s > 0.0:
+        return Modulation(cause)
+    knots = knots_of(shaft)
+    revs = float(np.ptp(knots["knot_angle_rev"]))
+    frames = max(1, min(MOST_FRAMES, int(revs / revs_per_frame)))
+    ends = time_at(np.linspace(knots["knot_angle_rev"][0], knots["knot_angle_rev"][-1], frames + 1), **knots)
+    samples = np.diff(ends) * frames / (revs * reference.teeth_per_rev * reference.edge_step_s)
+    change = np.abs(np.gradient(samples)) * frames * revs_per_frame / revs if frames > 1 else np.zeros(1)
+    teeth = revs_per_frame * reference.teeth_per_rev
+    h = np.arange(1.0, STEP_HARMONICS + 1.0)[:, None]
+    swing = h * samples * reference.teeth_per_rev * math.hypot(0.0, *seen.values())
+    # a frame tells the place of a line to half a cycle, and so do its ends the samples per tooth
+    drift = np.where(h * change * teeth > 2.0, h * change, 0.0)
+    spread = (1.0 + 4.0 * np.pi * swing) * (1.0 + drift * teeth)
+    ways = math.hypot(0.0, *(order * size for order, size in seen.items()))
+    place, reach = np.abs(h * samples - np.rint(h * samples)), 2.0 * np.pi * h * samples * ways + 0.5 * drift
+    size = np.sqrt(_passed(reference, place, reach)) / (np.pi * h * samples * reference.teeth_per_rev)
+    size[size < reference.error_rev] = 0.0
+    # rounding is in the noise of the pulses already, as if it were random
+    random = np.sqrt(np.maximum(0.5 * np.sum(size**2 * (1.0 - 1.0 / spread), axis=0) - reference.error_rev**2, 0.0))
+    size /= np.sqrt(spread)
+    size[size < TONE_SHARE * reference.error_rev] = 0.0
+    still = place * teeth < 0.5
+    swings = np.where(still, 0.0, size).sum(axis=0)
+    worst = int(np.argmax(swings if swings.any() else size.sum(axis=0)))
+    counts = (size[:, worst] > 0.0) & ~still[:, worst]
+    return Modulation(
+        cause,
+        random_rev=float(random[worst]),
+        still_rev=float(np.sum(size[still[:, worst], worst])),
+        tone_order=place[counts, worst] * reference.teeth_per_rev,
+        tone_rev=size[counts, worst],
+    )
+
+
+def _passed(reference: Reference, place: FloatArray, reach: FloatArray) -> FloatArray:
+    """Share of the power of a line at ``place``, swept by ``reach`` to either side, that passes the smoother."""
+    cut_off = min(0.5, reference.cut_off_order / reference.teeth_per_rev)
+    within = np.clip(np.minimum(place + reach, cut_off) - np.maximum(place - reach, -cut_off), 0.0, None)
+    swept = np.minimum(1.0, within / np.maximum(2.0 * reach, 1e-12))
+    return np.asarray(np.where(reach > 0.1 * cut_off, swept, reference.smoothing(place) ** 2))
+
 
 # Orders among which the highest that is carried is sought, 0.8 % apart.
 SOUGHT_ORDERS = np.geomspace(1e-2, 1e5, 2048)

@@ -1,9 +1,10 @@
 """Speed from the vibration itself: the run of speeds whose orders the spectra show best, and how sure it is.
 
-Per knot every speed has log odds (``vibration_comb``). Speed changes no faster than a slew limit, so the most likely
-run of speeds is found by dynamic programming (``vibration_run``). It is refined by the phase of its orders
-(``vibration_angle``), and which simple ratio of it explains the lines best is decided along that angle
-(``vibration_family``); other ratios that do nearly as well are told as ties.
+Per knot every speed has log odds (``vibration_angle``). Speed changes no faster than a slew limit, so the most likely
+run of speeds is found by dynamic programming. It is refined by the phase of its orders. Which simple ratio of it
+explains the lines best is decided along that angle, by the same order spectra and with frames of the same length, where
+frames of the search for the speed are longer for lower speeds and so show more lines of them. Other ratios that do
+nearly as well are told as ties.
 """
 
 from __future__ import annotations
@@ -16,14 +17,184 @@ from functools import partial
 import numpy as np
 
 from crankorder.errors import InputError
+from crankorder.fft.decimation import decimate, decimation_factor
+from crankorder.fft.resampling import PASS_BAND, margin, values_at
+from crankorder.fft.windows import hann
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.angle import AngleKnots
+from crankorder.shaft.angle import AngleKnots, time_at
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import IntArray
-from crankorder.shaft.vibration_angle import FRAME_REVS, TrackedAngle, tracked_angle
-from crankorder.shaft.vibration_comb import SpeedEvidence, comb_evidence
-from crankorder.shaft.vibration_family import FamilyEvidence, family_evidence
-from crankorder.shaft.vibration_run import likeliest_run, run_probability
+from crankorder.shaft.vibration_angle import (
+    FRAME_REVS,
+    ODDS,
+    SpeedEvidence,
+    TrackedAngle,
+    best_combs,
+    comb_evidence,
+    tracked_angle,
+)
+
+
+def likeliest_run(log_odds: FloatArray, jump: int, cost: float) -> IntArray:
+    """States (knots,) of the likeliest run through a grid (Viterbi 1967).
+
+    ``log_odds``: (knots, states). ``jump``: most states between two knots. ``cost``: what a step of n states costs is n
+    squared times that.
+    """
+    n, m = log_odds.shape
+    came = np.zeros((n, m), dtype=np.int16)
+    steps = np.arange(-jump, jump + 1)
+    before = np.full(m + 2 * jump, -np.inf)
+    before[jump : jump + m] = log_odds[0]
+    from_states = np.lib.stride_tricks.sliding_window_view(before, m)
+    price = -cost * steps[:, None] ** 2.0
+    for i in range(1, n):
+        reached = from_states + price
+        best = np.argmax(reached, axis=0)
+        came[i] = steps[best]
+        before[jump : jump + m] = reached[best, np.arange(m)] + log_odds[i]
+    path = np.empty(n, dtype=np.int64)
+    path[-1] = np.argmax(before[jump : jump + m])
+    for i in range(n - 1, 0, -1):
+        path[i - 1] = path[i] + came[i, path[i]]
+    return path
+
+
+def run_probability(
+    log_odds: FloatArray, path: IntArray, offsets: IntArray, jump: int, cost: float, near: int
+) -> FloatArray:
+    """Probability (knots,) that the state is that of a run, or beside it by an offset (Baum et al. 1970).
+
+    ``log_odds``, ``jump``, ``cost``: as for :func:`likeliest_run`. ``path``: (knots,), the run. ``offsets``: states
+    from it to others that count as the same. ``near``: states from each of them that do too.
+    """
+    n, m = log_odds.shape
+    step = np.exp(-cost * np.arange(-jump, jump + 1.0) ** 2)
+    step /= step.sum()
+    ahead = np.empty((n, m), dtype=np.float32)
+    now = np.full(m, 1.0 / m)
+    for i in range(n):
+        now = np.convolve(now, step)[jump : jump + m] * np.exp(log_odds[i] - log_odds[i].max())
+        now /= now.sum()
+        ahead[i] = now
+    result = np.empty(n)
+    behind = np.ones(m)
+    wanted = (offsets[:, None] + np.arange(-near, near + 1)).ravel()
+    for i in range(n - 1, -1, -1):
+        both = ahead[i] * behind
+        close = np.unique(path[i] + wanted)
+        close = close[(close >= 0) & (close < m)]
+        result[i] = both[close].sum() / max(float(both.sum()), 1e-300)
+        behind = np.convolve(behind * np.exp(log_odds[i] - log_odds[i].max()), step)[jump : jump + m]
+        behind /= behind.max()
+    return np.minimum(result, 1.0)
+
+
+# Revolutions of a frame in which harmonic families are compared, while the speed changes and where it is steady within
+# this ratio; the most frames, and the highest order looked at.
+FAMILY_REVS, STEADY, FAMILY_FRAMES, FAMILY_ORDER = (24.0, 48.0), 1.1, 64, 16.0
+# Power over noise that one frame can add there, that a fixed tone which an order passes makes it no line; and to the
+# shape of a line.
+FAMILY_CAP, FAMILY_SHAPE = 6.0, 1000.0
+# Log odds of single frames count as so many of them, beside those of the mean of all; then a third, for all see
+# the same lines.
+FRAMES_WORTH = 3
+# A line of the mean spectrum is so many times the power beside it: natural frequencies are broader, but change of speed
+# spreads them out of it anyhow.
+PROMINENCE = (1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class FamilyEvidence:
+    """Log odds (ratios,) of each fundamental against none, and of single frames (frames, ratios) at ``time_s``."""
+
+    log_odds: FloatArray
+    time_s: FloatArray
+    of_frames: FloatArray
+
+
+def family_evidence(
+    signals: FloatArray,
+    rate_hz: float,
+    tracked: TrackedAngle,
+    *,
+    ratio: FloatArray,
+    order: FloatArray,
+    weight: FloatArray,
+) -> FamilyEvidence:
+    """Log odds of the fundamentals at ``ratio`` times the tracked speed, all from the same order spectra.
+
+    Parameters
+    ----------
+    signals : (channels, samples)
+    rate_hz : samples per second
+    tracked : the angle that is sure but for its ratio
+    ratio : (ratios,)
+    order : (orders,), orders of each fundamental
+    weight : (orders,), 0…1, probability that the order shows
+    """
+    from scipy.special import gammaincc
+
+    slow, fast = np.quantile(tracked.speed_hz, [0.1, 0.9])
+    steady = bool(fast < STEADY * slow)
+    revs = min(FAMILY_REVS[steady], 0.5 * float(tracked.angle_rev[-1]))
+    time_s, times = _order_power(signals, rate_hz, tracked, revs)
+    seen = np.count_nonzero(np.isfinite(times[0]), axis=0)
+    place = ratio[:, None] * order * 2.0 * revs
+    of_frames = np.full((times.shape[1], ratio.size), -np.inf)
+    for frame, best in zip(np.moveaxis(times, 1, 0), of_frames, strict=True):
+        unseen = np.isnan(frame[0]).astype(np.float64)
+        power = np.nan_to_num(frame)[:, None, :]
+        best_combs(power, np.ones_like(power), 3, unseen, place, weight, ODDS, best[None])
+    # as unlikely in a mean of so many frames as this power in one
+    over = np.nansum(np.minimum(times, FAMILY_CAP), axis=1)
+    single = -np.log(np.maximum(gammaincc(np.maximum(seen, 1.0), over), 1e-300))
+    shape = np.nansum(np.minimum(times, FAMILY_SHAPE), axis=1)
+    beside = np.maximum(np.roll(shape, 3, axis=1), np.roll(shape, -3, axis=1))
+    peaks = np.where(PROMINENCE[steady] * beside > shape, 0.0, single)[:, None, :]
+    of_mean = np.full((1, ratio.size), -np.inf)
+    best_combs(peaks, np.ones_like(peaks), seen.size, (seen == 0).astype(np.float64), place, weight, ODDS, of_mean)
+    total = (1.0 / 3.0) * (of_mean[0] + min(FRAMES_WORTH, times.shape[1]) * np.mean(of_frames, axis=0))
+    return FamilyEvidence(total, time_s, of_frames)
+
+
+def _order_power(
+    signals: FloatArray, rate_hz: float, tracked: TrackedAngle, revs: float
+) -> tuple[FloatArray, FloatArray]:
+    """Times [s] of frames of ``revs`` revolutions, and their power over the noise beside it (channels, frames, bins).
+
+    A bin is half of a line's resolution; the power is NaN outside the band.
+    """
+    total = float(tracked.angle_rev[-1])
+    count = int(min(FAMILY_FRAMES, max(1, (total - revs) / (0.5 * revs))))
+    centre = np.linspace(0.5 * revs, total - 0.5 * revs, count + 2)[1:-1] if count > 1 else np.array([0.5 * total])
+    band = min(1.5 * FAMILY_ORDER * float(tracked.speed_hz.max()), PASS_BAND * rate_hz)
+    reduced, rate, start_s = decimate(signals, rate_hz=rate_hz, band_hz=band, factor=decimation_factor(rate_hz, band))
+    padded = np.pad(reduced, ((0, 0), (margin() + 2, margin() + 2)))
+    at = (tracked.time_s, tracked.angle_rev, 60.0 * tracked.speed_hz)
+    bins = int(FAMILY_ORDER * 2.0 * revs)
+    times = np.empty((signals.shape[0], count, bins))
+    for i, (middle, speed) in enumerate(
+        zip(centre, np.interp(centre, tracked.angle_rev, tracked.speed_hz), strict=True)
+    ):
+        n = max(2 * bins, math.ceil(1.3 * rate / speed * revs))
+        place = (time_at(middle + revs * (np.arange(n) / n - 0.5), *at) - start_s) * rate
+        place = np.clip(place, 0.0, reduced.shape[1] - 1.0)
+        framed = values_at(padded, place + margin() + 2) * hann(n).values
+        power = np.abs(np.fft.rfft(framed, n=2 * n, axis=1)[:, :bins]) ** 2
+        inside = np.arange(bins) / (2.0 * revs) * speed <= min(band, PASS_BAND * rate)
+        times[:, i] = np.where(inside, power / _median_beside(power, round(2.0 * revs)), np.nan)
+    return time_at(centre, *at), times
+
+
+def _median_beside(power: FloatArray, reach: int) -> FloatArray:
+    """Median of ``power`` (channels, bins) within ``reach`` bins of each, as a mean of noise."""
+    reach = min(reach, power.shape[1] - 1)
+    padded = np.pad(power, ((0, 0), (reach, reach)), mode="reflect")
+    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1), axis=-1) / math.log(2.0)
+    floor: FloatArray = np.maximum(median, 1e-12 * power.max() + 1e-300)
+    return floor
+
 
 ORDER_WEIGHTS = {1.0: 0.75, 2.0: 0.7, 3.0: 0.45, 4.0: 0.5, 5.0: 0.3, 6.0: 0.35, 7.0: 0.25, 8.0: 0.3}
 """Orders that any rotating machine may show, and the probability that it does."""

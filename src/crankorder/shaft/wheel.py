@@ -1,23 +1,125 @@
-"""Numbered teeth from pulse times: lost and doubled pulses repaired and counted, gaps and index marks checked."""
+"""Numbered teeth from pulse times: the wheel stated or shown, lost and doubled pulses repaired, index marks checked."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import xarray as xr
 from numba import njit
 
 from crankorder.errors import InputError
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.index_marks import at_index
-from crankorder.shaft.pattern_search import find_pattern
 from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.repair import IntArray as IntArray
-from crankorder.shaft.repair import listed_times, running_part
-from crankorder.shaft.train_ends import ends_put_right, followed_from_steady
-from crankorder.shaft.uneven import Wheel, displaced_teeth, gap_is_absent, times_on_grid, wheel_of
+from crankorder.shaft.repair import IntArray, listed_times, running_part
+from crankorder.shaft.uneven_wheel import (
+    Wheel,
+    displaced_teeth,
+    ends_put_right,
+    find_pattern,
+    followed_from_steady,
+    gap_is_absent,
+    times_on_grid,
+    wheel_of,
+)
+
+
+def at_index(
+    time_s: FloatArray,
+    tooth: IntArray,
+    index_time_s: FloatArray,
+    wanted: tuple[float, float],
+    flags: list[Remark],
+    *,
+    renumber: bool,
+) -> tuple[IntArray, float, float]:
+    """Teeth renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
+
+    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers. ``index_time_s``: (marks,), s. ``wanted``: counts of
+    teeth per mark that are allowed, of a mark on the encoder and on the crank. ``flags``: takes the remarks.
+    ``renumber``: whether a count that slips for good is put right, as it must be where the teeth look all alike.
+    Raises InputError where another count is measured than is wanted.
+    """
+    marks = index_time_s[(index_time_s >= time_s[0]) & (index_time_s <= time_s[-1])]
+    if marks.size == 0:
+        flags.append(("no_index", "suspect", "no index mark within the pulses: the phase has no reference"))
+        return tooth, float("nan"), wanted[0]
+    place = np.interp(marks, time_s, tooth)
+    between = np.round(np.diff(place))
+    period = wanted[0]
+    if between.size >= 2:
+        values, counts = np.unique(between, return_counts=True)
+        usual = float(values[np.argmax(counts)])
+        period = min(wanted, key=lambda count: abs(count - usual))
+        if usual != round(period) and counts.max() > 0.5 * between.size:
+            raise InputError(
+                f"{usual:.0f} pulses per index measured, {period:g} configured",
+                place="encoder.pulses_per_rev",
+                remedy="Mend pulses_per_rev (or ratio) in run.toml",
+            )
+    anchor, slip = _slips(place, period)
+    renumbered, slipped, odd = _unslipped(tooth, np.searchsorted(time_s, marks), slip)
+    odd |= np.append((np.diff(place) < 0.25 * period) & (np.diff(slip) == 0), False)
+    if 2 * odd.sum() > marks.size > 2:
+        detail = f"{odd.sum()} of {marks.size} index marks are out of place: the phase has no reference"
+        flags.append(("no_index", "suspect", detail))
+        return tooth, float("nan"), period
+    lost = np.maximum(0, np.round(np.diff(place) / period) - 1).astype(np.int64)
+    if renumber and slipped.any():
+        detail = f"pulse count put right at {slipped.sum()} index marks, {listed_times(marks[slipped])}"
+        flags.append(("encoder_slip", "suspect", detail))
+    elif slipped.any():
+        detail = f"{slipped.sum()} times the index moves against the wheel, {listed_times(marks[slipped])}"
+        flags.append(("index_slip", "suspect", detail))
+    if odd.any():
+        detail = f"{odd.sum()} index marks out of place, left out, {listed_times(marks[odd])}"
+        flags.append(("index_extra", "suspect", detail))
+    if lost.any():
+        detail = f"{lost.sum()} index marks missing, filled in, after those {listed_times(marks[:-1][lost > 0])}"
+        flags.append(("index_lost", "suspect", detail))
+    return renumbered if renumber else tooth, anchor, period
+
+
+def _wrapped(value: FloatArray, period: float) -> FloatArray:
+    """``value`` less whole periods, within half a period of 0."""
+    wrapped: FloatArray = value - period * np.round(value / period)
+    return wrapped
+
+
+def _slips(place: FloatArray, period: float) -> tuple[float, FloatArray]:
+    """Place of the marks within a period, and by how many whole teeth each mark differs from it."""
+    first = place[: max(3, place.size // 10)]
+    values, counts = np.unique(np.round(first % period), return_counts=True)
+    anchor = float(values[np.argmax(counts)])
+    anchor += float(np.median(_wrapped(first - anchor, period)))
+    off = _wrapped(place - anchor, period)
+    slip = np.round(off)
+    rest = off - slip
+    near = np.abs(rest - np.median(rest))
+    return anchor + float(np.mean(rest[near <= 4.5 * np.median(near)])), slip
+
+
+def _unslipped(
+    tooth: IntArray, mark_pulse: IntArray, slip: FloatArray
+) -> tuple[IntArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Teeth renumbered where a slip lasts over two marks or more, which marks show such a slip, which are odd ones."""
+    shift, current = np.zeros(tooth.size, dtype=np.int64), 0
+    slipped, odd = np.zeros(slip.size, dtype=np.bool_), np.zeros(slip.size, dtype=np.bool_)
+    for k in range(slip.size):
+        if slip[k] == current:
+            continue
+        if k + 1 < slip.size and slip[k + 1] == slip[k]:
+            current = int(slip[k])
+            shift[mark_pulse[k] :] = -current
+            slipped[k] = True
+        else:
+            odd[k] = True
+    return tooth + shift, slipped, odd
+
 
 # A short interval that completes one tooth with its neighbour, within this share of it, was cut by a false pulse.
 SPLIT_SHARE = 0.25
@@ -363,3 +465,102 @@ def _flag_lost(
         after = "the index" if known else "the first pulse"
         detail = f"pulse lost in most revolutions at {listed} degrees after {after} (a wheel with missing teeth?)"
         flags.append(("encoder_damaged_line", "suspect", detail))
+
+
+FEWEST_SAMPLES_PER_TOOTH = 2.5
+"""A tooth and its gap need a sample each, and the fastest teeth of a turn are shorter than the mean."""
+
+# Pulses that are enough to tell their noise.
+MOST_NOISE_TEETH = 20_000
+
+
+def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
+    """Arguments of ``number_teeth`` that say what wheel the ``recording`` has, and remarks on how it was found."""
+    if "pulse_time" not in recording.variables:
+        raise InputError(
+            "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
+        )
+    pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), times_of(recording, "index_time")
+    return _wheel_of(recording.attrs, pulse_s, index_s)
+
+
+def _wheel_of(
+    attrs: dict[str, Any], pulse_s: FloatArray, index_s: FloatArray | None
+) -> tuple[dict[str, Any], list[Remark]]:
+    """Arguments of ``number_teeth`` that say what wheel it is; found from the pulses where nothing states it."""
+    if "tooth_angles_deg" in attrs:
+        angles = tuple(float(angle) for angle in np.atleast_1d(attrs["tooth_angles_deg"]))
+        return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, []
+    if "pulses_per_rev" in attrs:
+        missing = int(attrs.get("missing_teeth", 0))
+        return {"pulses_per_rev": int(attrs["pulses_per_rev"]), "missing_teeth": missing}, []
+    found = find_pattern(pulse_s, index_time_s=index_s)
+    if found is None:
+        raise InputError(
+            "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few",
+            place="encoder.pulses_per_rev",
+            found=f"{pulse_s.size} pulses",
+            remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
+        )
+    remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
+    even = found.pattern.even
+    if even is not None:
+        return {"pulses_per_rev": even[0], "missing_teeth": even[1]}, [remark]
+    angles = found.pattern.angles_deg
+    return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, [remark]
+
+
+def uneven_noise_s(time_s: FloatArray, tooth: IntArray) -> float:
+    """Standard deviation [s] of the pulse times of uneven teeth, from their fourth divided differences, by the median.
+
+    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers, growing.
+    """
+    if time_s.size < 8:
+        return 0.0
+    count = min(time_s.size, MOST_NOISE_TEETH) - 4
+    total, power = np.zeros(count), np.zeros(count)
+    for k in range(5):
+        weight = np.ones(count)
+        for other in range(5):
+            if other != k:
+                weight /= tooth[k : k + count] - tooth[other : other + count]
+        total += weight * time_s[k : k + count]
+        power += weight**2
+    return float(np.median(np.abs(total) / np.sqrt(power))) / 0.6745
+
+
+def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
+    """Remark where the sampled encoder of ``recording`` has too few samples per pulse of ``teeth``."""
+    if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
+        return []
+    steps = np.diff(teeth.time_s) * float(recording.attrs["rate_hz"])
+    fewest = float(np.quantile(steps, 0.02))
+    if fewest >= FEWEST_SAMPLES_PER_TOOTH:
+        return []
+    start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
+    detail = f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample faster"
+    return [("encoder_undersampled", "bad", detail)]
+
+
+def numbered_part(recording: xr.Dataset, settings: ShaftSettings, wheel: dict[str, Any], part: slice) -> NumberedTeeth:
+    """Pulses of the ``part`` of ``recording`` as teeth of the ``wheel`` (for ``number_teeth``, by ``settings``)."""
+    pulse_s, index_s = recording["pulse_time"].values.astype(np.float64)[part], times_of(recording, "index_time")
+    stated, ratio = (
+        float(recording.attrs.get(name, usual)) for name, usual in (("pulse_noise_s", 0.0), ("ratio", 1.0))
+    )
+    return number_teeth(pulse_s, **wheel, settings=settings, index_time_s=index_s, ratio=ratio, noise_s=stated)
+
+
+def mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
+    """Remark where the mark of ``teeth`` in ``recording`` is on a shaft whose turns are no whole crank revolutions."""
+    ratio = float(recording.attrs.get("ratio", 1.0))
+    turns = 1.0 / ratio
+    if not np.isfinite(teeth.index_tooth) or abs(turns - round(turns)) <= 1e-9:
+        return []
+    detail = f"the encoder turns {ratio:g} times per crank revolution: its mark is at top dead centre only once"
+    return [("index_not_on_crank", "suspect", detail)]
+
+
+def times_of(recording: xr.Dataset, name: str) -> FloatArray | None:
+    """Times [s] that ``recording`` holds by that ``name``; None where it holds none."""
+    return recording[name].values.astype(np.float64) if name in recording.variables else None

@@ -12,40 +12,39 @@ from pydantic import Field
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.harmonics import orders_for
-from crankorder.synth.acquisition import true_rate_hz
-from crankorder.synth.analogue import AnalogueFilter, analogue_filter
-from crankorder.synth.effects import (
+from crankorder.synth.analogue import AnalogueFilter, analogue_filter, true_rate_hz
+from crankorder.synth.parts import (
+    AXES,
     Acquisition,
+    AnyEncoderFault,
+    AnySignalFault,
     BearingImpacts,
     BearingLine,
     Broadband,
+    ByAxis,
+    ByChannel,
+    Channel,
     ColouredNoise,
+    CrankAngleSampling,
     Encoder,
     EngineForces,
     GasTorque,
     InCycleSpeed,
     InjectedOrder,
-    SensorNoise,
-    Tone,
-    Wander,
-    Wobble,
-)
-from crankorder.synth.faults import AnyEncoderFault, AnySignalFault, WrongLabels
-from crankorder.synth.parts import (
-    AXES,
-    ByAxis,
-    ByChannel,
-    Channel,
-    CrankAngleSampling,
     Mode,
     OtherShaft,
     Part,
     Quick,
+    SensorNoise,
     SpeedProfile,
     Speeds,
     TimeSampling,
+    Tone,
+    Wander,
+    Wobble,
+    WrongLabels,
 )
-from crankorder.synth.response import Structure
+from crankorder.synth.poles import Structure
 
 SWEEP = "sweep"
 """Name of the recording of a speed profile."""

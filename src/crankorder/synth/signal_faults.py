@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from crankorder.quantities import Severity
 from crankorder.settings import IngestSettings, load_settings
-from crankorder.synth.faults import (
+from crankorder.synth.noise import seed_stream
+from crankorder.synth.parts import (
     AnySignalFault,
     Clipping,
     Drift,
@@ -24,7 +25,6 @@ from crankorder.synth.faults import (
     SignalFault,
     Spikes,
 )
-from crankorder.synth.noise import seed_stream
 
 Signal = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def with_signal_faults(
     samples move is recorded where it came to lie. Faults never depend on each other's chance.
 
     Missing samples are NaN, also where a logger writes a number: that comes behind the converter, by
-    :func:`stand_ins` for :func:`crankorder.synth.acquisition.recorded`.
+    :func:`stand_ins` for :func:`crankorder.synth.analogue.recorded`.
 
     ``signal``: m/s², shape (channel, n); not changed. ``names``: of the channels. ``recording``: its name without
     suffix, which faults name and records bear. ``stream``: its name in the seed streams. ``rate_hz``: true samples per

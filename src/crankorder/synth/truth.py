@@ -12,11 +12,10 @@ from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.quantities import Truth
-from crankorder.synth.effects import BearingImpacts, BearingLine
-from crankorder.synth.floor import floor_density
-from crankorder.synth.impacts import slipping_line
-from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, strikes_per_rev
-from crankorder.synth.response import Structure
+from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
+from crankorder.synth.noise import floor_density
+from crankorder.synth.parts import BearingImpacts, BearingLine
+from crankorder.synth.poles import Structure
 from crankorder.synth.scene import Run, Scene
 
 UNIT = "m/s2"

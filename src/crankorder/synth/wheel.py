@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.synth.effects import Encoder
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import seed_stream
+from crankorder.synth.parts import Encoder
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -2,39 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
-from crankorder.identify.balance.order_shaker import LARGEST_MISFIT, ShakerFit, modes_with_room, rows_needed, shaker_fit
+from crankorder.findings import Balance
+from crankorder.identify.balance.order_shaker import NUMBERS as ORDER_SHAKER
+from crankorder.identify.balance.order_shaker import ShakerFit, modes_with_room, rows_needed, shaker_fit
 from crankorder.identify.balance.record import Split, added_words, split_record
 from crankorder.identify.balance.shaker_forces import EngineShaker, engine_shaker
 from crankorder.identify.balance.stated_paths import by_stated_paths
 from crankorder.identify.balance.transfer_path import MeasuredOrders, measured_orders
 from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.settings import MethodNumbers
 
-ORDER_MATCH = 0.02
-SINGLE_ANGLE, SEVERAL_ANGLE = 0.05, 0.1
-"""Radians to which a known phase must be met where one order alone is the exciter, or several that none can check."""
-DISAGREE = 3.7
-"""Two estimates of one complex mass differ by more standard errors than this once in a thousand."""
-ROLLS = 3.0
-"""A path explains more than chance from so many standard deviations on, channels counted as telling the same."""
-HARMLESS = 2.0
-"""Leaving an order out that shifts a mass by less than so many of its standard errors contradicts nothing."""
-IN_STEP = 3.0
-"""A mass within so many standard errors of being in step with the piston may be."""
-WEAK = 0.2
-"""Relative error of a mass from which on an order left out proves nothing."""
-LIGHTEST_KG, HEAVIEST_KG = 0.1, 1e5
-"""Apparent masses that a machine on its mounts may have."""
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="closure"):
+    order_match: float
+    single_angle_rad: float
+    several_angle_rad: float
+    disagree_sigmas: float
+    rolls_sigmas: float
+    harmless_sigmas: float
+    in_step_sigmas: float
+    weak_share: float
+    lightest_kg: float
+    heaviest_kg: float
+
+
+NUMBERS = _Numbers.load()
+
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
 
-Closure = tuple[dict[str, Any] | None, str]
+Closure = tuple[Balance | None, str]
 
 
 class _Refused(Exception):
@@ -74,7 +78,7 @@ def closure(
     if isinstance(record, str):
         return None, record
     if added:
-        record["evidence"] += f"; {added_words(added)}"
+        record = replace(record, evidence=f"{record.evidence}; {added_words(added)}")
     return record, ""
 
 
@@ -96,7 +100,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 
 def _by_engine_orders(
     order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine
-) -> dict[str, Any]:
+) -> Balance:
     if engine.cycle == "rotor" or engine.reciprocating_mass_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
     if not modal.modes:
@@ -138,7 +142,7 @@ def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
 def _seen(orders: tuple[AgreedOrder, ...]) -> set[int]:
     """Whole orders that stand above the floor and do not slip."""
     whole = [(order, round(order.order)) for order in orders if order.lock != "slips" and order.lines]
-    return {number for order, number in whole if number > 0 and abs(order.order - number) < ORDER_MATCH}
+    return {number for order, number in whole if number > 0 and abs(order.order - number) < NUMBERS.order_match}
 
 
 def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
@@ -150,10 +154,10 @@ def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
         raise _Refused("the orders of known force were not measured")
     largest = np.abs(measured.amplitude[:, strong]).max(axis=0) / force[strong]
     mass_kg = 1.0 / max(float(np.median(largest)), 1e-300)
-    if LIGHTEST_KG <= mass_kg <= HEAVIEST_KG:
+    if NUMBERS.lightest_kg <= mass_kg <= NUMBERS.heaviest_kg:
         return
-    times = mass_kg / 1e3 if mass_kg > HEAVIEST_KG else 10.0 / mass_kg
-    word = "small" if mass_kg > HEAVIEST_KG else "large"
+    times = mass_kg / 1e3 if mass_kg > NUMBERS.heaviest_kg else 10.0 / mass_kg
+    word = "small" if mass_kg > NUMBERS.heaviest_kg else "large"
     raise _Refused(
         f"the amplitudes are about {times:.0e} times too {word} for this engine: its known forces would act on a mass "
         f"of {mass_kg:.2g} kg. Check sensitivity and unit of the channels"
@@ -193,7 +197,7 @@ def _rolls(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, *, n
     more = 2 * len(measured.channels) * (rolling.n_terms - without.n_terms)
     fall = without.quiet_left_over - rolling.quiet_left_over
     gain = fall / more / (max(1.0, rolling.chi_square) * without.allowed)
-    return bool(gain > 1 + ROLLS * np.sqrt(2 * len(measured.channels) / more))
+    return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
 
 
 def _known_rows(measured: MeasuredOrders, shaker: EngineShaker) -> int:
@@ -201,7 +205,7 @@ def _known_rows(measured: MeasuredOrders, shaker: EngineShaker) -> int:
 
 
 def _check_fit(fit: ShakerFit, shaker: EngineShaker) -> None:
-    if fit.misfit < LARGEST_MISFIT:
+    if fit.misfit < ORDER_SHAKER.largest_misfit_share:
         return
     worst = max(fit.by_order, key=lambda k: fit.by_order[k])
     cause = (
@@ -210,8 +214,9 @@ def _check_fit(fit: ShakerFit, shaker: EngineShaker) -> None:
         else "something acts across the cylinder or along the shaft, such as a rotating unbalance"
     )
     raise _Refused(
-        f"orders {_listed(shaker.orders)} do not go through one path: it misses more than {100 * LARGEST_MISFIT:.0f} % "
-        f"of the response, most at order {worst}: {cause}, or a natural frequency is missing; {TRIAL_MASS}"
+        f"orders {_listed(shaker.orders)} do not go through one path: it misses more than "
+        f"{100 * ORDER_SHAKER.largest_misfit_share:.0f} % of the response, most at order {worst}: "
+        f"{cause}, or a natural frequency is missing; {TRIAL_MASS}"
     )
 
 
@@ -229,12 +234,12 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: M
         for number, sought in enumerate(shaker.sought_orders):
             part = slice(2 * number, 2 * number + 2)
             apart = abs(alone.mass_kg[number] - fit.mass_kg[number])
-            if np.trace(alone.covariance[part, part]) > 2 * (WEAK * abs(fit.mass_kg[number])) ** 2:
+            if np.trace(alone.covariance[part, part]) > 2 * (NUMBERS.weak_share * abs(fit.mass_kg[number])) ** 2:
                 continue
             variance = np.trace(alone.covariance[part, part]) - np.trace(fit.covariance[part, part])
             slack = max(variance / 2, 0.02 * np.trace(alone.covariance[part, part]) / 2)
             stated = np.sqrt(np.trace(fit.covariance[part, part]) / 2)
-            if apart > max(DISAGREE * np.sqrt(slack), HARMLESS * stated):
+            if apart > max(NUMBERS.disagree_sigmas * np.sqrt(slack), NUMBERS.harmless_sigmas * stated):
                 raise _Refused(
                     f"the orders of known force contradict one another: without order {order} the mass behind order "
                     f"{sought} is {1e3 * abs(alone.mass_kg[number]):.3g} g, with it "
@@ -249,16 +254,17 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: M
 
 def _check_single(shaker: EngineShaker, fit: ShakerFit) -> str:
     """None of the orders of known force can be spared: their phase alone checks them, by masses in step with them."""
-    limit = SINGLE_ANGLE if len(shaker.known_orders) == 1 else SEVERAL_ANGLE
+    limit = NUMBERS.single_angle_rad if len(shaker.known_orders) == 1 else NUMBERS.several_angle_rad
     for number, sought in enumerate(shaker.sought_orders):
         mass = fit.mass_kg[number]
         error = float(np.sqrt(fit.covariance[2 * number + 1, 2 * number + 1]))
-        if error < limit * abs(mass) and abs(mass.imag) < IN_STEP * error:
+        if error < limit * abs(mass) and abs(mass.imag) < NUMBERS.in_step_sigmas * error:
             return f"they are in step with order {sought} to {np.degrees(error / abs(mass)):.1f}°"
+    is_one = limit == NUMBERS.single_angle_rad
     raise _Refused(
-        f"of known force and above the floor {'is order' if limit == SINGLE_ANGLE else 'are orders'} "
+        f"of known force and above the floor {'is order' if is_one else 'are orders'} "
         f"{_listed(shaker.known_orders)} alone, and nothing shows that the pistons alone make "
-        f"{'it' if limit == SINGLE_ANGLE else 'them, for the rolling moment acts too, or what acts across'}; "
+        f"{'it' if is_one else 'them, for the rolling moment acts too, or what acts across'}; "
         f"{TRIAL_MASS}"
     )
 
@@ -267,9 +273,7 @@ def _listed(orders: tuple[int, ...]) -> str:
     return ", ".join(str(order) for order in orders)
 
 
-def _record(
-    fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str, measured: MeasuredOrders
-) -> dict[str, Any]:
+def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str, measured: MeasuredOrders) -> Balance:
     split = Split(
         mass_kg=fit.mass_kg,
         covariance=fit.covariance,
@@ -293,9 +297,4 @@ def _record(
         + "; order 1 is taken to act along the cylinder alone, which the fit does not contradict"
         * (fit.axes[0] == "Z")
     )
-    return {
-        "source": "engine orders",
-        "orders_used": sorted(shaker.orders),
-        **record,
-        "evidence": evidence,
-    }
+    return replace(record, source="engine orders", orders_used=tuple(sorted(shaker.orders)), evidence=evidence)

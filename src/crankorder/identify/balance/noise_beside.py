@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="noise_beside"):
+    most_bins: int
+    fewest_per_channel: int
+    furthest_hz: float
+    furthest_share: float
+
+
+NUMBERS = _Numbers.load()
+
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-MOST_BINS, FEWEST_PER_CHANNEL = 48, 8
-"""Bins nearest in frequency that tell a covariance, and per channel no fewer: of few it would be chance."""
-FURTHEST_HZ, FURTHEST_SHARE = 3.0, 0.1
-"""They lie no further away than this, nor than this share of the frequency: noise follows the resonances."""
 ROUNDS = 6
 """Rounds of the estimate of shape."""
 FILLING = 1e-9
@@ -35,7 +43,7 @@ def noise_shape(noise: Complex, *, frequency_hz: Real, usable: NDArray[np.bool_]
     counts = np.zeros(at_hz.size)
     for row, hertz in enumerate(at_hz):
         near = _nearest(places, float(hertz))
-        if near.size >= FEWEST_PER_CHANNEL * n_channels:
+        if near.size >= NUMBERS.fewest_per_channel * n_channels:
             shapes[row], counts[row] = _tyler(samples[near]), near.size
     return shapes, counts
 
@@ -54,12 +62,12 @@ def whitening(noise: Complex, *, error: Real, missed: Real | None = None) -> Com
 
 
 def _nearest(places: Real, hertz: float) -> NDArray[np.int64]:
-    reach = min(FURTHEST_HZ, max(FURTHEST_SHARE * hertz, 1.0))
+    reach = min(NUMBERS.furthest_hz, max(NUMBERS.furthest_share * hertz, 1.0))
     low, high = np.searchsorted(places, [hertz - reach, hertz + reach])
     found = np.arange(low, high)
-    if found.size > MOST_BINS:
+    if found.size > NUMBERS.most_bins:
         away = np.abs(places[found] - hertz)
-        found = found[np.argsort(away, kind="stable")[:MOST_BINS]]
+        found = found[np.argsort(away, kind="stable")[: NUMBERS.most_bins]]
     return found
 
 

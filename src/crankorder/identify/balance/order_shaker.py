@@ -15,20 +15,23 @@ from crankorder.identify.balance.noise_beside import whitening
 from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real
 from crankorder.identify.found import ModalFit
 from crankorder.identify.resonance import resonance
+from crankorder.settings import MethodNumbers
 
-NEAR, FAR = 1.1, 3.0
-"""Modes up to NEAR times the highest frequency must have a term of their own, up to FAR they have one where there are
-data enough; one in f² stands for all above."""
-POLE_TRUST = 2.0
-"""Standard errors of frequency and damping count as so much larger: they come in part from the same lines."""
-LARGEST_MISFIT = 0.15
-"""Share of the response by which the modes may miss it before the path counts as not identified."""
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="order_shaker"):
+    near_ratio: float
+    far_ratio: float
+    pole_error_ratio: float
+    largest_misfit_share: float
+    odd_speed_ratio: float
+
+
+NUMBERS = _Numbers.load()
+
 STEPS, SHRUNK = 25, 1e-7
 """Steps of the fit at most, and the relative fall of its sum of squares at which it ends."""
 BINS_WORTH = 0.5
 """Independent bins that a bin of a Hann window's spectrum is worth beside its neighbours."""
-ODD_SPEED = 8.0
-"""A speed that fits so many times worse (mean square) than its errors allow is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +98,11 @@ class _Problem:
 def modes_with_room(modal: ModalFit, *, axes: int, top_hz: float, rows: int) -> int | None:
     """How many modes of ``modal``, lowest first, a path may have; None where ``rows`` of known force do not suffice.
 
-    ``axes``: directions of the forces. ``top_hz``: highest frequency. Modes up to NEAR times that must have a term,
-    those up to FAR times have one while each term stands on two rows.
+    ``axes``: directions of the forces. ``top_hz``: highest frequency. Modes up to ``near_ratio`` times that must have a
+    term, those up to ``far_ratio`` times have one while each term stands on two rows.
     """
-    least = sum(mode.frequency_hz < NEAR * top_hz for mode in modal.modes)
-    most = sum(mode.frequency_hz < FAR * top_hz for mode in modal.modes)
+    least = sum(mode.frequency_hz < NUMBERS.near_ratio * top_hz for mode in modal.modes)
+    most = sum(mode.frequency_hz < NUMBERS.far_ratio * top_hz for mode in modal.modes)
     if rows < rows_needed(least, axes=axes):
         return None
     return max(least, min(most, rows // (2 * axes) - 2))
@@ -158,7 +161,7 @@ def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_m
     natural = np.array([mode.frequency_hz for mode in modal.modes])[near]
     damping = np.array([mode.damping_ratio for mode in modal.modes])[near]
     both = np.repeat(near, 2)
-    covariance = POLE_TRUST**2 * modal.covariance[np.ix_(both, both)]
+    covariance = NUMBERS.pole_error_ratio**2 * modal.covariance[np.ix_(both, both)]
     size, vectors = np.linalg.eigh(covariance) if near.any() else (np.zeros(0), np.zeros((0, 0)))
     root = vectors * np.sqrt(np.maximum(size, 0.0))
     whitened = (measured.noise_bins > 0)[:, None, None]
@@ -332,13 +335,19 @@ def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
     each = np.array([squares[:, at].sum() / max(2 * allowed[:, at].sum(), 1e-30) for at in rows])
     worst = int(np.argmax(each))
     typical = max(1.0, float(np.median(each)))
-    return float(speeds[worst]) if each[worst] > ODD_SPEED * typical else None
+    return float(speeds[worst]) if each[worst] > NUMBERS.odd_speed_ratio * typical else None
 
 
 def _with_misfit(problem: _Problem, theta: Real, fit: _Fit) -> tuple[float, _Problem, Real, _Fit]:
     """Share of the response that must count as error for the fit to be as good as it should, and the fit with it."""
     measured = problem.measured
-    low, high, share, widened, found = 0.0, LARGEST_MISFIT, LARGEST_MISFIT, problem, (theta, fit)
+    low, high, share, widened, found = (
+        0.0,
+        NUMBERS.largest_misfit_share,
+        NUMBERS.largest_misfit_share,
+        problem,
+        (theta, fit),
+    )
     for step in range(6):
         widened = replace(
             problem, white=whitening(measured.noise, error=measured.error, missed=share * np.abs(fit.model))

@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass
+from crankorder.findings import Balance
 from crankorder.identify.balance.transfer_path import Complex, Real
 from crankorder.identify.intervals import half_width
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="record"):
+    vague_deg: float
+
+
+NUMBERS = _Numbers.load()
 
 AGREE_CHI_SQUARE = 5.991
 """95 % point of χ² with two degrees of freedom: one complex difference."""
-VAGUE_DEG = 60.0
-"""An angle with a wider half interval is not stated."""
-KEYS = (
-    "residual_reciprocating_g",
-    "residual_second_order_g",
-    "residual_rotating_gmm",
-    "angle_deg",
-    "forward_gmm",
-    "forward_angle_deg",
-    "reverse_gmm",
-    "reverse_angle_deg",
-    "along_g",
-    "along_quadrature_g",
-    "across_g",
-)
 NO_ACROSS = (
     "the path of forces across the cylinder is not identified: no order of known force acts there; state it "
     "([[transfer_paths]], direction X) or run a test with a known added mass"
@@ -56,18 +50,20 @@ class Split:
         return complex(shares @ self.mass_kg), turn @ self.covariance @ turn.T
 
 
-def with_interval(key: str, value: float, half: float) -> dict[str, Any]:
-    """The record's entries ``key`` and ``key``_ci95 of ``value`` ± ``half``."""
-    return {key: value, f"{key}_ci95": [value - half, value + half]}
+B = TypeVar("B", bound=Balance)
 
 
-def size_and_angle(
-    size_key: str, angle_key: str, value: complex, covariance: Real, *, freedom: float
-) -> dict[str, Any]:
-    """Entries of a complex unbalance ``value`` with the ``covariance`` (2, 2) of its parts and their ``freedom``.
+def with_interval(balance: B, key: str, value: float, half: float) -> B:
+    """``balance`` with its field ``key`` at ``value`` ± ``half``."""
+    told: Any = {key: value, f"{key}_ci95": (value - half, value + half)}
+    return replace(balance, **told)
 
-    ``size_key`` and ``angle_key`` name them. The interval of the size starts at 0 where the unbalance may be none; the
-    angle (degrees) is then None.
+
+def size_and_angle(balance: B, size_key: str, angle_key: str, value: complex, covariance: Real, *, freedom: float) -> B:
+    """``balance`` with a complex unbalance ``value``, ``covariance`` (2, 2) of its parts, and its ``freedom``.
+
+    ``size_key`` and ``angle_key`` name its fields; without the latter its angle is not kept. The interval of the size
+    starts at 0 where the unbalance may be none; the angle (degrees) is then None.
     """
     size, t = abs(value), half_width(freedom)
     inwards = np.array([value.real, value.imag]) / size if size else np.array([1.0, 0.0])
@@ -77,43 +73,39 @@ def size_and_angle(
     joint = np.sqrt(AGREE_CHI_SQUARE) * max(along, across)
     half_deg = float(np.degrees(np.arcsin(min(1.0, t * across / size)))) if size else 180.0
     low = size - t * along if size > joint else 0.0
-    stated = size > joint and half_deg < VAGUE_DEG
-    angle = float(np.degrees(np.angle(value)))
-    return {
-        size_key: size,
-        f"{size_key}_ci95": [max(0.0, low), size + t * along],
-        angle_key: angle if stated else None,
-        f"{angle_key}_ci95": [angle - half_deg, angle + half_deg] if stated else None,
-    }
+    told: Any = {size_key: size, f"{size_key}_ci95": (max(0.0, low), size + t * along)}
+    if angle_key and size > joint and half_deg < NUMBERS.vague_deg:
+        angle = float(np.degrees(np.angle(value)))
+        told |= {angle_key: angle, f"{angle_key}_ci95": (angle - half_deg, angle + half_deg)}
+    return replace(balance, **told)
 
 
-def split_record(split: Split, *, engine: Engine) -> dict[str, Any]:
-    """Residual entries of the record ``balance`` from a ``split``, for ``engine``; what it does not tell, with reasons.
+def split_record(split: Split, *, engine: Engine) -> Balance:
+    """Residual masses from a ``split``, for ``engine``; what it does not tell, with reasons.
 
     ``along_g`` and ``along_quadrature_g``: force of the first order along the cylinder over r ω², in step with the
     piston's own and a quarter turn ahead of it, in grams at the crank radius; likewise ``residual_second_order_g`` over
     the force that a gram on the piston makes at order 2. Below 0 where shafts take away more than there is.
     """
-    record: dict[str, Any] = dict.fromkeys(KEYS) | {f"{key}_ci95": None for key in KEYS}
-    record["crank_radius_mm"] = 1e3 * engine.crank_radius_m
+    record = Balance(crank_radius_mm=1e3 * engine.crank_radius_m)
     undecided: dict[str, str] = {}
     at = {place: number for number, place in enumerate(split.sought)}
-    record |= _along(split, at)
+    record = _along(record, split, at)
     if (1, "X") in at and (1, "Z") in at:
-        record |= _both_ways(split, at, engine, undecided)
+        record = _both_ways(record, split, at, engine, undecided)
     else:
-        record |= _one_way(split, at, engine, undecided)
+        record = _one_way(record, split, at, engine, undecided)
     if (2, "Z") in at:
         value, covariance = _in_kg(split, at[(2, "Z")], 1.0)
         half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
-        record |= with_interval("residual_second_order_g", 1e3 * value.real, half)
+        record = with_interval(record, "residual_second_order_g", 1e3 * value.real, half)
     else:
         undecided["residual_second_order_g"] = (
             "no shafts take the second order away: the whole reciprocating mass makes it"
             if 2 not in engine.shafts.every_order
             else "the path at order 2 is not identified"
         )
-    return record | {"not_decided": undecided}
+    return replace(record, not_decided=undecided)
 
 
 def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Real]:
@@ -122,18 +114,19 @@ def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Real]:
     return split.combined(shares)
 
 
-def _along(split: Split, at: dict[tuple[int, str], int]) -> dict[str, Any]:
+def _along(record: Balance, split: Split, at: dict[tuple[int, str], int]) -> Balance:
     if (1, "Z") not in at:
-        return {}
+        return record
     number = at[(1, "Z")]
     value, covariance = _in_kg(split, number, abs(split.per_kg[number]))
     half = 1e3 * half_width(split.freedom) * np.sqrt(np.diag(covariance))
-    return with_interval("along_g", 1e3 * value.real, float(half[0])) | with_interval(
-        "along_quadrature_g", 1e3 * value.imag, float(half[1])
-    )
+    record = with_interval(record, "along_g", 1e3 * value.real, float(half[0]))
+    return with_interval(record, "along_quadrature_g", 1e3 * value.imag, float(half[1]))
 
 
-def _one_way(split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]) -> dict[str, Any]:
+def _one_way(
+    record: Balance, split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
+) -> Balance:
     """Forces along the cylinder alone: both orders tell the reciprocating mass where they ask for the same one."""
     for key in ("across_g", "forward_gmm", "reverse_gmm"):
         undecided[key] = NO_ACROSS
@@ -142,19 +135,19 @@ def _one_way(split: Split, at: dict[tuple[int, str], int], engine: Engine, undec
     alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
     if first is None or second is None:
         undecided["residual_reciprocating_g"] = f"{alike}, and no residual of the second order tells them apart"
-        return {}
+        return record
     if len(engine.cylinders) > 1:
         undecided["residual_reciprocating_g"] = f"{alike}, and of several cylinders none is known to be the one"
-        return {}
+        return record
     value, covariance, apart = _common(split, first, second)
     if apart > AGREE_CHI_SQUARE:
         undecided["residual_reciprocating_g"] = (
             f"orders 1 and 2 ask for different masses, {1e3 * abs(split.mass_kg[first]):.3g} and "
             f"{1e3 * abs(split.mass_kg[second]):.3g} g: rotating unbalance, or shafts that miss one of the orders"
         )
-        return {}
+        return record
     half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
-    return with_interval("residual_reciprocating_g", 1e3 * value.real, half)
+    return with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
 
 
 def _common(split: Split, first: int, second: int) -> tuple[complex, Real, float]:
@@ -174,8 +167,8 @@ def _common(split: Split, first: int, second: int) -> tuple[complex, Real, float
 
 
 def _both_ways(
-    split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
-) -> dict[str, Any]:
+    record: Balance, split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
+) -> Balance:
     """Forces along and across: forward and reverse, and for cylinders along Z rotating and reciprocating."""
     z, x = at[(1, "Z")], at[(1, "X")]
     g_mm = 1e6 * engine.crank_radius_m
@@ -187,26 +180,30 @@ def _both_ways(
 
     freedom = split.freedom
     across, covariance = sum_of(0, 1)
-    record = size_and_angle("across_g", "_", 1e3 * across, 1e6 * covariance, freedom=freedom)
+    record = size_and_angle(record, "across_g", "", 1e3 * across, 1e6 * covariance, freedom=freedom)
     for name, sign in (("forward", 1), ("reverse", -1)):
         value, covariance = sum_of(0.5 * g_mm, 0.5j * sign * g_mm)
-        record |= size_and_angle(f"{name}_gmm", f"{name}_angle_deg", value, covariance, freedom=freedom)
+        record = size_and_angle(record, f"{name}_gmm", f"{name}_angle_deg", value, covariance, freedom=freedom)
     if any(cylinder.bank_deg for cylinder in engine.cylinders):
         for key in ("residual_rotating_gmm", "residual_reciprocating_g", "angle_deg"):
             undecided[key] = "pistons of leaning cylinders act across too: forward and reverse parts tell all there is"
     else:
         value, covariance = sum_of(0, 1j * g_mm)
-        record |= size_and_angle("residual_rotating_gmm", "angle_deg", value, covariance, freedom=freedom)
+        record = size_and_angle(record, "residual_rotating_gmm", "angle_deg", value, covariance, freedom=freedom)
         piston = np.conj(split.per_kg[z]) / abs(split.per_kg[z]) ** 2
         value, covariance = sum_of(piston, -1j * piston)
         half = 1e3 * half_width(freedom) * float(np.sqrt(covariance[0, 0]))
-        record |= with_interval("residual_reciprocating_g", 1e3 * value.real, half)
+        record = with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
         if abs(value.imag) > half_width(freedom) * float(np.sqrt(covariance[1, 1])):
             undecided["reverse_angle_deg"] = "part of the reverse force is out of step with the piston: mistimed shafts"
-    for key in ("angle_deg", "forward_angle_deg", "reverse_angle_deg"):
-        if record.get(key, 0.0) is None:
-            undecided[key] = "the unbalance may be none: its angle means nothing"
-    return {key: value for key, value in record.items() if not key.startswith("_")}
+    for size, angle in (
+        ("residual_rotating_gmm", "angle_deg"),
+        ("forward_gmm", "forward_angle_deg"),
+        ("reverse_gmm", "reverse_angle_deg"),
+    ):
+        if getattr(record, size) is not None and getattr(record, angle) is None:
+            undecided[angle] = "the unbalance may be none: its angle means nothing"
+    return record
 
 
 def added_words(added: Sequence[AddedMass]) -> str:
@@ -219,9 +216,9 @@ def added_words(added: Sequence[AddedMass]) -> str:
     return f"the residual includes what was added on purpose: {', '.join(each)}"
 
 
-def rotor_record(split: Split) -> dict[str, Any]:
-    """Residual entries of a rotor from a ``split`` whose masses (kg) stand at 1 mm: unbalance in one plane."""
-    record: dict[str, Any] = dict.fromkeys(KEYS) | {f"{key}_ci95": None for key in KEYS}
+def rotor_record(split: Split) -> Balance:
+    """Residual masses of a rotor from a ``split`` whose masses (kg) stand at 1 mm: unbalance in one plane."""
+    record = Balance()
     undecided = {
         "residual_reciprocating_g": "a rotor has no pistons",
         "residual_second_order_g": "a rotor has no pistons",
@@ -234,13 +231,13 @@ def rotor_record(split: Split) -> dict[str, Any]:
         if (1, axis) in at:
             shares[at[(1, axis)]] = 1e3 * turn * (0.5 if both else 1.0)
     value, covariance = split.combined(shares)
-    record |= size_and_angle("residual_rotating_gmm", "angle_deg", value, covariance, freedom=split.freedom)
+    record = size_and_angle(record, "residual_rotating_gmm", "angle_deg", value, covariance, freedom=split.freedom)
     if both:
         shares[at[(1, "X")]] *= -1
         value, covariance = split.combined(shares)
-        record |= size_and_angle("reverse_gmm", "reverse_angle_deg", value, covariance, freedom=split.freedom)
+        record = size_and_angle(record, "reverse_gmm", "reverse_angle_deg", value, covariance, freedom=split.freedom)
     else:
         undecided["reverse_gmm"] = "one direction alone tells no sense of rotation: all is taken to turn with the shaft"
-    if record["angle_deg"] is None:
+    if record.angle_deg is None:
         undecided["angle_deg"] = "the unbalance may be none: its angle means nothing"
-    return record | {"crank_radius_mm": None, "not_decided": undecided}
+    return replace(record, not_decided=undecided)

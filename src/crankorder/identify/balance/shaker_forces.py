@@ -11,13 +11,18 @@ from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
 from crankorder.identify.balance.order_shaker import OrderForces
 from crankorder.identify.balance.transfer_path import Complex, Real
+from crankorder.settings import MethodNumbers
 
-KNOWN_SHARE = 0.01
-"""Of the largest known force: an order of less is another source's."""
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="shaker_forces"):
+    known_share: float
+    rocking_share: float
+
+
+NUMBERS = _Numbers.load()
+
 NONE_LEFT = 1e-9
 """Of one cylinder's force: what is left of several is rounding."""
-ROCKING_SHARE = 0.01
-"""Rocking moment over force times the span of the cylinders from which on it acts too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +60,7 @@ def engine_shaker(engine: Engine, speed_rpm: Real, *, seen: set[int], highest: i
     size = np.abs(forces).max(axis=(0, 1))
     one = float(np.abs(crankcase_forces(_alone(bare), speed_rpm, max_order=1)).max())
     candidates = [k for k in range(2, highest + 1) if k not in engine.shafts.every_order and size[k] > NONE_LEFT * one]
-    made = [k for k in candidates if size[k] >= KNOWN_SHARE * max(size[candidates])]
+    made = [k for k in candidates if size[k] >= NUMBERS.known_share * max(size[candidates])]
     if not made:
         return "the pistons make no order that shafts do not take away, so no force is known"
     known = tuple(k for k in made if k in seen)
@@ -77,7 +82,7 @@ def _rocks(engine: Engine, forces: Complex, moments: Complex, known: tuple[int, 
     span = max(c.position_m for c in engine.cylinders) - min(c.position_m for c in engine.cylinders)
     rocking = np.abs(moments[:, [X, Z]][:, :, list(known)]).max(axis=(0, 1))
     return bool(
-        span > 0 and (rocking > ROCKING_SHARE * span * np.abs(forces[:, :, list(known)]).max(axis=(0, 1))).any()
+        span > 0 and (rocking > NUMBERS.rocking_share * span * np.abs(forces[:, :, list(known)]).max(axis=(0, 1))).any()
     )
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -12,14 +11,21 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import DIRECTIONS, Z
 from crankorder.engine.transfer_paths import StatedPath
+from crankorder.findings import Balance
 from crankorder.identify.balance.record import Split, rotor_record, split_record
 from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, accelerance_of, measured_orders
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="stated_paths"):
+    largest_misfit_share: float
+
+
+NUMBERS = _Numbers.load()
 
 ROTOR_RADIUS_M = 1e-3
 """Radius at which the mass of a rotor's unbalance is counted: 1 kg there is 1000 g·mm."""
-LARGEST_MISFIT = 0.3
-"""Share of the response that stated paths may miss, beyond their uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +39,8 @@ class _Forces:
 
 def by_stated_paths(
     order_map: xr.Dataset, lines: Sequence[float], *, engine: Engine | None, paths: tuple[StatedPath, ...]
-) -> dict[str, Any] | str:
-    """Entries of the record ``balance`` by the stated ``paths``; or, in words, why there are none.
+) -> Balance | str:
+    """Residual unbalance by the stated ``paths``; or, in words, why there are none.
 
     ``order_map``: the OrderMap. ``lines``: orders at which lines stand. ``engine``: None or one without pistons is a
     rotor. Forces of each stated direction are fitted to all channels and speeds at which the paths hold; intervals hold
@@ -63,13 +69,12 @@ def by_stated_paths(
     split = _split(found, parts, engine if pistons else None)
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
-    return {
-        "source": "stated path",
-        "orders_used": [order for order, _ in parts],
-        **record,
-        "evidence": f"stated paths of {', '.join(used)} at {found[0].rows} speeds in their range; they miss "
-        f"{100 * found[0].missed:.0f} % of order 1; paths that are not stated are taken as none",
-    }
+    evidence = (
+        f"stated paths of {', '.join(used)} at {found[0].rows} speeds in their range; they miss "
+        f"{100 * found[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
+    )
+    orders = tuple(order for order, _ in parts)
+    return replace(record, source="stated path", orders_used=orders, evidence=evidence)
 
 
 def _forces(
@@ -100,7 +105,7 @@ def _forces(
     chi_square = float(left.sum() / max(2 * (own**2).mean() * own.size / np.count_nonzero(usable) * free, 1e-300))
     missed = float(np.sqrt(max(0.0, left.sum() - 2 * (own**2).sum()) / max((np.abs(target) ** 2).sum(), 1e-300)))
     doubt = max((path.uncertainty_percent for path in stated), default=0.0) / 100
-    if missed > LARGEST_MISFIT + doubt:
+    if missed > NUMBERS.largest_misfit_share + doubt:
         return (
             f"the stated paths miss {100 * missed:.0f} % of order {order}: they are not those of this machine, or "
             "something else makes that order"

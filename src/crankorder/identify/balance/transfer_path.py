@@ -12,15 +12,21 @@ from numpy.typing import NDArray
 from crankorder.engine.transfer_paths import StatedPath
 from crankorder.identify.balance.noise_beside import noise_shape
 from crankorder.identify.resonance import resonance
-from crankorder.settings import STANDARD_GRAVITY_M_S2
+from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="transfer_path"):
+    nearest_bin: int
+    furthest_bin: int
+    fewest_bins: int
+
+
+NUMBERS = _Numbers.load()
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 PER_M_S2 = {"m/s2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY_M_S2}
-NEAREST_BIN, FURTHEST_BIN = 3, 7
-"""Bins beside an order, outside a window's main lobe, whose noise tells how the channels' errors go together."""
-FEWEST_BINS = 4
 GRID = 1e-6
 """An order counts as a bin of the map within this."""
 
@@ -129,16 +135,18 @@ def _beside(bins: Real, centre: int, lines: Sequence[float]) -> list[int]:
     """Bins beside the bin ``centre`` in which noise alone stands."""
     step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
     near = [
-        i for i in range(len(bins)) if NEAREST_BIN <= abs(i - centre) <= FURTHEST_BIN and bins[i] > NEAREST_BIN * step
+        i
+        for i in range(len(bins))
+        if NUMBERS.nearest_bin <= abs(i - centre) <= NUMBERS.furthest_bin and bins[i] > NUMBERS.nearest_bin * step
     ]
-    return [i for i in near if all(abs(bins[i] - line) > (NEAREST_BIN - 0.5) * step for line in lines)]
+    return [i for i in near if all(abs(bins[i] - line) > (NUMBERS.nearest_bin - 0.5) * step for line in lines)]
 
 
 def _holds_noise(bins: Real, lines: Sequence[float]) -> NDArray[np.bool_]:
     """Whether noise alone stands in each of ``bins``."""
     step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
-    away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NEAREST_BIN - 0.5) * step
-    return np.asarray(away.all(axis=1) & (bins > NEAREST_BIN * step))
+    away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NUMBERS.nearest_bin - 0.5) * step
+    return np.asarray(away.all(axis=1) & (bins > NUMBERS.nearest_bin * step))
 
 
 def _covariance(shape: Complex, error: Real) -> Complex:
@@ -154,7 +162,7 @@ def _covariance(shape: Complex, error: Real) -> Complex:
 
 def _typical(beside: Real) -> Real:
     """Geometric mean (channel, speed) of errors (channel, speed, bin); NaN where too few bins tell it."""
-    if beside.shape[2] < FEWEST_BINS:
+    if beside.shape[2] < NUMBERS.fewest_bins:
         return np.full(beside.shape[:2], np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.exp(np.log(beside).mean(axis=2)))
@@ -167,7 +175,7 @@ def _steadier(own: Real, beside: Real, freedom: Real) -> tuple[Real, Real]:
     larger (empirical Bayes, as in Smyth 2004); of few degrees of freedom it stays small.
     """
     usable = np.isfinite(own) & (own > 0) & np.isfinite(beside) & (beside > 0)
-    if np.count_nonzero(usable) < FEWEST_BINS:
+    if np.count_nonzero(usable) < NUMBERS.fewest_bins:
         return own, np.minimum(1.0, freedom / 8)
     apart = np.log(np.where(usable, own / np.where(usable, beside, 1.0), 1.0) ** 2)
     middle = float(np.median(apart[usable]))
@@ -182,7 +190,7 @@ def _correlation(noise: Complex) -> Complex:
     noise = np.where(np.isfinite(noise), noise, 0.0)
     power = np.einsum("csb,dsb->scd", noise, noise.conj())
     size = np.sqrt(np.einsum("scc->sc", power).real)
-    if n_bins < FEWEST_BINS or not (size > 0).all():
+    if n_bins < NUMBERS.fewest_bins or not (size > 0).all():
         return np.ones((n_speeds, n_channels, n_channels), dtype=np.complex128)
     correlation: Complex = power / (size[:, :, None] * size[:, None, :])
     return correlation

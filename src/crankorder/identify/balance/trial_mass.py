@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -11,21 +11,28 @@ from numpy.typing import NDArray
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import Z
 from crankorder.engine.transfer_paths import AddedMass
-from crankorder.identify.balance.record import AGREE_CHI_SQUARE, KEYS, added_words, size_and_angle, with_interval
+from crankorder.findings import Influence, TrialBalance
+from crankorder.identify.balance.record import AGREE_CHI_SQUARE, added_words, size_and_angle, with_interval
 from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import PER_M_S2, Complex, MeasuredOrders, Real, measured_orders
 from crankorder.identify.intervals import half_width
+from crankorder.settings import MethodNumbers
 
-SAME_SPEED = 0.005
-"""Speeds of the two tests pair up where they differ by no more than this share."""
-LARGEST_MISFIT = 0.3
+
+class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="trial_mass"):
+    same_speed_share: float
+    largest_misfit_share: float
+
+
+NUMBERS = _Numbers.load()
+
 SCATTER = 2.1
 """Three times 0.7: mean square errors scatter by that over the root of the number of speeds, channels being alike."""
 VIBRATION = ("accel", "veloc", "displace", "vibration", "force")
 """Quantities in which an unbalance shows."""
 STEADY_REFERENCES = ("tdc", "index", "pulse")
 
-TrialMass = tuple[dict[str, Any] | None, str]
+TrialMass = tuple[TrialBalance | None, str]
 
 
 def trial_mass(
@@ -61,21 +68,23 @@ def trial_mass(
     found = _multiple(base_map, new_map, 1)
     if isinstance(found, str):
         return None, found
-    record: dict[str, Any] = dict.fromkeys(KEYS) | {f"{key}_ci95": None for key in KEYS}
-    record |= {"source": "trial mass", "orders_used": [1], "crank_radius_mm": _radius_mm(engine)}
-    if on_piston and engine is not None:
-        record |= _of_piston(found, total.real, engine, _multiple(base_map, new_map, 2))
-    else:
-        record |= _of_crank(found, total)
     radii = {mass.radius_mm for mass in added}
-    record["radius_mm"] = next(iter(radii)) if len(radii) == 1 else None
     words = added_words(added).partition(": ")[2]
-    record["influence"] = found.influence_per(total)
-    record["evidence"] = (
+    evidence = (
         f"{words} changed order 1 by {found.change_over_noise:.0f} times its error at {found.n_speeds} speeds; one "
         f"residual explains all channels and speeds but for {100 * found.missed:.0f} %"
     )
-    return record, ""
+    record = TrialBalance(
+        source="trial mass",
+        orders_used=(1,),
+        crank_radius_mm=_radius_mm(engine),
+        radius_mm=next(iter(radii)) if len(radii) == 1 else None,
+        influence=found.influence_per(total),
+        evidence=evidence,
+    )
+    if on_piston and engine is not None:
+        return _of_piston(record, found, total.real, engine, _multiple(base_map, new_map, 2)), ""
+    return _of_crank(record, found, total), ""
 
 
 def _radius_mm(engine: Engine | None) -> float | None:
@@ -101,25 +110,25 @@ class _Multiple:
         ratio = np.abs(change[self.usable]) / base.error[self.usable]
         self.change_over_noise = float(np.median(ratio)) if ratio.size else 0.0
 
-    def influence_per(self, total: complex) -> list[dict[str, Any]]:
+    def influence_per(self, total: complex) -> tuple[Influence, ...]:
         """Change of amplitude (m/s², else the channel's unit) per unit of the added mass, by channel and speed."""
-        return [
-            {
-                "channel": name,
-                "speed_rpm": float(rpm),
-                "response_per_unit": float(abs(self.change[c, s] / total)),
-                "phase_deg": float(np.degrees(np.angle(self.change[c, s] / total))),
-            }
+        return tuple(
+            Influence(
+                channel=name,
+                speed_rpm=float(rpm),
+                response_per_unit=float(abs(self.change[c, s] / total)),
+                phase_deg=float(np.degrees(np.angle(self.change[c, s] / total))),
+            )
             for c, name in enumerate(self.base.channels)
             for s, rpm in enumerate(self.base.speed_rpm)
             if self.usable[c, s]
-        ]
+        )
 
 
 def _paired(base: MeasuredOrders, new: MeasuredOrders) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Places of the speeds that both tests have."""
     nearest = np.abs(base.speed_rpm[:, None] - new.speed_rpm).argmin(axis=1)
-    same = np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= SAME_SPEED
+    same = np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= NUMBERS.same_speed_share
     return np.flatnonzero(same), nearest[same]
 
 
@@ -183,7 +192,7 @@ def _solved(base: MeasuredOrders, after: Complex, error: Real) -> _Multiple | st
     sound = chi_square < 1 + SCATTER / np.sqrt(np.count_nonzero(usable.any(axis=0)))
     size = (np.abs(y * (1 + value)) ** 2 / ((abs(1 + value) * y_error) ** 2 + (abs(value) * z_error) ** 2)).sum()
     missed = float(np.sqrt(0.0 if sound else (2 * fit.cost - 2 * n) / max(float(size), 1e-300)))
-    if missed > LARGEST_MISFIT:
+    if missed > NUMBERS.largest_misfit_share:
         return (
             f"the residual does not act where the mass was added: no multiple of it explains order {base.orders[0]}, "
             f"{100 * missed:.0f} % stay; add one elsewhere (on the piston, in another plane)"
@@ -210,16 +219,18 @@ def _for_estimated_weights(information: Real, unsure: Real) -> float:
     return 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
 
 
-def _of_crank(found: _Multiple, total: complex) -> dict[str, Any]:
+def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBalance:
     turn = np.array([[total.real, -total.imag], [total.imag, total.real]])
-    entries = size_and_angle(
+    record = size_and_angle(
+        record,
         "residual_rotating_gmm",
         "angle_deg",
         found.value * total,
         turn @ found.covariance @ turn.T,
         freedom=found.freedom,
     )
-    after = size_and_angle(
+    record = size_and_angle(
+        record,
         "residual_after_gmm",
         "angle_after_deg",
         (found.value + 1.0) * total,
@@ -229,28 +240,30 @@ def _of_crank(found: _Multiple, total: complex) -> dict[str, Any]:
     pistons = "a mass on the crank tells nothing about masses that go up and down: add one on the piston"
     undecided = dict.fromkeys(("residual_reciprocating_g", "residual_second_order_g", "along_g"), pistons)
     undecided["reverse_gmm"] = "a mass on the crank turns forwards: all is taken to turn with the shaft"
-    if entries["angle_deg"] is None:
+    if record.angle_deg is None:
         undecided["angle_deg"] = "the unbalance may be none: its angle means nothing"
-    return entries | after | {"not_decided": undecided}
+    return replace(record, not_decided=undecided)
 
 
-def _of_piston(found: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str) -> dict[str, Any]:
+def _of_piston(
+    record: TrialBalance, found: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str
+) -> TrialBalance:
     bare = engine.model_copy(update={"shafts": BalanceShafts(), "rotating_unbalance_kg_m": 0.0})
     per_g = abs(force_per_kg(bare, 1, Z, along_only=True))
     half = np.abs(mass_g) * half_width(found.freedom) * np.sqrt(np.diag(found.covariance))
-    entries = with_interval("along_g", per_g * mass_g * found.value.real, per_g * float(half[0]))
-    entries |= with_interval("along_after_g", per_g * mass_g * (found.value.real + 1.0), per_g * float(half[0]))
-    entries |= with_interval("along_quadrature_g", per_g * mass_g * found.value.imag, per_g * float(half[1]))
+    record = with_interval(record, "along_g", per_g * mass_g * found.value.real, per_g * float(half[0]))
+    record = with_interval(record, "along_after_g", per_g * mass_g * (found.value.real + 1.0), per_g * float(half[0]))
+    record = with_interval(record, "along_quadrature_g", per_g * mass_g * found.value.imag, per_g * float(half[1]))
     turning = "a mass on the piston acts along the cylinder alone: add one on the crank"
     undecided = dict.fromkeys(("residual_rotating_gmm", "across_g", "reverse_gmm"), turning)
     alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
     undecided["residual_reciprocating_g"] = f"{alike}, and no residual of the second order tells them apart"
     if isinstance(second, str):
-        return entries | {"not_decided": undecided | {"residual_second_order_g": second}}
+        return replace(record, not_decided=undecided | {"residual_second_order_g": second})
     wide = abs(mass_g) * half_width(second.freedom) * float(np.sqrt(second.covariance[0, 0]))
-    entries |= with_interval("residual_second_order_g", mass_g * second.value.real, wide)
+    record = with_interval(record, "residual_second_order_g", mass_g * second.value.real, wide)
     apart = np.array([(found.value - second.value).real, (found.value - second.value).imag])
     if apart @ np.linalg.pinv(found.covariance + second.covariance) @ apart <= AGREE_CHI_SQUARE:
-        entries |= with_interval("residual_reciprocating_g", mass_g * found.value.real, float(half[0]))
+        record = with_interval(record, "residual_reciprocating_g", mass_g * found.value.real, float(half[0]))
         del undecided["residual_reciprocating_g"]
-    return entries | {"orders_used": [1, 2], "not_decided": undecided}
+    return replace(record, orders_used=(1, 2), not_decided=undecided)

@@ -8,26 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.bearings.places import Place
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="candidates"):
+    highest_db: float
+    clear_db: float
+    clear_share: float
+    noise_db: float
+    off_bins: float
+    cage_from_harmonic: int
+    side_share: float
+
+
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
-
-HIGHEST_DB = 40.0
-"""Of one harmonic over the floor, at most: one line that stands out does not outweigh those that are missing."""
-
-CLEAR_DB = 3.0
-"""Margin in level over the next part from which a part is named without doubt …"""
-
-CLEAR_SHARE = 0.25
-"""… and share of its own level that the margin has at least: what stands high has high companions."""
-
-NOISE_DB, OFF_BINS = 5.0, 2.5
-"""Level that noise reaches at the best of all places of a part, and bins beside a multiple that are off it."""
-
-CAGE_FROM = 3
-"""First harmonic of a cage that counts: the load zone makes the lower ones of any damage that passes through it."""
-
-SIDE_SHARE = 0.5
-"""Weight of the sidebands that a part makes as it comes and goes with the load, against its harmonics."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ class Ranking:
     def rivals(self) -> tuple[Candidate, ...]:
         """The parts that the first is not told from."""
         first = self.candidates[0]
-        clear = max(CLEAR_DB, CLEAR_SHARE * first.level_db)
+        clear = max(NUMBERS.clear_db, NUMBERS.clear_share * first.level_db)
         return tuple(one for one in self.candidates[1:] if first.level_db - one.level_db < clear)
 
 
@@ -80,7 +76,7 @@ def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Pla
     off the multiples of the cage's order speaks against the cage, for the element comes and goes with it. Bins that are
     not ``free`` do not count.
     """
-    level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, HIGHEST_DB)
+    level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, NUMBERS.highest_db)
     level = np.where(free, level, np.nan)
     found = []
     for place in places:
@@ -99,14 +95,14 @@ def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
     """Orders (trials,) at which ``place`` may be, and its level at each; NaN beyond the spectrum."""
     comb = place.comb
     trials = comb.trials(step)
-    harmonic = np.arange(CAGE_FROM if place.line == "FTF" else 1, comb.teeth + 1)[:, None]
+    harmonic = np.arange(NUMBERS.cage_from_harmonic if place.line == "FTF" else 1, comb.teeth + 1)[:, None]
     teeth = harmonic * trials
     made = _levels(level, step, teeth)
     cage = place.cage_at(trials)
     if place.spacing is not None:
         spacing = cage if place.line == "BSF" and cage is not None else place.spacing
         sides = 0.5 * (_levels(level, step, teeth - spacing) + _levels(level, step, teeth + spacing))
-        made = np.where(np.isfinite(sides), (1.0 - SIDE_SHARE) * made + SIDE_SHARE * sides, made)
+        made = np.where(np.isfinite(sides), (1.0 - NUMBERS.side_share) * made + NUMBERS.side_share * sides, made)
     if place.line != "FTF" and cage is not None:
         if place.line == "BSF":
             beside = _levels(level, step, cage * np.round((teeth - 0.5 * trials) / cage), reach=2)
@@ -122,8 +118,8 @@ def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
 def _off_cage(level: Array, step: float, place: Place, cage: float) -> float:
     """Level in dB, beyond what noise reaches, of a rolling element ``place`` off the multiples of order ``cage``."""
     trials, mean = _course(level, step, place)
-    off = np.abs(trials - cage * np.round(trials / cage)) > OFF_BINS * step
-    return float(np.nanmax(np.where(off, mean, np.nan), initial=NOISE_DB)) - NOISE_DB
+    off = np.abs(trials - cage * np.round(trials / cage)) > NUMBERS.off_bins * step
+    return float(np.nanmax(np.where(off, mean, np.nan), initial=NUMBERS.noise_db)) - NUMBERS.noise_db
 
 
 def _levels(level: Array, step: float, orders: Array, *, reach: int = 1) -> Array:

@@ -25,6 +25,19 @@ from crankorder.orders.envelope_combs import (
     looked_at,
     over_skirts,
 )
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="envelope_lines"):
+    wander_share: float
+    least_speeds: int
+    harmonics: int
+    trials_share: float
+    least_free_share: float
+    harmonic_chance: float
+
+
+NUMBERS = _Numbers.load()
 
 PLACE_ERROR = (0.42, 0.40)
 """Standard error of a line's place in cells of resolution, times the root of its power ratio and of the independent
@@ -33,28 +46,8 @@ spectra: of many frames, and what is added (in squares) for one; measured on ton
 PARABOLA_POWER = 0.1154
 """Power to which the power ratios are raised before a parabola is laid through them."""
 
-WANDER_SHARE = 0.01
-"""Standard deviation, as a share, of the way from one strike to the next that is allowed for where the test does not
-show it: strikes that slip at random add up, so that the mean order of a recording is not that of a longer one."""
-
-LEAST_SPEEDS = 4
-"""Speeds from which on their own scatter says how well an order is known."""
-
-HARMONICS = 4
-"""Highest multiple of a line that is looked for."""
-
 WAYS = 2.0
 """Ways in which a line is looked for: in single spectra and in the mean of all."""
-
-TRIALS_SHARE = 0.2
-"""Share of the trials that count as independent: bands overlap, lines are wider than bins, and harmonics have limits.
-Measured on 940 drawn sound rigs: as many of them then raise an alarm as the stated level says, 1 in 1000."""
-
-LEAST_FREE = 0.5
-"""Share of the spectra in which an order must be free for the mean of all to count there."""
-
-HARMONIC_LEVEL = 1e-3
-"""Chance that noise alone makes one multiple or sideband of a line that was found."""
 
 
 class Look(NamedTuple):
@@ -111,7 +104,7 @@ class Spectra:
         """Mean ``ratio`` of all channels and speeds (orders,) where free, spectra it is worth, and bins that count."""
         weight = self.count[:, :, None] * self.free()[None]
         own = weight.sum(axis=(0, 1))
-        counts = own >= LEAST_FREE * max(float(self.count.sum()), 1e-9)
+        counts = own >= NUMBERS.least_free_share * max(float(self.count.sum()), 1e-9)
         mean = (weight * ratio).sum(axis=(0, 1)) / np.where(counts, own, 1.0)
         worth = float(own[counts].min()) if counts.any() else 0.0
         return np.where(counts, mean, 0.0), worth, np.asarray(counts)
@@ -285,7 +278,7 @@ def line_chances(
     if span.stop <= span.start:
         return np.zeros((*spectra.count.shape, 0)), np.zeros(0)
     ratio, free = spectra.serving(place).ratio, spectra.free()
-    trials = TRIALS_SHARE * spectra.bands_tried * bins * WAYS
+    trials = NUMBERS.trials_share * spectra.bands_tried * bins * WAYS
     alone = np.stack(
         [
             _comb_chances(spectra, ratio[:, s], place, span, spectra.count[:, s], worth, free[s])
@@ -367,7 +360,7 @@ def _order(
     wanders = np.array([_wander(spectra, peak * step, np.array([speed])) for speed in speeds])
     weight = 1.0 / (noises**2 + wanders**2)
     order = float((weight * places).sum() / weight.sum())
-    if len(speeds) < LEAST_SPEEDS:
+    if len(speeds) < NUMBERS.least_speeds:
         return order, float(weight.sum() ** -0.5), math.inf
     freedom = len(speeds) - 1.0
     spread = float((weight * (places - order) ** 2).sum()) / freedom
@@ -379,7 +372,7 @@ def _wander(spectra: Spectra, order: float, speeds: NDArray[np.int64]) -> float:
     """Standard error of the mean place of a line at ``order`` by random slips over what was recorded at ``speeds``."""
     frames = spectra.count[:, speeds].max(axis=0)
     revs = float((0.5 * (frames + 1.0) / spectra.cell[speeds]).sum())
-    return WANDER_SHARE * math.sqrt(order / max(revs, 1.0))
+    return NUMBERS.wander_share * math.sqrt(order / max(revs, 1.0))
 
 
 def _at_speed(
@@ -403,7 +396,7 @@ def _at_speed(
 def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: int) -> tuple[int, float | None]:
     """How many of the multiples of ``order`` (itself included) and whether sidebands stand over the floor."""
     ratio = spectra.serving(place).ratio
-    multiples = sum(_stands(spectra, ratio, times * order, channel, speed) for times in range(1, HARMONICS + 1))
+    multiples = sum(_stands(spectra, ratio, times * order, channel, speed) for times in range(1, NUMBERS.harmonics + 1))
     spacing = place.spacing
     if spacing is None or spacing < 3.0 * float(spectra.cell[speed]):
         return multiples, None
@@ -420,4 +413,4 @@ def _stands(spectra: Spectra, ratio: NDArray[np.float64], order: float, channel:
         return False
     count, worth = max(float(spectra.count[channel, speed]), 1e-3), float(spectra.floor_worth[speed])
     chance = float(fdtrc(2.0 * count, 2.0 * worth * count, ratio[channel, speed, near].max()))
-    return bool(chance * (near.stop - near.start) <= HARMONIC_LEVEL)
+    return bool(chance * (near.stop - near.start) <= NUMBERS.harmonic_chance)

@@ -9,15 +9,18 @@ from numpy.typing import NDArray
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.orders.envelope_combs import Comb
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="places"):
+    sideband_turns: int
+    multiples: int
+
+
+NUMBERS = _Numbers.load()
 
 SHOWN_AT = {"BSF": 2.0}
 """Multiple of a line at which its damage shows, where not once: a rolling element strikes both races in a turn."""
-
-SIDEBAND_TURNS = 2
-"""Turns of the shaft by which a line's sidebands are followed when weaker lines are explained by a stronger one."""
-
-MULTIPLES = 5
-"""Multiples of a stronger line that are followed for the same purpose."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +115,8 @@ def made_by(order: float, stronger: Place, stronger_order: float, *, within: flo
     shaft". A modulated train of strikes has all of them.
     """
     cages = (0,) if stronger.cage_order is None else (0, -1, 1)
-    for times in range(1, MULTIPLES + 1):
-        for turns in sorted(range(-SIDEBAND_TURNS, SIDEBAND_TURNS + 1), key=abs):
+    for times in range(1, NUMBERS.multiples + 1):
+        for turns in sorted(range(-NUMBERS.sideband_turns, NUMBERS.sideband_turns + 1), key=abs):
             for cage in cages:
                 if turns and cage:
                     continue

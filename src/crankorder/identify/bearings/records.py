@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import xarray as xr
 
 from crankorder.engine.bearings import Bearing
+from crankorder.findings import BearingFinding
 from crankorder.identify.bearings.envelope_lines import EnvelopeLine, Spectra, envelope_lines, spectra_of
 from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.bearings.shaft_speed import ShaftSpeed, shaft_speed
@@ -25,7 +28,7 @@ def bearing_records(
     bearings: tuple[Bearing, ...],
     revs_per_cycle: int,
     settings: IdentifySettings,
-) -> list[dict[str, Any]]:
+) -> tuple[BearingFinding, ...]:
     """One record per bearing line that was found in the vibration or in its envelope, in words of the findings' schema.
 
     A line may turn slower or faster than in pure rolling by ``settings.bearing_slip_percent``; it is looked for over
@@ -56,32 +59,32 @@ def bearing_records(
         found = envelope_lines(spectra, places, false_alarm_probability=level)
         speeds = _shaft_speeds(spectra, found) if envelope.attrs["speed_basis"] == "nominal" else {}
         records += [_envelope_record(line, found, spectra, envelope, level=level, shafts=speeds) for line in found]
-    return [_with_races(record, records) for record in records if not _is_excluded(record, records)]
+    return tuple(_with_races(record, records) for record in records if not _is_excluded(record, records))
 
 
-def _is_excluded(record: dict[str, Any], records: list[dict[str, Any]]) -> bool:
+def _is_excluded(record: BearingFinding, records: Sequence[BearingFinding]) -> bool:
     """Whether a ``record`` of N*fs in the vibration that slips is not the sum of both races as they were found."""
-    if record["line"] != "N*fs" or record["seen_in"] != "vibration" or record["lock"] == "locked":
+    if record.line != "N*fs" or record.seen_in != "vibration" or record.lock == "locked":
         return False
-    races = {one["line"]: one for one in records if one["name"] == record["name"] and one["line"] in ("BPFO", "BPFI")}
+    races = {one.line: one for one in records if one.name == record.name and one.line in ("BPFO", "BPFI")}
     if len(races) < 2:
         return False
-    total = sum(float(one["order"]) for one in races.values())
-    spare = sum(float(one["order_ci95"][1] - one["order"]) for one in (*races.values(), record))
-    return bool(abs(record["order"] - total) > max(2.0 * spare, 1e-3 * total))
+    total = sum(one.order for one in races.values())
+    spare = sum(one.order_half for one in (*races.values(), record))
+    return bool(abs(record.order - total) > max(2.0 * spare, 1e-3 * total))
 
 
-def _with_races(record: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, Any]:
+def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> BearingFinding:
     """``record`` of N*fs with a word on the races of the same bearing: they slip where their sum keeps step."""
-    if record["line"] != "N*fs" or record["seen_in"] != "vibration":
+    if record.line != "N*fs" or record.seen_in != "vibration":
         return record
-    own = [one for one in records if one["name"] == record["name"] and one is not record]
-    races = sorted({one["line"] for one in own} & {"BPFO", "BPFI"})
-    struck = sorted({one["line"] for one in own if one["seen_in"] == "envelope"} - {"BPFO", "BPFI"})
-    return record | {"verdict": f"{record['verdict']} {races_words(races, struck)}"}
+    own = [one for one in records if one.name == record.name and one is not record]
+    races = sorted({one.line for one in own} & {"BPFO", "BPFI"})
+    struck = sorted({one.line for one in own if one.seen_in == "envelope"} - {"BPFO", "BPFI"})
+    return replace(record, verdict=f"{record.verdict} {races_words(races, struck)}")
 
 
-def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> dict[str, Any] | None:
+def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> BearingFinding | None:
     """Record of ``place`` where an order of the vibration lies in it; None where none does."""
     near = [order for order in orders if _within(order, place)]
     if place.line != "N*fs":
@@ -94,20 +97,24 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
     steady = law is not None and law.law == "keeps its size"
     level = mean_level(line) if steady else best_seen
     multiples = [n for n in (2, 3, 4) if any(abs(o.order - n * best.order) <= 3.0 * _reach(o, n, best) for o in orders)]
-    return _record(place, best.order, best.order_error, best.degrees_of_freedom) | {
-        "seen_in": "vibration",
-        "amplitude": level.amplitude,
-        "amplitude_ci95": [level.low, level.high],
-        "channel": line.channel,
-        "speed_rpm": best_seen.speed_rpm,
-        "band_hz": None,
-        "harmonics": 1 + len(multiples),
-        "sidebands": None,
-        "lock": best.lock,
-        "verdict": vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
-        "evidence": f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
+    return _record(
+        place,
+        best.order,
+        best.order_error,
+        best.degrees_of_freedom,
+        seen_in="vibration",
+        amplitude=level.amplitude,
+        amplitude_ci95=(level.low, level.high),
+        channel=line.channel,
+        speed_rpm=best_seen.speed_rpm,
+        band_hz=None,
+        harmonics=1 + len(multiples),
+        sidebands=None,
+        lock=best.lock,
+        verdict=vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
+        evidence=f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
         f"{len(best.lines)} channels show it" + ("; its mean over all speeds, for it keeps its size" if steady else ""),
-    }
+    )
 
 
 def _reach(order: AgreedOrder, times: int, of: AgreedOrder) -> float:
@@ -143,9 +150,9 @@ def _shaft_speeds(spectra: Spectra, found: list[EnvelopeLine]) -> dict[tuple[str
 
 
 def _record(
-    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None = None
-) -> dict[str, Any]:
-    """What every record says of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``.
+    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None = None, **seen: Any
+) -> BearingFinding:
+    """Finding of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``, as it was ``seen``.
 
     Slip is that beside the true speed of the ``shaft``, where it was read.
     """
@@ -153,15 +160,16 @@ def _record(
     factor, factor_error = (shaft.factor, shaft.error) if shaft is not None else (1.0, 0.0)
     slip = place.slip_percent(order / factor)
     half_slip = 100.0 / place.expected * math.hypot(half, Z95 * factor_error * order)
-    return {
-        "name": place.name,
-        "line": place.line,
-        "order": order,
-        "order_ci95": [order - half, order + half],
-        "order_expected": place.expected,
-        "slip_percent": slip,
-        "slip_percent_ci95": [slip - half_slip, slip + half_slip],
-    }
+    return BearingFinding(
+        name=place.name,
+        line=place.line,
+        order=order,
+        order_ci95=(order - half, order + half),
+        order_expected=place.expected,
+        slip_percent=slip,
+        slip_percent_ci95=(slip - half_slip, slip + half_slip),
+        **seen,
+    )
 
 
 def _envelope_record(
@@ -172,7 +180,7 @@ def _envelope_record(
     *,
     level: float,
     shafts: dict[tuple[str, int], ShaftSpeed],
-) -> dict[str, Any]:
+) -> BearingFinding:
     """Record of a ``line`` of the envelope among all ``found``; ``shafts``: speeds that sidebands tell."""
     names = envelope["channel"].values.tolist()
     nominal = envelope.attrs["speed_basis"] == "nominal"
@@ -181,17 +189,22 @@ def _envelope_record(
     half = Z95 * line.amplitude_error
     shaft = shafts.get((line.place.name, line.speed))
     spoken = envelope_verdict(line, found, speed_is_nominal=nominal, shaft=shaft)
-    return _record(line.place, line.order, line.order_error, line.freedom, shaft) | {
-        "seen_in": "envelope",
-        "amplitude": line.amplitude,
-        "amplitude_ci95": [max(0.0, line.amplitude - half), line.amplitude + half],
-        "channel": names[line.channel],
-        "speed_rpm": float(spectra.speed_rpm[line.speed]),
-        "band_hz": band,
-        "harmonics": line.harmonics,
-        "sidebands": line.sidebands,
-        "lock": "slips",
-        "shaft_order": shaft.factor * line.place.shaft_order if shaft is not None else None,
-        "verdict": spoken,
-        "evidence": envelope_evidence(line, names, band, level=level, n_speeds=len(spectra.speed_rpm)),
-    }
+    return _record(
+        line.place,
+        line.order,
+        line.order_error,
+        line.freedom,
+        shaft,
+        seen_in="envelope",
+        amplitude=line.amplitude,
+        amplitude_ci95=(max(0.0, line.amplitude - half), line.amplitude + half),
+        channel=names[line.channel],
+        speed_rpm=float(spectra.speed_rpm[line.speed]),
+        band_hz=(band[0], band[1]),
+        harmonics=line.harmonics,
+        sidebands=line.sidebands,
+        lock="slips",
+        shaft_order=shaft.factor * line.place.shaft_order if shaft is not None else None,
+        verdict=spoken,
+        evidence=envelope_evidence(line, names, band, level=level, n_speeds=len(spectra.speed_rpm)),
+    )

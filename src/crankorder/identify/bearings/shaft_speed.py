@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.bearings.envelope_lines import EnvelopeLine, Spectra, parabola, place_error
+from crankorder.settings import MethodNumbers
 
-CARRIERS = 3
-"""Harmonics of the line whose sidebands are looked at."""
 
-MOST_OFF = 0.03
-"""Share by which a nominal speed may be off."""
+class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="shaft_speed"):
+    carriers: int
+    most_off_share: float
+    least_ratio: float
+    most_spread_sigmas: float
 
-LEAST_RATIO = 12.0
-"""Power over the floor that both sidebands of a pair have: noise has it beside a stated line once in 1e4."""
 
-MOST_SPREAD = 3.0
-"""Pairs that disagree on the spacing by more than so many of their standard errors are no sidebands of one shaft."""
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
 
@@ -42,7 +41,7 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
     ratio, cell = spectra.ratio[line.channel, line.speed], float(spectra.cell[line.speed])
     found = [
         pair
-        for times in range(1, CARRIERS + 1)
+        for times in range(1, NUMBERS.carriers + 1)
         if (pair := _pair(ratio, float(spectra.order[1]), cell, times * line.order, line.place.shaft_order)) is not None
     ]
     if not found:
@@ -50,7 +49,7 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
     spacing, error = np.array(found).T
     weight = error**-2.0
     mean = float((weight * spacing).sum() / weight.sum())
-    if np.abs(spacing - mean).max() > MOST_SPREAD * float(error.max()):
+    if np.abs(spacing - mean).max() > NUMBERS.most_spread_sigmas * float(error.max()):
         return None
     nominal = line.place.shaft_order
     return ShaftSpeed(mean / nominal, float(weight.sum() ** -0.5) / nominal, len(found))
@@ -58,7 +57,7 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
 
 def _pair(ratio: Array, step: float, cell: float, carrier: float, spacing: float) -> tuple[float, float] | None:
     """Distance of a ``carrier`` to its sidebands about ``spacing`` away, with its error; None without a pair."""
-    sides = [_peak(ratio, step, carrier + side * spacing, MOST_OFF * spacing + cell) for side in (-1, 1)]
+    sides = [_peak(ratio, step, carrier + side * spacing, NUMBERS.most_off_share * spacing + cell) for side in (-1, 1)]
     low, high = sides
     if low is None or high is None:
         return None
@@ -75,6 +74,6 @@ def _peak(ratio: Array, step: float, near: float, reach: float) -> tuple[float, 
     if last >= len(ratio) - 1 or last < first:
         return None
     at = first + int(np.argmax(ratio[first : last + 1]))
-    if ratio[at] < LEAST_RATIO or ratio[at] < max(ratio[at - 1], ratio[at + 1]):
+    if ratio[at] < NUMBERS.least_ratio or ratio[at] < max(ratio[at - 1], ratio[at + 1]):
         return None
     return (at + parabola(ratio, at)) * step, float(ratio[at])

@@ -16,19 +16,17 @@ from scipy.special import stdtr
 from crankorder.errors import RequestError
 from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
 from crankorder.identify.intervals import half_width, known_freedom
-
-LEAST_RATIO = 10.0
-"""Power ratio to the floor, in the run where it is highest, that a channel and speed need to take part in a trend."""
-
-BAND_CHANGE = 0.15
-"""Relative standard error that is added to a run's amplitude where its band of demodulation is not the first run's."""
-
-LEVEL = 0.05
-"""Chance of "grows" or "shrinks" where nothing changes, both together."""
+from crankorder.settings import MethodNumbers
 
 
-LEAST_GROWTH = 0.02
-"""Growth per run that load and temperature make as well: less than surely this says nothing of damage."""
+class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="trend"):
+    least_ratio: float
+    band_change_share: float
+    no_change_chance: float
+    least_growth_share: float
+
+
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ def trend(
     if error is None:
         return _judged(*_by_ranks(run, logs), kendall_p_value(size), kendall_p_value(size[::-1]), len(size))
     slope, spread, dof = _line(run, logs, np.maximum(error / size, 1e-9), freedom)
-    half = spread * half_width(dof, level=1.0 - LEVEL)
+    half = spread * half_width(dof, level=1.0 - NUMBERS.no_change_chance)
     p_value = float(stdtr(known_freedom(dof), -slope / spread))
     return _judged(slope, (slope - half, slope + half), p_value, 1.0 - p_value, len(size))
 
@@ -111,7 +109,9 @@ def _by_ranks(run: NDArray[np.float64], logs: NDArray[np.float64]) -> tuple[floa
     one, two = np.triu_indices(len(run), k=1)
     slopes = np.sort((logs[two] - logs[one]) / (run[two] - run[one]))
     chance = np.cumsum(_chance_of_rises(len(run))[::-1])  # of the most rises, of one less or more, …
-    excluded = int(np.count_nonzero(chance <= LEVEL / 2.0))  # numbers of rises that would exclude a slope, from the top
+    excluded = int(
+        np.count_nonzero(chance <= NUMBERS.no_change_chance / 2.0)
+    )  # numbers of rises that would exclude a slope, from the top
     if excluded == 0:
         return float(np.median(slopes)), (-math.inf, math.inf)
     return float(np.median(slopes)), (float(slopes[excluded - 1]), float(slopes[-excluded]))
@@ -143,12 +143,14 @@ def _judged(slope: float, ends: tuple[float, float], p_value: float, p_fall: flo
         interval = f"{n_runs} runs are too few for an interval"
     change: Literal["grows", "shrinks", "not decided"] = "not decided"
     verdict = f"not decided: {growth:+.1%} a run ({interval}); run it again"
-    if p_value <= LEVEL / 2.0:
+    if p_value <= NUMBERS.no_change_chance / 2.0:
         says = (
-            "the bearing is failing" if low >= LEAST_GROWTH else "too little to tell a damage from load or temperature"
+            "the bearing is failing"
+            if low >= NUMBERS.least_growth_share
+            else "too little to tell a damage from load or temperature"
         )
         change, verdict = "grows", f"grows by {growth:.1%} a run ({interval}): {says}"
-    elif p_fall <= LEVEL / 2.0:
+    elif p_fall <= NUMBERS.no_change_chance / 2.0:
         change, verdict = "shrinks", f"shrinks by {-growth:.1%} a run ({interval}): no sign of a failing bearing"
     return Trend(growth, (low, high), p_value, change, verdict)
 
@@ -181,14 +183,14 @@ def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmpli
     if len(spectra) < len(envelopes) or not spectra or any(s.count.shape != spectra[0].count.shape for s in spectra):
         return none
     ratio, power, count = (np.array(values) for values in zip(*(_at(one, order) for one in spectra), strict=True))
-    clear = ratio.max(axis=0) >= LEAST_RATIO
+    clear = ratio.max(axis=0) >= NUMBERS.least_ratio
     if not clear.any():
         return none
     low, high = (np.array([one[end].values for one in envelopes]) for end in ("band_low", "band_high"))
     other = (np.abs(low - low[0]) > 0.02 * high) | (np.abs(high - high[0]) > 0.02 * high)
     own = np.maximum(ratio - 1.0, 0.5)
     logs = 0.25 * np.log(power / ratio * own)
-    variance = (2.0 * ratio + 1.0) / (np.maximum(count, 1.0) * (4.0 * own) ** 2) + BAND_CHANGE**2 * other
+    variance = (2.0 * ratio + 1.0) / (np.maximum(count, 1.0) * (4.0 * own) ** 2) + NUMBERS.band_change_share**2 * other
     # cells differ in level: each is taken beside its own mean over the runs
     beside = logs - logs.mean(axis=0)
     weight = np.where(clear, 1.0 / variance.mean(axis=0), 0.0)

@@ -10,6 +10,15 @@ from crankorder.identify.bearings.places import Place
 from crankorder.identify.bearings.shaft_speed import ShaftSpeed
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="verdicts"):
+    companion_share: float
+    off_share: float
+
+
+NUMBERS = _Numbers.load()
 
 DAMAGED = {
     "BPFO": "the outer race",
@@ -17,12 +26,6 @@ DAMAGED = {
     "BSF": "a rolling element",
     "FTF": "the cage",
 }
-
-COMPANION_SHARE = 0.5
-"""Of a line's amplitude, from which another line of the same bearing may be the damage as well as it."""
-
-OFF_SHARE = 0.08
-"""Of the cage's order, from which a line is none of its multiples."""
 
 RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
 
@@ -165,7 +168,7 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
         other.place.line
         for other in kin
         if other.place.line not in ("FTF", "N*fs")
-        and other.amplitude >= COMPANION_SHARE * line.amplitude
+        and other.amplitude >= NUMBERS.companion_share * line.amplitude
         and not (place_line == "FTF" and _is_multiple(other.order, line.order))
     }
     return [one for one in ranked.candidates if one.place.line in (high | large) - {line.place.line}]
@@ -173,7 +176,7 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
 
 def _is_multiple(order: float, cage: float) -> bool:
     """Whether a line at ``order`` is one of the many harmonics that a damaged ``cage`` has."""
-    return abs(order / cage - round(order / cage)) <= OFF_SHARE
+    return abs(order / cage - round(order / cage)) <= NUMBERS.off_share
 
 
 def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:

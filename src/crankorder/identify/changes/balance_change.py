@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from crankorder.findings import Balance, Findings
 from crankorder.identify.changes.mass_change import Unbalance
 from crankorder.identify.intervals import Z95, error_of, half_width
+from crankorder.records import known
 
 ONE_FACTOR = 13.8
 """99.9 % point of χ² with two degrees of freedom: beyond it two factors are not one."""
@@ -36,9 +38,7 @@ class _Stated(NamedTuple):
     error: float
 
 
-def balance_changes(
-    base: Mapping[str, Any], new: Mapping[str, Any], unbalances: Sequence[Unbalance]
-) -> list[dict[str, Any]]:
+def balance_changes(base: Findings, new: Findings, unbalances: Sequence[Unbalance]) -> list[dict[str, Any]]:
     """Records of how the masses of the closed balance changed, the surest way of telling each.
 
     ``base`` and ``new`` are the findings of both tests; ``unbalances`` what became of orders 1 and 2 in the channels
@@ -46,7 +46,7 @@ def balance_changes(
     balance closed in one test alone tells both, and the error of its path counts for the change only, not for the mass.
     Quantities without such a ratio are subtracted where both tests closed the balance.
     """
-    sides = [_closed(found.get("balance")) for found in (base, new)]
+    sides = [_closed(found.balance) for found in (base, new)]
     records = []
     for key in _QUANTITIES:
         known = [side.get(key) for side in sides]
@@ -57,12 +57,12 @@ def balance_changes(
     return records
 
 
-def _closed(balance: Any) -> dict[str, _Stated]:
+def _closed(balance: Balance | None) -> dict[str, _Stated]:
     """Masses of a closed balance with their standard errors."""
     made: dict[str, _Stated] = {}
-    for key in _QUANTITIES if isinstance(balance, Mapping) else ():
-        value, ends = balance.get(key), balance.get(f"{key}_ci95")
-        if isinstance(value, int | float) and ends and None not in ends:
+    for key in _QUANTITIES if balance is not None else ():
+        value, ends = getattr(balance, key), known(getattr(balance, f"{key}_ci95"))
+        if value is not None and ends is not None:
             made[key] = _Stated(float(value), error_of(float(value), ends))
     return made
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from crankorder.findings import Findings
 from crankorder.identify.changes.balance_change import balance_changes
 from crankorder.identify.changes.confounds import Confound, confounds
 from crankorder.identify.changes.known_mass import known_mass
@@ -17,14 +18,8 @@ from crankorder.identify.changes.map_difference import MapDifference, cell_recor
 from crankorder.identify.changes.mark_turn import mark_turn
 from crankorder.identify.changes.mass_change import Unbalance, Weighed, unbalance_change, weighed
 from crankorder.identify.changes.mode_shifts import mode_shifts
-from crankorder.identify.changes.order_changes import (
-    MATCH,
-    TO_DB,
-    OrderChange,
-    like_speeds,
-    order_changes,
-    orders_to_compare,
-)
+from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
+from crankorder.identify.changes.order_changes import TO_DB, OrderChange, like_speeds, order_changes, orders_to_compare
 from crankorder.identify.changes.run_trends import run_trends
 from crankorder.identify.intervals import Z95, half_width
 
@@ -46,7 +41,7 @@ class Tested:
     """The results of one test: its name, findings, what ``run.json`` states, and its datasets by name."""
 
     name: str
-    findings: Mapping[str, Any]
+    findings: Findings
     run: Mapping[str, Any]
     maps: Mapping[str, xr.Dataset]
 
@@ -72,7 +67,7 @@ def compared(tests: Sequence[Tested], *, q: float, correlated: bool = False) -> 
     base, new = tests[0], tests[-1]
     doubts = confounds(base.run, new.run, base.maps, new.maps)
     refused = {one.channel: one for one in doubts if one.severity == "invalid" and one.part == "channel"}
-    channels = tuple(c["name"] for c in base.findings["channels"] if c["name"] not in refused)
+    channels = tuple(c.name for c in base.findings.channels if c.name not in refused)
     within = max(_speed_bin(test) for test in (base, new))
     changes, orders = _orders(base, new, channels, within, q, doubts)
     cells = None
@@ -97,7 +92,7 @@ def compared(tests: Sequence[Tested], *, q: float, correlated: bool = False) -> 
         "cells": [] if cells is None else cell_records(cells),
         "unbalance": [_unbalance_record(one, found) for one, found in unbalances],
         "masses": _masses(base, new, unbalances),
-        "trial_mass": trial,
+        "trial_mass": None if trial is None else trial.as_dict(),
         "trial_mass_reason": trial_reason,
         "balance": balance_changes(base.findings, new.findings, explaining),
         "balance_reason": _why_not_closed(base, new),
@@ -122,7 +117,7 @@ def _speed_bin(test: Tested) -> float:
 
 
 def _units(base: Tested, new: Tested) -> dict[str, str]:
-    return {c["name"]: c.get("unit", "") for test in (new, base) for c in test.findings["channels"]}
+    return {c.name: c.unit for test in (new, base) for c in test.findings.channels}
 
 
 def _speeds(base: Tested, new: Tested, within: float) -> list[dict[str, float]]:
@@ -142,7 +137,7 @@ def _orders(
         return [], []
     maps = base.maps["order_map"], new.maps["order_map"]
     highest = min(float(item["order"].values[-1]) for item in maps)
-    orders = orders_to_compare(base.findings["orders"], new.findings["orders"], highest)
+    orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
     phases = not any(one.what == "phase reference" for one in doubts)
     changes = order_changes(*maps, orders, channels, within_rpm=within, q=q, phases=phases)
     found = mark_turn(changes)
@@ -215,10 +210,10 @@ def _cause(
 def _explained(one: OrderChange, base: Tested, new: Tested) -> str | None:
     """What the findings of the second test, else of the first, say that makes the order; None for neither."""
     for test in (new, base):
-        near = [r for r in test.findings["orders"] if abs(float(r["order"]) - one.order) < MATCH]
-        near.sort(key=lambda record: (record["channel"] != one.channel, -float(record["amplitude"])))
+        near = [r for r in test.findings.orders if abs(r.order - one.order) < ORDER_CHANGES.same_order]
+        near.sort(key=lambda record: (record.channel != one.channel, -record.amplitude))
         if near:
-            return str(near[0].get("explained_by") or "") or None
+            return near[0].explained_by or None
     return None
 
 
@@ -322,9 +317,9 @@ def _mass_record(one: OrderChange, made: Weighed, unit: str) -> dict[str, Any]:
 def _why_not_closed(base: Tested, new: Tested) -> str:
     """Why neither test closed its balance; empty where one did."""
     sides = (new, base)
-    if any(isinstance(test.findings.get("balance"), Mapping) for test in sides):
+    if any(test.findings.balance is not None for test in sides):
         return ""
-    return next((reason for test in sides if (reason := str(test.findings.get("balance_reason") or ""))), "")
+    return next((reason for test in sides if (reason := test.findings.balance_reason or "")), "")
 
 
 def _trends(

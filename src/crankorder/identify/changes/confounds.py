@@ -10,6 +10,16 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="confounds"):
+    few_frames_ratio: float
+    fired_ratio: float
+
+
+NUMBERS = _Numbers.load()
+
 Weight = Literal["invalid", "weakens", "harmless"]
 """What a confound does to a comparison: nothing can be compared, claims need care, or none."""
 
@@ -63,12 +73,6 @@ _RULES: tuple[tuple[str, str, Weight, Part, str], ...] = (
     ("calibration of the encoder", "settings.shaft.calibrate_encoder", "weakens", "orders",
      "errors of the encoder's pitch were taken out of one test only"),
 )  # fmt: skip
-
-FEW_FRAMES = 1.5
-"""Where one test has so many times the frames of the other, its intervals are that much narrower."""
-
-FIRED = 1.5
-"""Pressure amplitudes that differ by this factor: another load, or firing against motoring."""
 
 
 def confounds(
@@ -158,7 +162,7 @@ def _maps(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> list
             words = "only speeds that both have are compared; nothing is interpolated"
             found.append(Confound("speeds", "weakens", "all", texts[0], texts[1], words))
     counts = [int(item["n_frames"].values.sum()) for item in maps]
-    if max(counts) > FEW_FRAMES * max(min(counts), 1):
+    if max(counts) > NUMBERS.few_frames_ratio * max(min(counts), 1):
         words = "the intervals allow for it: small changes may hide in the shorter test"
         found.append(Confound("frames averaged", "harmless", "all", str(counts[0]), str(counts[1]), words))
     return found
@@ -179,7 +183,7 @@ def _firing(
     if all(states) and states[0] != states[1]:
         return [Confound("firing or motoring", "weakens", "all", states[0], states[1], words)]
     levels = [_pressure(maps.get("order_map")) for maps in (base_maps, new_maps)]
-    if all(level > 0 for level in levels) and max(levels) > FIRED * min(levels):
+    if all(level > 0 for level in levels) and max(levels) > NUMBERS.fired_ratio * min(levels):
         texts = [f"{level:.3g} (median)" for level in levels]
         return [Confound("pressure of the cycle", "weakens", "all", texts[0], texts[1], words)]
     return []

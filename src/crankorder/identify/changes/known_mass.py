@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass
+from crankorder.findings import TrialBalance
 from crankorder.identify.balance.trial_mass import trial_mass
 
 
@@ -33,7 +34,7 @@ def _masses(run: Mapping[str, Any]) -> list[AddedMass]:
 
 def known_mass(
     base: Mapping[str, Any], new: Mapping[str, Any], base_map: xr.Dataset | None, new_map: xr.Dataset | None
-) -> tuple[dict[str, Any] | None, str]:
+) -> tuple[TrialBalance | None, str]:
     """Residual unbalance before and after a known change of mass, or None and why; "" where no mass was changed.
 
     ``base`` and ``new`` are what ``run.json`` states, ``base_map`` and ``new_map`` the OrderMaps. No engine is needed

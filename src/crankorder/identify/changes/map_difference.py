@@ -13,18 +13,17 @@ from scipy.special import fdtr, fdtrc, fdtri
 
 from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.false_discovery import claimed
+from crankorder.settings import MethodNumbers
 
-BESIDE = (3, 11)
-"""Bins beside an order line in which the noise is read."""
 
-STEADIEST = 0.01
-"""No line is trusted to vary less than this share of what noise does."""
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="map_difference"):
+    beside_bins: tuple[int, int]
+    steadiest_share: float
+    still_bins: float
+    mean_bins: float
 
-STILL_BINS = 0.05
-"""An order line that moves by less of a bin, for two speeds that are not quite the same, changes no level."""
 
-MEAN_BINS = 1.5
-"""Bins to which the window spreads the mean of a signal: those below are no vibration."""
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,14 +137,14 @@ def _freedom(psd: NDArray[np.float64], freedom: NDArray[np.float64], lines: NDAr
     made = np.array(freedom)
     row, column = np.nonzero(lines)
     n = psd.shape[2]
-    sides = [np.clip(column[:, None] + sign * np.arange(*BESIDE), 0, n - 1) for sign in (-1, 1)]
+    sides = [np.clip(column[:, None] + sign * np.arange(*NUMBERS.beside_bins), 0, n - 1) for sign in (-1, 1)]
     noise = np.max([np.nanmedian(np.nan_to_num(psd[:, row[:, None], side]), axis=2) for side in sides], axis=0)
     elsewhere = _median_where(psd, ~lines)
     noise = np.fmax(noise, elsewhere[:, column])
     power = psd[:, row, column]
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(noise > 0, np.maximum(power / noise, 1.0), 1.0)
-    made[:, row, column] /= np.maximum((2.0 * over - 1.0) / over**2, STEADIEST)
+    made[:, row, column] /= np.maximum((2.0 * over - 1.0) / over**2, NUMBERS.steadiest_share)
     return made
 
 
@@ -183,7 +182,7 @@ def _compared(
         high = ratio / fdtri(freedom[1], freedom[0], 0.025)
         db, low_db, high_db = (10.0 * np.log10(values) for values in (ratio, low, high))
     step = float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
-    p_value[..., frequency <= MEAN_BINS * step] = np.nan
+    p_value[..., frequency <= NUMBERS.mean_bins * step] = np.nan
     changed = claimed(p_value, q=q, correlated=correlated)
     return MapDifference(channels, base_rpm, new_rpm, frequency, db, low_db, high_db, p_value, changed)
 
@@ -195,7 +194,7 @@ def _nearest_ratio(
 
     Lines that move between two bins may at most change to what their neighbours were.
     """
-    reach = np.where(moved > STILL_BINS, np.ceil(np.minimum(moved, 8.0)), 0.0).astype(np.int64)
+    reach = np.where(moved > NUMBERS.still_bins, np.ceil(np.minimum(moved, 8.0)), 0.0).astype(np.int64)
     low, high = base.copy(), base.copy()
     for step in range(1, int(reach.max(initial=0)) + 1):
         used = reach >= step

@@ -9,15 +9,16 @@ import numpy as np
 from scipy.special import fdtrc
 
 from crankorder.identify.changes.order_changes import OrderChange
+from crankorder.settings import MethodNumbers
 
-LEAST_ORDERS = 3
-"""Fewer orders that turn in proportion may as well be one mass that was moved."""
 
-CLEAR = 5.0
-"""Standard errors above zero from which a phase has a normal error."""
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mark_turn"):
+    least_orders: int
+    clear_sigmas: float
+    chance: float
 
-CHANCE = 1e-3
-"""A turn is taken for the mark's if it stands out of the noise at this level, and fits all phases at it."""
+
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,13 @@ def mark_turn(changes: Sequence[OrderChange]) -> MarkTurn | None:
     turned, order, error, freedom = [], [], [], []
     for one in changes:
         lines = one.base, one.new
-        kept = np.all([np.abs(line.vector) > CLEAR * line.vector_error for line in lines], axis=0)
+        kept = np.all([np.abs(line.vector) > NUMBERS.clear_sigmas * line.vector_error for line in lines], axis=0)
         shares = [line.vector_error[kept] / np.abs(line.vector[kept]) for line in lines]
         turned += np.angle(one.new.vector[kept] / one.base.vector[kept]).tolist()
         error += np.hypot(shares[0], shares[1]).tolist()
         order += [one.order] * int(np.count_nonzero(kept))
         freedom += np.minimum(one.base.freedom, one.new.freedom)[kept].tolist()
-    if len(set(order)) < LEAST_ORDERS:
+    if len(set(order)) < NUMBERS.least_orders:
         return None
     k, phase, sd = np.array(order), np.array(turned), np.maximum(np.array(error), 1e-9)
     weight = np.minimum(sd**-2, 100.0 * float(np.median(sd**-2)))
@@ -58,6 +59,6 @@ def mark_turn(changes: Sequence[OrderChange]) -> MarkTurn | None:
     fair = float(np.mean(np.maximum(np.array(freedom) - 2.0, 0.5) / np.array(freedom)))
     fits = fdtrc(spare, total, fair * float(np.sum((rest / sd) ** 2)) / spare)
     stands_out = fdtrc(1.0, total, turn**2 * information)
-    if fits < CHANCE or stands_out > CHANCE:
+    if fits < NUMBERS.chance or stands_out > NUMBERS.chance:
         return None
     return MarkTurn(turn, information**-0.5)

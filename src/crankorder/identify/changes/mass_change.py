@@ -10,12 +10,17 @@ from scipy.special import fdtrc
 
 from crankorder.identify.changes.order_changes import OrderChange, welch
 from crankorder.identify.intervals import half_width
+from crankorder.settings import MethodNumbers
 
-FITS = 1e-3
-"""A law whose chance of a worse fit is less than this does not hold."""
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mass_change"):
+    fit_chance: float
+    clear_sigmas: float
+
+
+NUMBERS = _Numbers.load()
 
 _STEPS = 500
-_CLEAR = 3.0  # standard errors of the unbalance before, from which a factor of it can be told
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +62,7 @@ class Unbalance:
     @property
     def explains(self) -> bool:
         """Whether one factor fits at all speeds and is not 1 within its 95 % interval."""
-        told = np.isnan(self.factor_fits) or self.factor_fits >= FITS
+        told = np.isnan(self.factor_fits) or self.factor_fits >= NUMBERS.fit_chance
         radius = float(np.sqrt(2.0 * _f_quantile(self.freedom))) * self.factor_error
         return bool(told and abs(self.factor - 1.0) > radius)
 
@@ -81,7 +86,7 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
         return None
     before, after = before[kept], after[kept]
     error, error2 = change.base.vector_error[kept], change.new.vector_error[kept]
-    if not np.sum(np.abs(before) ** 2 / error**2) > 2.0 * _CLEAR**2 * len(before):
+    if not np.sum(np.abs(before) ** 2 / error**2) > 2.0 * NUMBERS.clear_sigmas**2 * len(before):
         return None
     both, each_freedom = welch(error, change.base.freedom[kept], error2, change.new.freedom[kept])
     factor, misfit, variance = _slope(before, after, error, error2)
@@ -163,7 +168,7 @@ def weighed(change: OrderChange, unbalance: Unbalance, added: complex) -> Weighe
     1964, Trans. ASME B 86, 273). None where the factor cannot be told from 1.
     """
     apart = unbalance.factor - 1.0
-    if abs(apart) <= _CLEAR * unbalance.factor_error:
+    if abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error:
         return None
     before = added / apart
     error, _ = welch(change.base.vector_error, change.base.freedom, change.new.vector_error, change.new.freedom)

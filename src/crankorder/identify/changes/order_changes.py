@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
+from crankorder.findings import OrderFinding
 from crankorder.identify.changes.order_in_map import Line, line_of
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.intervals import half_width, half_widths
 from crankorder.orders.between_recordings import LOCATED, WHOLE
+from crankorder.records import known
+from crankorder.settings import MethodNumbers
 
-CLEAR = 3.0
-"""Standard errors above zero from which the logarithm of an amplitude has a normal error."""
 
-MATCH = 0.02
-"""Orders found in two tests closer than this are one order."""
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="order_changes"):
+    clear_sigmas: float
+    same_order: float
+
+
+NUMBERS = _Numbers.load()
 
 ALWAYS = (1.0, 2.0)
 """Orders that are compared whether or not a test found them: where a change of mass shows."""
@@ -101,7 +105,7 @@ def like_speeds(
 
 
 def orders_to_compare(
-    base: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]], highest: float
+    base: Sequence[OrderFinding], new: Sequence[OrderFinding], highest: float
 ) -> list[tuple[float, bool]]:
     """Orders that either test found and orders 1 and 2, ascending, each with whether it is locked to the shaft.
 
@@ -110,17 +114,19 @@ def orders_to_compare(
     """
     groups: list[tuple[float, bool]] = []
     for record in [*base, *new]:
-        order, ends = float(record["order"]), record.get("order_ci95") or [record["order"]] * 2
+        order, ends = record.order, known(record.order_ci95) or (record.order, record.order)
         half = round(2 * order) / 2
-        named = half if ends[0] <= half <= ends[1] or abs(order - half) < MATCH else order
-        locked = bool(record.get("locked", True)) and record.get("lock", "locked") != "slips"
-        same = next((at for at, (known, _) in enumerate(groups) if abs(known - named) < MATCH), None)
+        named = half if ends[0] <= half <= ends[1] or abs(order - half) < NUMBERS.same_order else order
+        locked = record.lock != "slips"
+        same = next((at for at, (called, _) in enumerate(groups) if abs(called - named) < NUMBERS.same_order), None)
         if same is None:
             groups.append((named, locked))
         else:
             groups[same] = groups[same][0], groups[same][1] and locked
-    groups += [(order, True) for order in ALWAYS if all(abs(order - known) >= MATCH for known, _ in groups)]
-    return sorted(group for group in groups if 0 < group[0] <= highest + MATCH)
+    groups += [
+        (order, True) for order in ALWAYS if all(abs(order - called) >= NUMBERS.same_order for called, _ in groups)
+    ]
+    return sorted(group for group in groups if 0 < group[0] <= highest + NUMBERS.same_order)
 
 
 def order_changes(
@@ -283,7 +289,7 @@ def _p_values(
 
 
 def _clear(line: Line) -> NDArray[np.bool_]:
-    return np.asarray((line.amplitude > CLEAR * line.error) & (line.amplitude > 0))
+    return np.asarray((line.amplitude > NUMBERS.clear_sigmas * line.error) & (line.amplitude > 0))
 
 
 def _ratio_db_ci95(base: Line, new: Line) -> NDArray[np.float64]:

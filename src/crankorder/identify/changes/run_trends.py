@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,14 +10,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.identify.bearings.trend import run_amplitudes, trend
 from crankorder.identify.changes.order_changes import like_speeds
 from crankorder.identify.changes.order_in_map import line_of
 from crankorder.identify.false_discovery import claimed
 from crankorder.identify.intervals import error_of, interval
+from crankorder.records import known
+from crankorder.settings import MethodNumbers
 
-LEAST_RUNS = 3
-"""Two runs are a comparison; a trend needs one more."""
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="run_trends"):
+    least_runs: int
+
+
+NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +42,7 @@ class Series:
 
 def run_trends(
     order_maps: Sequence[xr.Dataset],
-    findings: Sequence[Mapping[str, Any]],
+    findings: Sequence[Findings],
     envelopes: Sequence[xr.Dataset | None],
     orders: Sequence[tuple[float, bool]],
     channels: Sequence[str],
@@ -56,7 +63,7 @@ def run_trends(
     q : false-discovery rate over all lines, 0 to 1
     """
     series = _bearing_series(findings, envelopes, channels)
-    if len(order_maps) >= LEAST_RUNS:
+    if len(order_maps) >= NUMBERS.least_runs:
         series = [*_order_series(order_maps, orders, channels, within_rpm), *series]
     records = [
         _record(one)
@@ -125,22 +132,17 @@ def _order_series(
 
 
 def _bearing_series(
-    findings: Sequence[Mapping[str, Any]],
+    findings: Sequence[Findings],
     envelopes: Sequence[xr.Dataset | None],
     channels: Sequence[str],
 ) -> list[Series]:
     """Bearing lines that any run names: from the envelope maps where all runs have one, else from the findings."""
     lines: dict[tuple[str, str, str, str], float] = {}
     for found in findings:
-        for record in found.get("bearings") or []:
-            if record.get("channel") in channels:
-                key = (
-                    str(record["name"]),
-                    str(record["line"]),
-                    str(record.get("seen_in", "vibration")),
-                    record["channel"],
-                )
-                lines.setdefault(key, float(record["order"]))
+        for record in found.bearings:
+            if record.channel is not None and record.channel in channels:
+                key = record.name, record.line, record.seen_in or "vibration", record.channel
+                lines.setdefault(key, record.order)
     maps = [one for one in envelopes if one is not None]
     made, followed = [], set()
     for (name, line, seen_in, channel), order in lines.items():
@@ -154,9 +156,9 @@ def _bearing_series(
     return made
 
 
-def _recorded(found: Mapping[str, Any], key: tuple[str, str, str, str]) -> tuple[float, float]:
-    for record in found.get("bearings") or []:
-        if (record["name"], record["line"], record.get("seen_in", "vibration"), record["channel"]) == key:
-            amplitude = float(record["amplitude"])
-            return amplitude, error_of(amplitude, record["amplitude_ci95"])
+def _recorded(found: Findings, key: tuple[str, str, str, str]) -> tuple[float, float]:
+    for record in found.bearings:
+        ends = known(record.amplitude_ci95)
+        if (record.name, record.line, record.seen_in or "vibration", record.channel) == key and ends is not None:
+            return record.size, error_of(record.size, ends)
     return np.nan, np.nan

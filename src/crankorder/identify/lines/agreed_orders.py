@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
@@ -26,12 +25,13 @@ from crankorder.identify.lines.order_lock import (
 )
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
-from crankorder.identify.lines.several_orders import FREEDOM, SOLVED, close_lines, lines_at
+from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED, close_lines, lines_at
 from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.identify.mains import nearest_multiple as nearest_mains
-from crankorder.identify.said import ALIKE_SPEEDS, UNRESOLVED
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.true_angle import ERROR
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -101,7 +101,7 @@ class _Number:
 
     order: float
     error: float
-    freedom: float
+    degrees_of_freedom: float
     by_phase: bool
     swept: tuple[tuple[float, Course | None], ...] = ()
     parted_rev: float = 0.0
@@ -158,7 +158,7 @@ def orders_agreed(
         numbers = [one for one in found if one.number.by_phase]
         # the mains prove no speed, but with them and without them the others must
         sure = [numbers, [one for one in numbers if not _may_be_mains(one, settings)]]
-        told = [[(one.number.order, one.number.error, one.number.freedom) for one in some] for some in sure]
+        told = [[(one.number.order, one.number.error, one.number.degrees_of_freedom) for one in some] for some in sure]
         proven = all(proves_speed(some, revs_per_cycle=test.revs_per_cycle) for some in told)
         test = replace(test, speed_is_sure=proven)
     agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
@@ -175,7 +175,7 @@ def _with_close_lines(found: list[_Unnamed], test: _Test, settings: IdentifySett
     for close in close_lines(test.recordings, test.order_map, told=told, mains_hz=settings.mains_hz):
         text = f"{len(close.solved)} {SOLVED}"
         added = [
-            _Unnamed(_Number(one.order, one.error, FREEDOM, True, parted_rev=close.span_rev), lines, text)
+            _Unnamed(_Number(one.order, one.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, text)
             for one in close.solved
             if (lines := lines_at(close, one, test.order_map))
         ]
@@ -189,7 +189,7 @@ def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
     A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
     """
     speeds = np.concatenate([line.speed_rpm for line in one.lines])
-    if not np.isfinite(speeds).all() or speeds.max() > ALIKE_SPEEDS * speeds.min():
+    if not np.isfinite(speeds).all() or speeds.max() > SAID.alike_speeds_ratio * speeds.min():
         return False
     hertz = one.number.order * float(speeds.mean()) / 60.0
     for mains in settings.mains_hz:
@@ -349,34 +349,36 @@ def _joined(found: list[tuple[float, float, float]]) -> _Number:
     A scatter between them beyond their own errors (Paule and Mandel 1982) is that of the line: the mean is then over
     recordings that could be made, with one degree of freedom less than there are.
     """
-    order, variance, freedom = (np.array(column) for column in zip(*found, strict=True))
+    order, variance, degrees_of_freedom = (np.array(column) for column in zip(*found, strict=True))
     weight = 1.0 / variance
     if len(order) == 1:
-        return _Number(float(order[0]), float(np.sqrt(variance[0])), float(freedom[0]), True)
+        return _Number(float(order[0]), float(np.sqrt(variance[0])), float(degrees_of_freedom[0]), True)
     between = _between(order, variance)
     if between > 0.0:
         weight = 1.0 / (variance + between)
     mean = float(np.average(order, weights=weight))
     share = weight / weight.sum()
     own = float(1.0 / np.sqrt(weight.sum()))
-    freedom_of_own = float(1.0 / np.sum(share**2 / freedom))  # Welch and Satterthwaite
+    own_degrees = float(1.0 / np.sum(share**2 / degrees_of_freedom))  # Welch and Satterthwaite
     chi_square = float(weight @ (order - mean) ** 2)
     if between == 0.0:
-        return _Number(mean, own, freedom_of_own, True)
+        return _Number(mean, own, own_degrees, True)
     error = float(np.sqrt(max(1.0, chi_square / (len(order) - 1)))) * own
     return _Number(mean, error, float(len(order) - 1), True)
 
 
 def _between(order: Floats, variance: Floats) -> float:
     """Variance between recordings beyond their own such that the weighted scatter is as large as expected."""
-    freedom = len(order) - 1
+    degrees_of_freedom = len(order) - 1
 
     def over(extra: float) -> float:
         weight = 1.0 / (variance + extra)
-        return float(weight @ (order - np.average(order, weights=weight)) ** 2) - freedom
+        return float(weight @ (order - np.average(order, weights=weight)) ** 2) - degrees_of_freedom
 
     if over(0.0) <= 0.0:
         return 0.0
+    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
+
     return float(brentq(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, xtol=1e-24, rtol=1e-9))
 
 
@@ -390,13 +392,13 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     elif not test.by_pulses:
         error = float(np.hypot(error, ORDER_LOCK.proven_speed_error * order))
     by_phase = number.by_phase and test.speed_is_sure
-    lock = lock_of(order, error, number.freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
+    lock = lock_of(order, error, number.degrees_of_freedom, revs_per_cycle=test.revs_per_cycle, by_phase=by_phase)
     needed = None
     multiple = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
     hidden = bool(number.swept) and stands_out(test.followed, near=order, reach=test.resolution) is False
     if lock == "slips" and (hidden or not number.slips_from(multiple)):
         lock = "undecided"
-        error = max(error, abs(order - multiple) / half_width(number.freedom))
+        error = max(error, abs(order - multiple) / half_width(number.degrees_of_freedom))
         reasons.append(IN_SWEEP)
     if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
         lock = "undecided"
@@ -406,7 +408,7 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
-        within = sure_half_width(1.0, number.freedom) / half_width(number.freedom)
+        within = sure_half_width(1.0, number.degrees_of_freedom) / half_width(number.degrees_of_freedom)
         error = max(error, abs(number.order - order) / within)
     elif lock == "undecided":
         needed = _needed_revs(order, lines, test)
@@ -414,7 +416,7 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
             reasons.append(IN_SWEEP)
     reasons += sorted({line.reservation for line in lines if line.reservation})
     own = None if test.by_pulses else number.error
-    return AgreedOrder(order, error, number.freedom, lock, needed, tuple(lines), "; ".join(reasons), own)
+    return AgreedOrder(order, error, number.degrees_of_freedom, lock, needed, tuple(lines), "; ".join(reasons), own)
 
 
 def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
@@ -486,7 +488,7 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
             rows.append((seen, mean_rpm, abs(z.amplitude[channel]) / loss, float(z.error[channel]) / loss, z.dof))
         rows.sort()
         rows = [row for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
-        seen_at, rpm, amplitude, error, freedom = (np.array(column) for column in zip(*rows, strict=True))
+        seen_at, rpm, amplitude, error, degrees_of_freedom = (np.array(column) for column in zip(*rows, strict=True))
         clear = amplitude > 3.0 * error
         if not clear.any():
             continue
@@ -499,7 +501,7 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
                 speed_rpm=rpm[clear],
                 amplitude=amplitude[clear],
                 amplitude_error=error[clear],
-                degrees_of_freedom=freedom[clear],
+                degrees_of_freedom=degrees_of_freedom[clear],
                 phase_deg=np.full(int(clear.sum()), np.nan),
                 ends=None,
                 phase_ci95_deg=None,

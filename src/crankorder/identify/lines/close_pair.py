@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.orders.intervals import frame_correlation
+from crankorder.orders.averages import frame_correlation
 from crankorder.settings import MethodNumbers
 
 
@@ -33,16 +33,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pair:
-    """Two lines: their ``offset`` and ``variance`` (2,) [orders], amplitudes and errors (channels, 2), ``freedom``.
+    """Two lines: their ``offset`` and ``variance`` (2,) [orders], amplitudes and errors (channels, 2).
 
-    ``amplitude`` is complex, at the middle of the recording; ``error`` is its standard error along one axis.
+    ``amplitude`` is complex, at the middle of the recording; ``error``, with ``degrees_of_freedom``, is its standard
+    error along one axis.
     """
 
     offset: Floats
     variance: Floats
     amplitude: Complex
     error: Floats
-    freedom: float
+    degrees_of_freedom: float
 
 
 def solved_pair(phasors: Complex, turn: Floats, *, revs: float, offset: tuple[float, float]) -> Pair | None:
@@ -109,8 +110,8 @@ def _normal(moved: Complex, left: Complex, weight: Floats) -> tuple[Floats, Floa
 def _with_errors(basis: Complex, slopes: Complex, data: Complex, turn: Floats, at: Floats) -> Pair:
     amplitude, left, inverse = _linear(basis, data)
     n = len(left)
-    freedom = max(2.0 * n - 4.0 - 2.0, 1.0)
-    shared = left.conj().T @ left * (2.0 / freedom)  # noise power of the channels and what they share
+    degrees_of_freedom = max(2.0 * n - 4.0 - 2.0, 1.0)
+    shared = left.conj().T @ left * (2.0 / degrees_of_freedom)  # noise power of the channels and what they share
     power = np.maximum(np.diag(shared).real, 1e-24 * np.square(np.abs(data)).mean(axis=0))
     weight = 1.0 / power
     moved = _moved(basis, slopes, amplitude, inverse)
@@ -124,7 +125,7 @@ def _with_errors(basis: Complex, slopes: Complex, data: Complex, turn: Floats, a
     along = np.square((turned * unit.conj()[:, :, None]).real) @ np.diag(covariance)
     own = 0.5 * np.square(np.abs(inverse)).sum(axis=1)[:, None] * power[None, :]
     error = np.sqrt((own + along) * louder[:, None])
-    return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), freedom)
+    return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), degrees_of_freedom)
 
 
 def _louder(left: Complex, turn: Floats, at: float) -> float:

@@ -135,8 +135,8 @@ def with_track_rows(
     made = []
     for agreed, number in zip(orders, numbers, strict=True):
         rows = reader.rows(number, [other for other in tracked if other != number])
-        worth = reader.worth(number)
-        lines = tuple(_read(line, rows, names.index(line.channel), worth, reader) for line in agreed.lines)
+        n_independent = reader.worth(number)
+        lines = tuple(_read(line, rows, names.index(line.channel), n_independent, reader) for line in agreed.lines)
         made.append(replace(agreed, lines=lines))
     return tuple(made)
 
@@ -147,7 +147,7 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
     return track_order(agreed.order, ends, agreed.lock, revs_per_cycle=revs_per_cycle)
 
 
-def _read(line: OrderLine, rows: OrderRows, channel: int, worth: Floats, reader: TrackReader) -> OrderLine:
+def _read(line: OrderLine, rows: OrderRows, channel: int, n_independent: Floats, reader: TrackReader) -> OrderLine:
     """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none."""
     if line.reservation == UNRESOLVED:
         return line
@@ -170,7 +170,7 @@ def _read(line: OrderLine, rows: OrderRows, channel: int, worth: Floats, reader:
         phase_deg=rows.phase[channel, at],
         ends=ends,
         phase_ci95_deg=rows.phase_ci95[channel, at],
-        worth=worth[at],
+        n_independent=n_independent[at],
     )
     return _as_wide(made, line, at < held)
 
@@ -178,12 +178,12 @@ def _read(line: OrderLine, rows: OrderRows, channel: int, worth: Floats, reader:
 def _as_wide(made: OrderLine, line: OrderLine, is_held: NDArray[np.bool_]) -> OrderLine:
     """``made`` with the intervals of ``line``, as shares of the amplitude, at held speeds at which these are wider."""
     place = {int(row): number for number, row in enumerate(line.seen)}
-    error, freedom = made.amplitude_error.copy(), made.degrees_of_freedom.copy()
+    error, degrees_of_freedom = made.amplitude_error.copy(), made.degrees_of_freedom.copy()
     ends = np.zeros((0, 2)) if made.ends is None else made.ends.copy()
     own_reach = half_widths(line.degrees_of_freedom) * line.amplitude_error
     own = np.stack([np.maximum(line.amplitude - own_reach, 0.0), line.amplitude + own_reach], axis=1)
     own = own if line.ends is None else line.ends
-    reach = half_widths(freedom) * error
+    reach = half_widths(degrees_of_freedom) * error
     for number in np.flatnonzero(is_held).tolist():
         before = place[int(made.seen[number])]
         size = float(line.amplitude[before])
@@ -193,5 +193,8 @@ def _as_wide(made: OrderLine, line: OrderLine, is_held: NDArray[np.bool_]) -> Or
         ends[number, 0] = min(ends[number, 0], scale * float(own[before, 0]))
         ends[number, 1] = max(ends[number, 1], scale * float(own[before, 1]))
         if scale * own_reach[before] > reach[number]:
-            error[number], freedom[number] = scale * line.amplitude_error[before], line.degrees_of_freedom[before]
-    return replace(made, amplitude_error=error, degrees_of_freedom=freedom, ends=ends)
+            error[number], degrees_of_freedom[number] = (
+                scale * line.amplitude_error[before],
+                line.degrees_of_freedom[before],
+            )
+    return replace(made, amplitude_error=error, degrees_of_freedom=degrees_of_freedom, ends=ends)

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import fdtri, gammaincc, stdtr
 
 from crankorder.identify.found import OrderLine
@@ -37,19 +36,19 @@ NUMBERS = _Numbers.load()
 Floats = NDArray[np.float64]
 
 
-def remark_on(amplitude: Floats, error: Floats, freedom: Floats, ends: Floats) -> str:
+def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends: Floats) -> str:
     """What is said of a line whose amplitude changes at the speed at which it is largest; empty where it is steady.
 
     Parameters
     ----------
     amplitude : (speeds,), means over the recordings
     error : (speeds,), their standard errors
-    freedom : (speeds,), degrees of freedom of these
+    degrees_of_freedom : (speeds,), degrees of freedom of these
     ends : (speeds, 2), of the 95 % intervals over all values that were held
     """
     at = int(np.argmax(amplitude))
     low, high = (float(end) for end in ends[at])
-    reach = float(half_widths(freedom[at : at + 1])[0] * error[at])
+    reach = float(half_widths(degrees_of_freedom[at : at + 1])[0] * error[at])
     sides = float(amplitude[at]) - low, high - float(amplitude[at])
     if (
         not np.isfinite(high)
@@ -74,23 +73,25 @@ class HeldSizes:
     ends: tuple[float, float] | None
 
 
-def held_sizes(phasors: list[NDArray[np.complex128]], *, noise: float, worth: float) -> HeldSizes:
+def held_sizes(phasors: list[NDArray[np.complex128]], *, noise: float, n_independent: float) -> HeldSizes:
     """Amplitudes of a line that is not locked, by recording.
 
     Parameters
     ----------
     phasors : (frames,) of each recording at one speed
     noise : noise power of a frame
-    worth : independent bins that it is told from
+    n_independent : independent bins that it is told from
     """
     sizes = [np.abs(one[np.isfinite(one.real)]) for one in phasors]
     sizes = [one for one in sizes if len(one) > 1]
     means = tuple(float(np.sqrt(max(float(np.square(one).mean()) - noise, 0.0))) for one in sizes)
-    freedom = float(sum(len(one) - 1 for one in sizes))
-    if freedom < 2.0 or not noise > 0.0:
+    degrees_of_freedom = float(sum(len(one) - 1 for one in sizes))
+    if degrees_of_freedom < 2.0 or not noise > 0.0:
         return HeldSizes(means, None)
-    scatter = sum(float(np.square(one - one.mean()).sum()) for one in sizes) / freedom
-    surely = float(fdtri(freedom, 2.0 * worth * (freedom + 1.0), 1.0 - NUMBERS.changing_chance))
+    scatter = sum(float(np.square(one - one.mean()).sum()) for one in sizes) / degrees_of_freedom
+    surely = float(
+        fdtri(degrees_of_freedom, 2.0 * n_independent * (degrees_of_freedom + 1.0), 1.0 - NUMBERS.changing_chance)
+    )
     if 2.0 * scatter < noise * max(surely, NUMBERS.changing_over_noise):
         return HeldSizes(means, None)
     every = np.concatenate(sizes)
@@ -110,19 +111,21 @@ def between_of(held: HeldSizes, amplitude: float, error: float) -> tuple[float, 
     return (share * amplitude, count - 1.0) if wider else (error, np.inf)
 
 
-def ends_of(held: list[HeldSizes], amplitude: Floats, error: Floats, freedom: Floats, *, loss: float) -> Floats:
+def ends_of(
+    held: list[HeldSizes], amplitude: Floats, error: Floats, degrees_of_freedom: Floats, *, loss: float
+) -> Floats:
     """Ends (speeds, 2) of the 95 % intervals of amplitudes, over all values held.
 
     Parameters
     ----------
     held : of each speed
     amplitude : (speeds,)
-    error : (speeds,), standard errors, with as many degrees of ``freedom``
-    freedom : (speeds,)
+    error : (speeds,), standard errors, with as many ``degrees_of_freedom``
+    degrees_of_freedom : (speeds,)
     loss : share of the line that its bin shows, by which amplitudes are larger than those of frames
     """
-    reach = half_widths(freedom) * error
-    several = np.isfinite(freedom)  # recordings differ by a factor
+    reach = half_widths(degrees_of_freedom) * error
+    several = np.isfinite(degrees_of_freedom)  # recordings differ by a factor
     low = np.where(several, amplitude / (1.0 + reach / amplitude), np.maximum(amplitude - reach, 0.0))
     ends = np.stack([low, amplitude + reach], axis=1)
     for row, one in enumerate(held):
@@ -142,7 +145,7 @@ LOW_SHARE = 1.8
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Amplitude ~ speed**``exponent`` with its standard error and degrees of ``freedom``.
+    """Amplitude ~ speed**``exponent`` with its standard error and ``degrees_of_freedom``.
 
     ``law`` names what the amplitude does; ``fit_chance`` is the chance of residuals as large if the law held at the
     speeds that do not deviate; ``scatter`` the share of the amplitude by which these leave the law beyond their
@@ -151,7 +154,7 @@ class Growth:
 
     exponent: float
     exponent_error: float
-    freedom: float
+    degrees_of_freedom: float
     law: SpeedLaw
     fit_chance: float
     scatter: float
@@ -160,7 +163,7 @@ class Growth:
     @property
     def ci95(self) -> tuple[float, float]:
         """95 % interval of the exponent."""
-        half = half_width(self.freedom) * self.exponent_error
+        half = half_width(self.degrees_of_freedom) * self.exponent_error
         return self.exponent - half, self.exponent + half
 
 
@@ -199,7 +202,7 @@ def growth(line: OrderLine) -> Growth | None:
     if len(speed) < NUMBERS.fewest_speeds or not speed.max() >= NUMBERS.least_range * speed.min():
         return None
     x, y = np.log(speed / np.exp(np.log(speed).mean())), np.log(amplitude)
-    shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth[known])
+    shared = 1.0 if line.n_independent is None else 1.0 / np.sqrt(line.n_independent[known])
     error = _log_errors(shared * line.amplitude_error[known] / amplitude, line.degrees_of_freedom[known])
     coefficient, weight = _robust_line(x, y, error)
     residual = y - coefficient[0] - coefficient[1] * x
@@ -209,16 +212,16 @@ def growth(line: OrderLine) -> Growth | None:
     if np.count_nonzero(kept) < NUMBERS.fewest_speeds or not np.ptp(x[kept]) > 0.0:
         kept = np.ones(len(x), dtype=np.bool_)
     exponent, exponent_error, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
-    freedom = _freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
+    degrees_of_freedom = _degrees_of_freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
-    half = half_width(freedom) * exponent_error
+    half = half_width(degrees_of_freedom) * exponent_error
     law = _law(
         exponent,
         half,
         fits=few_deviate and chance >= NUMBERS.fit_chance,
         near=few_deviate and excess < NUMBERS.law_scatter,
     )
-    return Growth(exponent, exponent_error, freedom, law, chance, excess, tuple(speed[~kept].tolist()))
+    return Growth(exponent, exponent_error, degrees_of_freedom, law, chance, excess, tuple(speed[~kept].tolist()))
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
@@ -231,19 +234,23 @@ def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
     return "grows with speed^n" if exponent > 0.0 else "falls with speed^n"
 
 
-def _freedom(error: Floats, excess: float, freedom: Floats) -> float:
-    """Degrees of freedom of an error made of the speeds' own, of ``freedom`` each, and of the ``excess`` scatter.
+def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats) -> float:
+    """Those of an error made of the speeds' own, of ``degrees_of_freedom`` each, and of the ``excess`` scatter.
 
     Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
     """
     own = float(np.exp(np.mean(np.log(error**2))))
-    held = float(np.clip(np.sum(np.where(np.isfinite(freedom), freedom, ENDLESS_FREEDOM)), 1.0, ENDLESS_FREEDOM))
+    held = float(
+        np.clip(
+            np.sum(np.where(np.isfinite(degrees_of_freedom), degrees_of_freedom, ENDLESS_FREEDOM)), 1.0, ENDLESS_FREEDOM
+        )
+    )
     return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
 
 
-def _log_errors(relative: Floats, freedom: Floats) -> Floats:
-    """Standard deviations of log amplitudes whose errors are themselves known with ``freedom`` only."""
-    held = np.clip(np.nan_to_num(freedom, nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
+def _log_errors(relative: Floats, degrees_of_freedom: Floats) -> Floats:
+    """Standard deviations of log amplitudes whose errors are themselves known with ``degrees_of_freedom`` only."""
+    held = np.clip(np.nan_to_num(degrees_of_freedom, nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
     widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
     return np.hypot(relative * widened, NUMBERS.law_tolerance)
 
@@ -272,13 +279,15 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
 def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
     """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
     residual, error = residual[kept], error[kept]
-    freedom = max(len(residual) - 2, 1)
+    degrees_of_freedom = max(len(residual) - 2, 1)
 
     def over(scatter: float) -> float:
-        return float(np.sum(residual**2 / (error**2 + scatter**2))) - freedom
+        return float(np.sum(residual**2 / (error**2 + scatter**2))) - degrees_of_freedom
 
     if over(0.0) <= 0.0:
         return 0.0
+    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
+
     return float(brentq(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, xtol=1e-9))
 
 
@@ -314,19 +323,19 @@ def largest(line: OrderLine) -> Largest:
     speed = float(line.speed_rpm[at])
     if one == 0.0 or not np.isfinite(one):
         return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
-    freedom = known_freedom(float(line.degrees_of_freedom[at]))
-    others, count = _independent_of(at, known, line.worth)
+    degrees_of_freedom = known_freedom(float(line.degrees_of_freedom[at]))
+    others, count = _independent_of(at, known, line.n_independent)
     cut = (float(np.max(others)) - seen) / one if len(others) else -np.inf
-    wide = half_width(freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
+    wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
-    below, above = (_not_surprising(cut, wide, freedom, part) for part in parts)
+    below, above = (_not_surprising(cut, wide, degrees_of_freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
     low, high = max(0.0, seen + one * below), max(seen + one * above, seen + one)
     if line.ends is None:
         return Largest(at, speed, seen, low, high)
     alone = [float(end) for end in line.ends[at]]
-    usual = half_width(freedom)
+    usual = half_width(degrees_of_freedom)
     if 0.0 < alone[0] < seen and seen < alone[1] < np.inf:
         # the choice stretches the interval of that speed alone; a factor, so that what is seen stays above 0
         held = _is_stretched(alone, seen, one * usual)
@@ -338,16 +347,16 @@ def largest(line: OrderLine) -> Largest:
     return Largest(at, speed, seen, low, high)
 
 
-def _independent_of(at: int, amplitude: Floats, worth: Floats | None) -> tuple[Floats, float]:
+def _independent_of(at: int, amplitude: Floats, n_independent: Floats | None) -> tuple[Floats, float]:
     """Amplitudes that share no error with number ``at``, and how many independent ones there are in all.
 
-    ``worth`` is that of each; rows within a whole independent one of another share errors with it.
+    ``n_independent`` is that of each; rows within a whole independent one of another share errors with it.
     """
-    if worth is None:
+    if n_independent is None:
         return np.delete(amplitude, at), float(len(amplitude))
-    place = np.cumsum(worth) - 0.5 * worth
+    place = np.cumsum(n_independent) - 0.5 * n_independent
     apart = np.abs(place - place[at]) > 1.0 - 1e-9
-    return amplitude[apart], max(1.0, float(worth.sum()))
+    return amplitude[apart], max(1.0, float(n_independent.sum()))
 
 
 def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
@@ -355,24 +364,26 @@ def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
     return max(seen - ends[0], ends[1] - seen) > NUMBERS.changing_ratio * reach
 
 
-def _not_surprising(cut: float, wide: float, freedom: float, share: float) -> float:
+def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:
     """True less seen amplitude, in errors, at which a ``share`` of what is above ``cut`` is above what was seen."""
 
     def above(true: float) -> float:
         """Chance of more than what was seen, given that it is above the cut, less the share wanted."""
-        uncut = float(stdtr(freedom, true - cut)) if np.isfinite(cut) else 1.0
-        return float(stdtr(freedom, true)) / max(uncut, 1e-300) - share
+        uncut = float(stdtr(degrees_of_freedom, true - cut)) if np.isfinite(cut) else 1.0
+        return float(stdtr(degrees_of_freedom, true)) / max(uncut, 1e-300) - share
 
     if above(-wide) >= 0.0:
         return -wide
     if above(wide) <= 0.0:
         return wide
+    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
+
     return float(brentq(above, -wide, wide, xtol=1e-6))
 
 
 def mean_level(line: OrderLine) -> MeanLevel:
     """Mean amplitude of ``line`` over the speeds seen, each by its error and the scatter beyond, with its interval."""
-    shared = 1.0 if line.worth is None else 1.0 / np.sqrt(line.worth)
+    shared = 1.0 if line.n_independent is None else 1.0 / np.sqrt(line.n_independent)
     amplitude, error = line.amplitude, np.hypot(shared * line.amplitude_error, NUMBERS.law_tolerance * line.amplitude)
     known = np.isfinite(error)
     amplitude, error = amplitude[known], error[known]
@@ -384,8 +395,8 @@ def mean_level(line: OrderLine) -> MeanLevel:
         excess = _excess(amplitude - mean, error, np.ones(len(error), dtype=np.bool_))
         weight = 1.0 / (error**2 + excess**2)
         mean = float(np.average(amplitude, weights=weight))
-    freedom = _freedom(error, excess, line.degrees_of_freedom[known])
-    half = half_width(freedom) / float(np.sqrt(weight.sum()))
+    degrees_of_freedom = _degrees_of_freedom(error, excess, line.degrees_of_freedom[known])
+    half = half_width(degrees_of_freedom) / float(np.sqrt(weight.sum()))
     return MeanLevel(mean, max(0.0, mean - half), mean + half)
 
 

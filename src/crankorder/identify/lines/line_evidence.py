@@ -217,7 +217,7 @@ def keeps_its_phase(
     recordings: Sequence[tuple[Complex, Floats, float]],
     *,
     order: float,
-    worth: float,
+    independent_share: float,
     slips: bool,
     false_alarm_probability: float,
 ) -> bool:
@@ -227,7 +227,7 @@ def keeps_its_phase(
     ----------
     recordings : of each the phasors (frames,) of one bin, the middles of its frames [rev] and the hop between them
     order : of the bin
-    worth : independent frames that each is worth, 0…1
+    independent_share : independent frames that each is worth, 0…1
     slips : whether it may turn away from its bin evenly; otherwise it is locked to the shaft
     """
     evidence = 0.0
@@ -236,13 +236,15 @@ def keeps_its_phase(
         if slips:
             offset, trials = best_offset(phasors, turn, hop_rev=hop_rev)
         forgotten = 2.0 * np.pi * NUMBERS.least_damping * order * float(np.ptp(turn))
-        chance = log_chance_of_phase(phasors, turn, offset=offset, forgotten=forgotten, worth=worth, fitted=int(slips))
+        chance = log_chance_of_phase(
+            phasors, turn, offset=offset, forgotten=forgotten, independent_share=independent_share, fitted=int(slips)
+        )
         evidence -= min(0.0, chance + float(np.log(trials)))
     return len(recordings) > 0 and bool(gammaincc(len(recordings), evidence) < false_alarm_probability)
 
 
 def log_chance_of_phase(
-    phasors: Complex, turn: Floats, *, offset: float, forgotten: float, worth: float, fitted: int = 0
+    phasors: Complex, turn: Floats, *, offset: float, forgotten: float, independent_share: float, fitted: int = 0
 ) -> float:
     """Logarithm of the chance (at most) that noise keeps one phase over the frames as well as ``phasors`` do.
 
@@ -261,12 +263,12 @@ def log_chance_of_phase(
     turn : (frames,), rev, middle of each frame
     offset : orders, distance of the line from its bin
     forgotten : K of the least damped resonance
-    worth : independent frames of one of ``phasors``, 0…1
+    independent_share : independent frames of one of ``phasors``, 0…1
     fitted : how many of these the distance that was fitted takes
     """
     power = np.square(np.abs(phasors))
     filled = float(power.sum() ** 2 / max(len(power) * float(np.square(power).sum()), 1e-300))
-    n, forgotten = worth * filled * len(phasors) - fitted, filled * forgotten
+    n, forgotten = independent_share * filled * len(phasors) - fitted, filled * forgotten
     if n < NUMBERS.least_frames:
         return 0.0
     steady = phasors * np.exp(-2j * np.pi * offset * turn)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
-from crankorder.identify.modal.order_blocks import SAME_ORDER, blocks_of
-from crankorder.identify.modal.order_force import smooth_shapes
+from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
+from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_responses import Block
+from crankorder.identify.modal.order_terms import smooth_shapes
 from crankorder.settings import MethodNumbers
 
 
@@ -39,7 +40,7 @@ class _Left:
 
     turn: float
     error: float
-    freedom: float
+    degrees_of_freedom: float
 
 
 def with_locks_through_modes(
@@ -64,7 +65,7 @@ def with_locks_through_modes(
     measured = [_measured(one, modal, sweeps, order_map, cycle) if one.lock == "undecided" else None for one in orders]
     if source == "stated" and not any(one.lock == "locked" for one in orders):
         numbers = [
-            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.freedom)
+            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.degrees_of_freedom)
             for one, left in zip(orders, measured, strict=True)
             if left is not None
         ]
@@ -104,15 +105,15 @@ def _measured(
 def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     """``agreed``, which is locked where what is ``left`` proves it."""
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    error, freedom = left.error, left.freedom
-    lock = lock_of(multiple + left.turn, error, freedom, revs_per_cycle=cycle, by_phase=True)
+    error, degrees_of_freedom = left.error, left.degrees_of_freedom
+    lock = lock_of(multiple + left.turn, error, degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
     if lock != "locked":
         return agreed
     return replace(
         agreed,
         order=multiple,
         order_error=error,
-        degrees_of_freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
         lock="locked",
         needed_revs=None,
         reservation="; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP),
@@ -125,8 +126,8 @@ def _joined(found: Sequence[_Left]) -> _Left:
     weight: Array = np.array([1.0 / one.error**2 for one in found])
     mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
     scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
-    error, freedom = float(np.sqrt(scatter / information)), min(one.freedom for one in found)
-    return _Left(mean, error, freedom)
+    error, degrees_of_freedom = float(np.sqrt(scatter / information)), min(one.degrees_of_freedom for one in found)
+    return _Left(mean, error, degrees_of_freedom)
 
 
 def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
@@ -134,7 +135,9 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
     fits = {
         one.channel: one
         for one in modal.responses
-        if one.fits and one.recording == block.recording and abs(one.order - block.order) <= SAME_ORDER * block.order
+        if one.fits
+        and one.recording == block.recording
+        and abs(one.order - block.order) <= ORDER_BLOCKS.same_order_share * block.order
     }
     channels = [name for name in block.channels if name in fits]
     if not channels:

@@ -225,12 +225,16 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: NDArray[np.int
         speed_bin_rpm=0.5 * float(order_map.attrs.get("speed_bin_rpm", 25.0)),
     )
     lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found.values()]
-    worth = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
+    share = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
     for slips in (False, True):
         if slips and not has_moved(order_map, peak, seen):
             continue
         kept = keeps_its_phase(
-            lines, order=float(search.axis[peak]), worth=min(1.0, worth), slips=slips, false_alarm_probability=chance
+            lines,
+            order=float(search.axis[peak]),
+            independent_share=min(1.0, share),
+            slips=slips,
+            false_alarm_probability=chance,
         )
         if kept:
             return "steady, not locked" if slips else "locked to the shaft"
@@ -368,8 +372,8 @@ def _held_at(search: _Search, channel: int, peak: int, at: int) -> HeldSizes:
     found = phasors_at(
         search.recordings, channels=[channel], at=peak, speeds_rpm=search.speed[[at]], speed_bin_rpm=width
     )
-    noise, worth = float(search.floor[channel, at, peak]), float(search.floor_worth[channel, at, peak])
-    return held_sizes([phasors[0] for _, phasors, _, _ in found.values()], noise=noise, worth=worth)
+    noise, n_independent = float(search.floor[channel, at, peak]), float(search.floor_worth[channel, at, peak])
+    return held_sizes([phasors[0] for _, phasors, _, _ in found.values()], noise=noise, n_independent=n_independent)
 
 
 def _is_swept(search: _Search) -> bool:

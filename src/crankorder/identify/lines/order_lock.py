@@ -41,26 +41,28 @@ def is_half_order(order: float, order_error: float) -> bool:
     return bool(abs(order - odd) <= max(4.0 * order_error, NUMBERS.least_slip * order))
 
 
-def lock_of(order: float, order_error: float, freedom: float, *, revs_per_cycle: int, by_phase: bool) -> Lock:
+def lock_of(
+    order: float, order_error: float, degrees_of_freedom: float, *, revs_per_cycle: int, by_phase: bool
+) -> Lock:
     """Whether ``order`` is an exact multiple of 1 / ``revs_per_cycle``: "locked", "slips" or "undecided".
 
     It slips where the 99.9 % interval leaves the multiple out, and that of the half revolution too: a rotor that
     rubs or is loose has exact half orders, though its cycle is one revolution. It is locked where that interval
     holds the multiple and no order that differs from it by ``least_slip`` or more. ``order_error`` is the standard
-    error with ``freedom`` degrees of freedom; only what was measured ``by_phase``, by the turn of the phase over a
+    error with its ``degrees_of_freedom``; only what was measured ``by_phase``, by the turn of the phase over a
     recording, can prove a lock.
     """
     multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
-    half, distance = sure_half_width(order_error, freedom), abs(order - multiple)
+    half, distance = sure_half_width(order_error, degrees_of_freedom), abs(order - multiple)
     if distance > half:
         of_two = nearest_multiple(order, revs_per_cycle=2)
         return "slips" if abs(order - of_two) > half else "undecided"
     return "locked" if by_phase and distance + half < NUMBERS.least_slip * multiple else "undecided"
 
 
-def sure_half_width(order_error: float, freedom: float) -> float:
-    """Half width of the 99.9 % interval of an order with the standard ``order_error`` of ``freedom`` degrees."""
-    return half_width(freedom, level=NUMBERS.sure_level) * order_error
+def sure_half_width(order_error: float, degrees_of_freedom: float) -> float:
+    """Half width of the 99.9 % interval of an order whose standard ``order_error`` has these ``degrees_of_freedom``."""
+    return half_width(degrees_of_freedom, level=NUMBERS.sure_level) * order_error
 
 
 def revs_to_decide(order: float, *, relative_error: float, span_rev: float, revs_per_frame: float) -> float:
@@ -107,9 +109,9 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
     revs_per_cycle : 1 or 2
     """
     off, half = [], []
-    for order, error, freedom in numbers:
+    for order, error, degrees_of_freedom in numbers:
         multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
-        share, reach = (order - multiple) / multiple, sure_half_width(error, freedom) / multiple
+        share, reach = (order - multiple) / multiple, sure_half_width(error, degrees_of_freedom) / multiple
         if abs(share) <= reach and abs(share) + reach < NUMBERS.least_slip:
             off.append(share)
             half.append(max(reach, 1e-12))

@@ -157,7 +157,7 @@ def lines_of(
     made = []
     for line in lines:
         rows = [_rows(item, line.channel) for item in followed]
-        speed, size, error, freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
+        speed, size, error, degrees_of_freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
         clear = np.flatnonzero(size > NUMBERS.clear_sigmas * error)
         if not len(clear):
             continue
@@ -174,7 +174,7 @@ def lines_of(
                 speed_rpm=speed[row],
                 amplitude=size[row],
                 amplitude_error=error[row],
-                degrees_of_freedom=freedom[row],
+                degrees_of_freedom=degrees_of_freedom[row],
                 phase_deg=np.full(len(row), np.nan),
                 evidence="follows the speed",
                 ends=None,
@@ -190,5 +190,5 @@ def _rows(item: Followed, channel: str) -> tuple[Array, Array, Array, Array]:
     tracks = item.tracks.isel(order=item.place).sel(channel=channel)
     size, error = np.abs(tracks["amplitude"].values), tracks["standard_error"].values
     known = np.isfinite(size) & np.isfinite(error)
-    freedom = tracks["degrees_of_freedom"].values.astype(np.float64)
-    return tracks["speed"].values[known], size[known], error[known], freedom[known]
+    degrees_of_freedom = tracks["degrees_of_freedom"].values.astype(np.float64)
+    return tracks["speed"].values[known], size[known], error[known], degrees_of_freedom[known]

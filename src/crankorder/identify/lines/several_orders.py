@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from crankorder.identify.found import OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.known_lines import (
-    APART_CYCLES,
     LOBE_BINS,
-    SEEN_SIGMAS,
     Held,
     Place,
     bins_of,
@@ -23,10 +21,11 @@ from crankorder.identify.known_lines import (
     noise_beside,
     waves_of,
 )
+from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import ONE_SPEED
-from crankorder.identify.mains import ALONE
+from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.settings import MethodNumbers
 
 
@@ -120,14 +119,14 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
         lines = _told(held, bins, found)
         new, size = lines[-1], np.array([float((one.amplitude * np.sqrt(weight)).max()) for one in lines])
         away = np.abs([one.order - new.order for one in lines[:-1]]) * held.span_rev
-        beside = size[:-1][away < APART_CYCLES].max(initial=0.0)
-        if new.sigmas <= SEEN_SIGMAS or size[-1] < max(
+        beside = size[:-1][away < KNOWN_LINES.apart_cycles].max(initial=0.0)
+        if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < max(
             NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside
         ):
-            rest = NUMBERS.unsteady_share if beside and new.sigmas > SEEN_SIGMAS else 0.0
+            rest = NUMBERS.unsteady_share if beside and new.sigmas > KNOWN_LINES.seen_sigmas else 0.0
             return _if_noise(held, bins, fit, _told(held, bins, fit, rest))
         orders = np.sort([one.order for one in lines])
-        if len(orders) > 1 and np.diff(orders).min() * held.span_rev < APART_CYCLES:
+        if len(orders) > 1 and np.diff(orders).min() * held.span_rev < KNOWN_LINES.apart_cycles:
             return []
         fit = found
     return []
@@ -258,7 +257,7 @@ def _told(held: Held, bins: NDArray[np.int64], fit: _Fit, rest: float = 0.0) -> 
     return made
 
 
-FREEDOM = 40.0
+DEGREES_OF_FREEDOM = 40.0
 """Degrees of freedom of an error that some 24 places beside a line tell."""
 
 SOLVED = "lines within a quarter order, solved together"
@@ -302,7 +301,9 @@ def close_lines(
         return []
     reach = min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * float(axis[1] - axis[0]))
     found = []
-    of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in range(1, ALONE + 1)]
+    of_mains = [
+        60.0 * number * hertz / held.rpm for hertz in mains_hz for number in range(1, MAINS.alone_multiples + 1)
+    ]
     for peak in _peaks(order_map, reach):
         low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
         if not any(low <= order <= high for order in of_mains):
@@ -380,7 +381,7 @@ def lines_at(close: CloseLines, one: SolvedLine, order_map: xr.Dataset) -> list[
                 speed_rpm=np.asarray(order_map["speed"].values, dtype=np.float64),
                 amplitude=np.array([size]),
                 amplitude_error=np.array([error]),
-                degrees_of_freedom=np.array([FREEDOM]),
+                degrees_of_freedom=np.array([DEGREES_OF_FREEDOM]),
                 phase_deg=np.array([np.nan]),
                 evidence="steady, not locked",
                 level_over_floor_db=float(20.0 * np.log10(size / max(error, 1e-300))),

@@ -322,7 +322,7 @@ def _solved_together(phasors: Complex, frames: Frames, line: Zoomed, second: Zoo
                 one,
                 offset=float(pair.offset[k]),
                 variance=float(pair.variance[k]) + drift,
-                dof=pair.freedom,
+                dof=pair.degrees_of_freedom,
                 amplitude=pair.amplitude[:, k],
                 error=pair.error[:, k],
                 snr=min(snr, 1e24),

@@ -9,29 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
-from crankorder.identify.modal.order_responses import MOST_DEGREE, MOST_SCATTER, Block, Projected, bent, with_scatter
+from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modal.order_responses import Block, Projected, bent, with_scatter
 from crankorder.identify.modal.surface_fit import Poles, Problem
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="exclusion"):
+    tried_damping_ratios: tuple[float, ...]
+    matters_share: float
+    selective_ratio: float
+    shaken_ratio: float
+    noise_sigmas: float
+
+
+NUMBERS = _Numbers.load()
 
 BETWEEN_ROWS = 4
 """Speeds that are asked about between two tested ones."""
 
 ALONG_SWEEP = 160
 """Speeds that are asked about along a sweep."""
-
-WIDER = (1.0, 3.0, 10.0, 30.0, 80.0)
-"""Multiples of the least damping ratio that a hidden mode is tried with: up to one that amplifies hardly at all."""
-
-MATTERS = 0.03
-"""Share of the largest amplitude of any order below which no amplitude matters."""
-
-SELECTIVE = 5.0
-"""How many times as much a mode may add to one order as to another, beside what each is without it."""
-
-SHAKEN = 10.0
-"""Power of a mode over the middling floor from which what is broadband is taken to shake the structure."""
-
-NOISE_SHARE = 2.0
-"""Standard errors beneath which nothing is seen: amplitudes below it count as so large."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -55,8 +53,8 @@ def least_seen(
     order of which the poles leave too much excludes nothing.
 
     A mode is the structure's: other orders pass it at their own speeds, and what excites the floor does too. It is
-    reckoned with that it amplifies one order SELECTIVE times as much as another, or as the floor (``floors``), but no
-    more: what one of them excludes by far is excluded for all.
+    reckoned with that it amplifies one order ``selective_ratio`` times as much as another, or as the ``floors``,
+    and no more: what one of them excludes by far is excluded for all.
     """
     from scipy.special import chdtri
 
@@ -65,7 +63,7 @@ def least_seen(
     for block in blocks:
         size = np.sqrt(block.size) if block.power else block.size
         for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
-            largest[unit[name]] = max(MATTERS * most, largest.get(unit[name], 0.0))
+            largest[unit[name]] = max(NUMBERS.matters_share * most, largest.get(unit[name], 0.0))
     alone = [_bound(block, poles, least_damping, reach, unit, largest) for block in blocks]
     known = [FloorBound(item.order * item.speed_rpm / 60.0, item.amplification) for item in alone]
     made = []
@@ -73,7 +71,7 @@ def least_seen(
         others = [bound for k, bound in enumerate(known) if k != number and alone[k].order != item.order]
         hz = item.order * item.speed_rpm / 60.0
         shared = np.min([bound.at(hz) for bound in (*others, *floors)], axis=0, initial=np.inf)
-        allowed = 1.0 + SELECTIVE * (shared - 1.0)
+        allowed = 1.0 + NUMBERS.selective_ratio * (shared - 1.0)
         made.append(replace(item, amplification=np.minimum(item.amplification, allowed)))
     return tuple(made)
 
@@ -106,7 +104,7 @@ def floor_bound(
         for f in poles.frequency_hz
         if 0 <= (at := int(np.argmin(np.abs(problem.frequency_hz - f)))) < len(problem.frequency_hz)
     ]
-    if max(clear, default=0.0) < SHAKEN:
+    if max(clear, default=0.0) < NUMBERS.shaken_ratio:
         return None
     used = problem.averages > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -127,15 +125,15 @@ def _bound(
 ) -> UnseenBound:
     block, part = with_scatter(block, poles)
     speed = _asked(block)
-    if part.freedom < len(block.channels) * block.parts or block.scatter > MOST_SCATTER:
+    if part.degrees_of_freedom < len(block.channels) * block.parts or block.scatter > ORDER_RESPONSES.most_scatter:
         return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
-    spread = float(np.sqrt(max(1.0, part.chi2 / part.freedom)))
+    spread = float(np.sqrt(max(1.0, part.chi2 / part.degrees_of_freedom)))
     added = np.zeros((len(block.channels), len(speed)))
-    for times in WIDER:
+    for times in NUMBERS.tried_damping_ratios:
         added = np.maximum(added, _added(block, part, speed, least_damping * times, reach * spread))
     # the noise of the nearest row hides what is smaller
     near = np.abs(np.log(speed[:, None] / block.speed_rpm)).argmin(axis=1)
-    noise = NOISE_SHARE * block.noise * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
+    noise = NUMBERS.noise_sigmas * block.noise * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
     base = _fitted(block, part, poles, speed)
     if block.power:
         base, added, noise = np.sqrt(np.maximum(base, 0.0)), np.sqrt(added), np.sqrt(noise)
@@ -190,7 +188,9 @@ def _added(block: Block, part: Projected, speed: Array, damping: float, reach: f
     columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
     made = np.empty((len(block.channels), len(speed)))
-    bends = bent(block, part, max(1, min(MOST_DEGREE, block.fewest_rows // 4 - 1)))  # any law may have taken it in
+    bends = bent(
+        block, part, max(1, min(ORDER_RESPONSES.most_degree, block.fewest_rows // 4 - 1))
+    )  # any law may have taken it in
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)

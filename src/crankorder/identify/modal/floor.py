@@ -10,37 +10,24 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modal.resonance import Sight, sight
+from crankorder.identify.modal.surface_fit import Sight, sight
+from crankorder.settings import MethodNumbers
 
-MASKED_BINS = 3.0
-"""Bins on each side of an order line that take no part in the floor at least: its main lobe."""
 
-LEAK = 0.05
-"""Share of what a cell holds that a line may leak into it where it is kept."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="floor"):
+    masked_bins: float
+    leak_share: float
+    skirt_bins: int
+    level_bins: int
+    clip_chance: float
+    foot_chance: float
+    foot_bins: int
+    line_chance: float
+    usual_overlap_fraction: float
+    lowest_bins: float
 
-SKIRT_BINS = 200
-"""Bins that a line's skirt is followed: at a Hann window's 18 dB per octave a line of 148 dB is gone there."""
 
-LEVEL_BINS = 9
-"""Bins over which the level beside a line is the median."""
-
-CLIP_CHANCE = 1e-5
-"""Chance that noise alone makes a cell so high above the same bin at other speeds that it is left out as a line."""
-
-FOOT_CHANCE = 0.2
-"""Chance that noise alone is as high beside a masked line as what is taken for more of its skirt."""
-
-FOOT_BINS = 16
-"""Bins on each side of what a line's window covers that its skirt may reach: speed and amplitude are not still."""
-
-LINE_CHANCE = 1e-3
-"""Chance below which a half order at one speed is taken to be there."""
-
-USUAL_OVERLAP = 0.5
-"""Share that frames overlap where the map does not say."""
-
-LOWEST_BINS = 4.0
-"""Noise bandwidths from zero on that are left out: the mean and its slow changes."""
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
 
@@ -90,10 +77,10 @@ def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple
     size, error = (
         order_map[name].values[:, :, half].astype(float) for name in ("coherent_amplitude", "standard_error")
     )
-    freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
+    degrees_of_freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
     with np.errstate(invalid="ignore", divide="ignore"):
-        chance = fdtrc(2.0, np.maximum(freedom, 1.0), 0.5 * (size / error) ** 2)
-    seen = (np.where((freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < LINE_CHANCE).any(axis=0)
+        chance = fdtrc(2.0, np.maximum(degrees_of_freedom, 1.0), 0.5 * (size / error) ** 2)
+    seen = (np.where((degrees_of_freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < NUMBERS.line_chance).any(axis=0)
     seen &= speed[:, None] / 60.0 * order[half] < top_hz
     return [(float(order[half[j]]), float(speed[k])) for k, j in np.argwhere(seen)]
 
@@ -109,33 +96,33 @@ def quiet_floor(
     """
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
-    used = np.flatnonzero(frequency > LOWEST_BINS * float(campbell.attrs["enbw_hz"]))
+    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
     psd, share = _settled(campbell, used)
     averages = _independent(campbell)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
     psd, averages, speed = psd[:, known], averages[:, known], campbell["speed"].values[known]
-    worth = averages[:, :, None] * share[:, known]
+    independent = averages[:, :, None] * share[:, known]
     if len(used) < 20 or psd.shape[1] == 0:
         return None
     psd[~(psd > 0.0)] = np.nan
-    whole = _mean(psd, worth)[0]
+    whole = _mean(psd, independent)[0]
     # a line that leaves its bins within a recording is none of the settled cells, but it leaks all the same
     every = campbell["psd"].values[..., used][:, known].astype(np.float64)
     moving = _order_mask(psd, every, frequency[used], speed, orders, campbell, seen)
     psd[moving] = np.nan
     for order, rpm in single or []:
         if len(speed) > 2 and abs(speed - rpm).min() < 0.01 * rpm:
-            near = np.abs(frequency[used] - order * rpm / 60.0) <= MASKED_BINS * seen.bin_hz
+            near = np.abs(frequency[used] - order * rpm / 60.0) <= NUMBERS.masked_bins * seen.bin_hz
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
     psd, gain = _at_unit_gain(psd, averages)
     if psd.shape[1] > 1:
-        _mask_feet(psd, worth, moving)
+        _mask_feet(psd, independent, moving)
     unclipped = psd.copy()
     if psd.shape[1] > 2:
-        _clip(psd, worth)
-    mean, total = _mean(psd, worth)
+        _clip(psd, independent)
+    mean, total = _mean(psd, independent)
     names = tuple(str(name) for name in campbell["channel"].values)
     quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
@@ -161,14 +148,14 @@ def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
 
 def _independent(campbell: xr.Dataset) -> Array:
     """Independent power spectra (channels, speeds) that the frames of the map are worth."""
-    overlap = float(campbell.attrs.get("overlap", USUAL_OVERLAP))
+    overlap = float(campbell.attrs.get("overlap", NUMBERS.usual_overlap_fraction))
     window = window_named(str(campbell.attrs["window"]), 256)
     hop = max(1, round(256 * (1.0 - overlap)))
     frames = campbell["n_frames"].values[None, :] * np.ones((campbell.sizes["channel"], 1), dtype=np.int64)
     if "n_frames_used" in campbell:
         frames = campbell["n_frames_used"].values
-    worth = {int(n): window.independent_frames(hop, int(n), power=True) if n else 0.0 for n in np.unique(frames)}
-    return np.array([[worth[int(n)] for n in row] for row in frames])
+    independent = {int(n): window.independent_frames(hop, int(n), power=True) if n else 0.0 for n in np.unique(frames)}
+    return np.array([[independent[int(n)] for n in row] for row in frames])
 
 
 def _order_mask(
@@ -196,27 +183,27 @@ def _order_mask(
             if not np.isfinite(line_hz) or line_hz - spread > frequency[-1] + 20.0 * seen.bin_hz:
                 continue
             away = np.abs(frequency - line_hz) - spread
-            mask[:, k, away <= MASKED_BINS * seen.bin_hz + 0.5 * step] = True
-            near, reached = away <= seen.bin_hz, away < SKIRT_BINS * seen.bin_hz
+            mask[:, k, away <= NUMBERS.masked_bins * seen.bin_hz + 0.5 * step] = True
+            near, reached = away <= seen.bin_hz, away < NUMBERS.skirt_bins * seen.bin_hz
             if near.any():
                 height = np.fmax.reduce(every[:, k, near], axis=1)[:, None]
                 leak = height * np.interp(away[reached] / seen.bin_hz, *skirt)
-                mask[:, k, reached] |= leak > LEAK * level[:, k, reached]
+                mask[:, k, reached] |= leak > NUMBERS.leak_share * level[:, k, reached]
     return mask
 
 
 def _level(psd: Array) -> Array:
     """Running median of ``psd`` (channels, speeds, frequencies) over some bins of each speed; NaN takes no part."""
-    half = LEVEL_BINS // 2
+    half = NUMBERS.level_bins // 2
     padded = np.pad(psd, ((0, 0), (0, 0), (half, half)), constant_values=np.nan)
-    return _median(np.lib.stride_tricks.sliding_window_view(padded, LEVEL_BINS, axis=-1), axis=-1)
+    return _median(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.level_bins, axis=-1), axis=-1)
 
 
 @lru_cache
 def _skirt(window: str) -> tuple[Array, Array]:
     """Distances in bins, and the largest power response of ``window`` from each on: what a line leaks that far away."""
-    away = np.arange(0.0, SKIRT_BINS + 1.0, 0.25)
-    response = window_named(window, 8 * SKIRT_BINS).response(away) ** 2
+    away = np.arange(0.0, NUMBERS.skirt_bins + 1.0, 0.25)
+    response = window_named(window, 8 * NUMBERS.skirt_bins).response(away) ** 2
     return away, np.asarray(np.maximum.accumulate(response[::-1])[::-1])
 
 
@@ -245,7 +232,7 @@ def _clip(psd: Array, averages: Array) -> None:
 
     shape, of = np.unique(np.maximum(averages, 1.0), return_inverse=True)
     median = gammainccinv(shape, 0.5) / shape
-    limit = (gammainccinv(shape, CLIP_CHANCE) / shape / median)[of.reshape(averages.shape)]
+    limit = (gammainccinv(shape, NUMBERS.clip_chance) / shape / median)[of.reshape(averages.shape)]
     high = psd > limit * _median(psd, axis=1)[:, None]
     wide = high.copy()
     wide[..., 1:] |= high[..., :-1]
@@ -266,15 +253,15 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
     shape, of = np.unique(np.maximum(1.5 * averages, 1.0), return_inverse=True)
     if psd.shape[1] > 2:
         level = _median(psd, axis=1)
-        limit = gammainccinv(shape, FOOT_CHANCE) / gammainccinv(shape, 0.5)
+        limit = gammainccinv(shape, NUMBERS.foot_chance) / gammainccinv(shape, 0.5)
     else:
         level = np.fmin.reduce(psd, axis=1)
-        limit = fdtri(2.0 * shape, 2.0 * shape, 1.0 - FOOT_CHANCE)
+        limit = fdtri(2.0 * shape, 2.0 * shape, 1.0 - NUMBERS.foot_chance)
     with np.errstate(invalid="ignore", divide="ignore"):
         over = psd / level[:, None] / limit[of.reshape(averages.shape)]
     over = np.nan_to_num(over, posinf=0.0)
     foot = moving.copy()
-    for _ in range(FOOT_BINS):
+    for _ in range(NUMBERS.foot_bins):
         grown = foot.copy()
         # the mean of a cell and the next one further out must stand over the others
         grown[..., 1:-1] |= foot[..., :-2] & (over[..., 1:-1] + over[..., 2:] > 2.0)

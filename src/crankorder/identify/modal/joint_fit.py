@@ -2,39 +2,144 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
-from crankorder.identify.modal.bands import Band, bands_of
-from crankorder.identify.modal.covariance import covariance_of_all, pole_covariance
 from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air, said_wide
 from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
-from crankorder.identify.modal.order_modes import KNOWN, UNCERTAIN, is_proven, mode_of, proven_by, tone_as_mode
-from crankorder.identify.modal.order_proof import OrderPole, Proof
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modal.order_modes import OrderPole, Proof, is_proven, mode_of, proven_by, tone_as_mode
 from crankorder.identify.modal.order_responses import Block, fitting, responses_of
 from crankorder.identify.modal.order_search import orders_raised, poles_of_orders, settled
+from crankorder.identify.modal.pole_errors import covariance_of_all, pole_covariance
 from crankorder.identify.modal.ringing import hidden_speeds
-from crankorder.identify.modal.search import dispersion, evidence_of, hidden_poles, least_gain, scatter_at, search
-from crankorder.identify.modal.strong_tones import with_strong_tones
+from crankorder.identify.modal.search import (
+    dispersion,
+    evidence_of,
+    hidden_poles,
+    least_gain,
+    peaks,
+    scatter_at,
+    search,
+    with_strong_tones,
+)
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modal.whirl import whirls_of, with_whirls
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-SHOWN_DB = 1.0
-"""Level by which a mode lifts a channel's floor, in dB, from which the channel is said to show it."""
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="joint_fit"):
+    longest_bins: int
+    band_bins: int
+    most_peaks: int
+    band_peaks: int
+    shared_bins: int
+    band_share: float
+    shared_share: float
+    slack_share: float
+    shown_db: float
+
+
+NUMBERS = _Numbers.load()
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """``floor`` of a band with what it shares with the next ones; poles from ``low_hz`` to ``high_hz`` belong to it.
+
+    ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.
+    """
+
+    floor: Floor
+    low_hz: float
+    high_hz: float
+    first: int
+    last: int
+
+    def owns(self, poles: Poles) -> NDArray[np.bool_]:
+        """Which of ``poles`` (M,) belong to this band."""
+        return np.asarray((poles.frequency_hz >= self.low_hz) & (poles.frequency_hz < self.high_hz))
+
+    def holds(self, poles: Poles) -> NDArray[np.bool_]:
+        """Which of ``poles`` (M,) lie in it or in what it shares."""
+        at, step = poles.frequency_hz, self.floor.step_hz
+        return np.asarray((at > self.floor.frequency_hz[0] - step) & (at < self.floor.frequency_hz[-1] + step))
+
+
+def bands_of(floor: Floor) -> tuple[Band, ...]:
+    """Bands of ``floor``, cut away from its peaks; one where it is short and has few."""
+    n_bins = len(floor.frequency_hz)
+    seen = _peaks_by_part(floor)
+    if n_bins <= NUMBERS.longest_bins and len(seen) <= NUMBERS.most_peaks:
+        return (Band(floor, -math.inf, math.inf, 0, n_bins),)
+    load = 1.0 / np.maximum(NUMBERS.band_bins, NUMBERS.band_share * floor.frequency_hz / floor.step_hz)
+    np.add.at(
+        load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / NUMBERS.band_peaks
+    )
+    load = np.cumsum(load)
+    n_bands = max(1, math.ceil(load[-1] - 1e-9))
+    cuts = [0, *(_quiet_cut(floor, seen, load, k / n_bands, n_bands) for k in range(1, n_bands)), n_bins]
+    cuts = sorted(set(cuts))
+    return tuple(_band(floor, first, last) for first, last in pairwise(cuts))
+
+
+def _band(floor: Floor, first: int, last: int) -> Band:
+    n_bins = len(floor.frequency_hz)
+    below, above = (
+        max(NUMBERS.shared_bins, round(NUMBERS.shared_share * float(floor.frequency_hz[end]) / floor.step_hz))
+        for end in (first, last - 1)
+    )
+    at = slice(max(0, first - below), min(n_bins, last + above))
+    part = replace(
+        floor,
+        frequency_hz=floor.frequency_hz[at],
+        psd=floor.psd[:, at],
+        averages=floor.averages[:, at],
+        cells=floor.cells[:, :, at],
+        whole=floor.whole[:, at],
+        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
+    )
+    low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
+    high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
+    return Band(part, float(low), float(high), first, last)
+
+
+def _peaks_by_part(floor: Floor) -> Poles:
+    """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
+    made = NO_POLES
+    for first in range(0, len(floor.frequency_hz), NUMBERS.band_bins):
+        part = _band(floor, first, min(first + NUMBERS.band_bins, len(floor.frequency_hz)))
+        if len(part.floor.frequency_hz) >= 2 * NUMBERS.shared_bins:
+            here = peaks(part.floor)
+            made = made.joined(here.chosen(part.owns(here)))
+    return made
+
+
+def _quiet_cut(floor: Floor, seen: Poles, load: Array, share: float, n_bands: int) -> int:
+    """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
+    low, high = np.searchsorted(load, load[-1] * (share + NUMBERS.slack_share / n_bands * np.array([-1.0, 1.0])))
+    bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
+    if not len(seen):
+        return int(bins[len(bins) // 2])
+    width = seen.damping * seen.frequency_hz + 3.0 * floor.seen.bin_hz
+    away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1)
+    return int(bins[np.argmax(np.minimum(away, 10.0) - 1e-3 * np.abs(bins - bins.mean()) / len(bins))])
+
 
 ROUNDS = 2
 """Times that the bands are fitted together with the orders, each with what the others came to."""
-
-Array = NDArray[np.float64]
 
 
 def modal_fit(
@@ -354,7 +459,7 @@ def _mode(
     at = int(np.argmin(np.abs(problem.frequency_hz - f)))
     whole = np.maximum(fit.without_lines(problem)[:, at], np.finfo(np.float64).tiny)  # orders may mask this bin
     lifted = 10.0 * np.log10(whole / np.maximum(whole - fit.part(number)[:, at], 1e-3 * whole))
-    shown = (lifted > SHOWN_DB) & (strength > least_gain(1, settings.false_alarm_probability))
+    shown = (lifted > NUMBERS.shown_db) & (strength > least_gain(1, settings.false_alarm_probability))
     prominence = float(lifted.max())
     if prominence < settings.mode_prominence_db and not proof.orders:
         return None
@@ -371,6 +476,11 @@ def _mode(
     if not doubt and narrower_than_fitted(problem, fit, number):
         doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
     doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or of_the_air(names, floor)
-    if doubt and is_proven(proof) and error <= UNCERTAIN * f and zeta_error <= KNOWN * zeta:
+    if (
+        doubt
+        and is_proven(proof)
+        and error <= ORDER_MODES.uncertain_share * f
+        and zeta_error <= ORDER_MODES.known_share * zeta
+    ):
         doubt = ""
     return Mode(f, error, zeta, zeta_error, names, prominence, words, proof.orders, doubt)

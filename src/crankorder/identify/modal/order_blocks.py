@@ -11,25 +11,23 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.modal.order_responses import SPARE, Block
+from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.passage import Passage, passage_of
-from crankorder.orders.between_recordings import WHOLE, one_mark, phases_compare
+from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+from crankorder.settings import MethodNumbers
 
-ON_BIN = 1e-3
-"""Share of an order within which a bin of the map stands for it."""
 
-CLEAR = 4.0
-"""Standard errors by which an order must stand out at one speed at least."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_blocks"):
+    on_bin_share: float
+    clear_sigmas: float
+    least_degrees_of_freedom: float
+    from_ends_bandwidths: float
+    same_order_share: float
 
-LEAST_FREEDOM = 3.0
-"""Degrees of freedom without which a standard error says too little."""
 
-FROM_ENDS = 0.5
-"""Reciprocal bandwidths from the ends of a recording in which the filter is still settling."""
-
-SAME_ORDER = 1e-3
-"""Share of an order within which a followed one is the same."""
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -56,21 +54,21 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     if not len(grid):
         return []
     column = int(np.argmin(np.abs(grid - agreed.order)))
-    if agreed.lock == "slips" or abs(grid[column] - agreed.order) > ON_BIN * max(1.0, agreed.order):
+    if agreed.lock == "slips" or abs(grid[column] - agreed.order) > NUMBERS.on_bin_share * max(1.0, agreed.order):
         return [_of_sizes(agreed.order, line) for line in agreed.lines]
-    size, phase, error, freedom = (
+    size, phase, error, degrees_of_freedom = (
         order_map[variable].values[:, :, column].astype(np.float64)
         for variable in ("coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
     )
     speed = order_map["speed"].values
-    known = np.isfinite(size) & (error > 0.0) & (freedom >= LEAST_FREEDOM) & (speed > 0.0)
-    wide = np.where(known, error * np.sqrt(freedom / np.maximum(freedom - 2.0, 1.0)), np.inf)
+    known = np.isfinite(size) & (error > 0.0) & (degrees_of_freedom >= NUMBERS.least_degrees_of_freedom) & (speed > 0.0)
+    wide = np.where(known, error * np.sqrt(degrees_of_freedom / np.maximum(degrees_of_freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
     phasor = size * np.exp(1j * np.radians(np.nan_to_num(phase)))
     told = bool(np.isfinite(phase[known]).all())
     if told and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, phasor, wide)]
-    if told and one_mark([order_map]) and _is_half(agreed.order):
+    if told and one_phase_reference([order_map]) and _is_half(agreed.order):
         made = _block(agreed.order, names, speed, phasor, wide)
         return [made and replace(made, amplitude=_without_turns(made.amplitude), sign_free=True)]
     made = _block(agreed.order, names, speed, phasor, wide, power=True)
@@ -113,8 +111,8 @@ def _block(
     """
     known = np.isfinite(error)
     held = np.where(known, amplitude, 0.0)
-    clear = (np.abs(held) > CLEAR * np.where(known, error, np.inf)).any(axis=1)
-    clear &= np.count_nonzero(known, axis=1) >= (2 if power or along else 1) * SPARE + 1
+    clear = (np.abs(held) > NUMBERS.clear_sigmas * np.where(known, error, np.inf)).any(axis=1)
+    clear &= np.count_nonzero(known, axis=1) >= (2 if power or along else 1) * ORDER_RESPONSES.spare_amplitudes + 1
     if not clear.any():
         return None
     rows = known[clear].any(axis=0) | bool(along)  # a passage knows all of its rows
@@ -137,18 +135,20 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     if not item.attrs.get("swept", 0) or "amplitude" not in item:
         return None
     names = item["order"].values
-    found = np.flatnonzero(np.abs(names - agreed.order) <= SAME_ORDER * agreed.order)
+    found = np.flatnonzero(np.abs(names - agreed.order) <= NUMBERS.same_order_share * agreed.order)
     if not len(found):
         return None
     row = int(found[np.argmin(np.abs(names[found] - agreed.order))])
     time, speed, angle = (item[name].values.astype(np.float64) for name in ("time", "speed", "crank_angle"))
     bandwidth = item["bandwidth_hz"].values[row].astype(np.float64)
-    inside = (time - time[0] >= FROM_ENDS / bandwidth[0]) & (time[-1] - time >= FROM_ENDS / bandwidth[-1])
+    inside = (time - time[0] >= NUMBERS.from_ends_bandwidths / bandwidth[0]) & (
+        time[-1] - time >= NUMBERS.from_ends_bandwidths / bandwidth[-1]
+    )
     amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
     poles = int(item.attrs["poles"])
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
     rows = known.any(axis=0) & _independent(time, bandwidth, poles)
-    if np.count_nonzero(rows) < 2 * SPARE:
+    if np.count_nonzero(rows) < 2 * ORDER_RESPONSES.spare_amplitudes:
         return None
     number = float(names[row])
     first = 0.5 / float(item["bandwidth_hz"].values[:, 0].max())

@@ -2,34 +2,188 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.modal.order_proof import OrderPole, Proof
+from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modal.order_responses import Block, Projected, as_real, jacobian, project
+from crankorder.identify.modal.ringing import rings_into
 from crankorder.identify.modal.surface_fit import Poles
-from crankorder.settings import IdentifySettings
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-ROWS_OF_TURN = 5
-"""Rows of one order near a resonance that show its phase turn."""
 
-ROWS_OF_TWO = 3
-"""Rows near a resonance that several orders must have together."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_modes"):
+    within_widths: float
+    rows_of_sweep: int
+    proof_chance: float
+    located_widths: float
+    agrees_sigmas: float
+    side_by_side_share: float
+    felt_share: float
+    fewest_beside: int
+    unexplained_share: float
+    rows_of_turn: int
+    rows_of_two: int
+    known_share: float
+    known_alone_share: float
+    uncertain_share: float
+    wider_ratio: float
 
-KNOWN = 1.0 / 3.0
-"""Standard error of the damping, as a share of it, beyond which a pole is but a part of the shape."""
 
-KNOWN_ALONE = 0.1
-"""The same of a pole that one order alone shows: a force that peaks fits a resonance less well."""
-
-UNCERTAIN = 0.01
-"""Standard error of the frequency, as a share of it, beyond which a pole is none for certain."""
-
-WIDER = 2.0
-"""Times its damping from which another mode is much wider."""
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The ``orders`` that by themselves prove a mode, by amplitude and phase.
+
+    ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
+    ``span_hz`` the lowest and highest frequency that they reached; ``located`` is how many of them find it at the same
+    place, each alone, within a part of its width; ``passed`` are those that sweep through it: what is told from afar
+    may be another mode. ``rung_by`` are other orders that passed it so shortly before one of these that it still rang.
+    """
+
+    orders: tuple[float, ...] = ()
+    most_rows: int = 0
+    rows: int = 0
+    span_hz: tuple[float, float] = (0.0, 0.0)
+    located: int = 0
+    passed: tuple[float, ...] = ()
+    rung_by: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class OrderPole:
+    """A pole that orders ask for: ``frequency_hz``, ``damping``, the ``channels`` that show it and its ``proof``."""
+
+    frequency_hz: float
+    damping: float
+    channels: tuple[str, ...]
+    proof: Proof
+
+
+def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles, number: int) -> OrderPole:
+    """Pole ``number`` of ``poles`` with the orders that prove it; ``blocks`` as ``projected`` with all poles."""
+    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    reach = NUMBERS.within_widths * zeta
+    rows: dict[float, int] = {}
+    ends: list[float] = []
+    shown: list[str] = []
+    located, passed, rung_by = set[float](), set[float](), set[float]()
+    beside: dict[str, list[Block]] = {}
+    for block in blocks:
+        if block.passage is not None:
+            beside.setdefault(block.recording, []).append(block)
+    for block, part in zip(blocks, projected, strict=True):
+        shows = residue_chances(block, part, number) <= NUMBERS.proof_chance
+        if shows.any():
+            shows &= _explains(block, part, poles, number)
+        if block.scatter > ORDER_RESPONSES.most_scatter or not shows.any():
+            continue
+        shown += [name for name, yes in zip(block.channels, shows, strict=True) if yes]
+        rows[block.order] = max(_rows_within(block, f, zeta), rows.get(block.order, 0))
+        ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
+        if (1.0 - reach) * block.frequency_hz.min() <= f <= (1.0 + reach) * block.frequency_hz.max():
+            passed.add(block.order)
+            rung_by |= {
+                other.order
+                for other in beside.get(block.recording, ())
+                if other is not block and rings_into(block, other, f, zeta)
+            }
+            if _locates(block, part, poles, number):
+                located.add(block.order)
+    if not rows:
+        return OrderPole(f, zeta, (), Proof())
+    proof = Proof(
+        tuple(sorted(rows)),
+        max(rows.values()),
+        sum(rows.values()),
+        (min(ends), max(ends)),
+        located=len(located),
+        passed=tuple(sorted(passed)),
+        rung_by=tuple(sorted(rung_by)),
+    )
+    return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArray[np.bool_]:
+    """Whether pole ``number``, with its neighbours, is what a sweep of ``block`` shows there, in each channel (C,).
+
+    What the other poles leave there is felt, and with it most of that is gone, beyond the noise. Where the swing of
+    another order was taken away, what that one's model does not know stays, and a pole that is none takes a part of it.
+    """
+    if block.passage is None:
+        return np.ones(len(block.channels), dtype=np.bool_)
+    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    away = np.abs(block.frequency_hz / f - 1.0)
+    reach = max(
+        NUMBERS.within_widths * zeta,
+        block.passage.blurred_hz / f,
+        float(np.sort(away)[NUMBERS.fewest_beside - 1 : NUMBERS.fewest_beside].sum()),
+    )
+    near = away <= reach
+    weight = block.weight[:, near]
+    used = weight > 0.0
+    error = (block.error if block.as_read is None else block.as_read[1])[:, near]
+    noise = np.where(used, 2.0 * np.square(block.noise * error), 0.0).sum(axis=1)
+    size = np.where(used, np.square(block.size[:, near]), 0.0).sum(axis=1)
+    beside = np.abs(np.log(poles.frequency_hz / f)) <= NUMBERS.side_by_side_share
+    left, without = (
+        np.where(used, np.abs(one.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
+        for one in (part, project(block, poles.chosen(~beside)))
+    )
+    felt = without - left > NUMBERS.felt_share**2 * size * (4.0 if block.power else 1.0)
+    return np.asarray(felt & (without - left >= (1.0 - NUMBERS.unexplained_share) * np.maximum(without - noise, noise)))
+
+
+def _locates(block: Block, part: Projected, poles: Poles, number: int) -> bool:
+    """Whether ``block`` alone finds pole ``number`` where it is: one step from there is small, and its error too."""
+    if part.degrees_of_freedom < 2 or number not in part.reached:
+        return False
+    slopes = jacobian(block, poles, part)[:, 2 * number : 2 * number + 2]
+    information = slopes.T @ slopes
+    if np.linalg.cond(information) > 1e12:
+        return False
+    inverse = np.linalg.inv(information)
+    step = float((inverse @ slopes.T @ as_real(part.left, block))[0])
+    error = float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.degrees_of_freedom, 1.0)))
+    return error <= NUMBERS.located_widths * float(poles.damping[number]) and abs(step) <= NUMBERS.agrees_sigmas * error
+
+
+def _rows_within(block: Block, f: float, zeta: float) -> int:
+    """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
+    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= NUMBERS.within_widths * zeta))
+    low, high = block.frequency_hz.min(), block.frequency_hz.max()
+    whole = (
+        block.passage is not None
+        and low < f * (1.0 - NUMBERS.within_widths * zeta)
+        and high > f * (1.0 + NUMBERS.within_widths * zeta)
+    )
+    return max(rows, NUMBERS.rows_of_sweep) if whole else rows
+
+
+def residue_chances(block: Block, part: Projected, number: int) -> Array:
+    """Chances (C,) that the residue of pole ``number`` in ``block`` is so large without the mode (F test).
+
+    ``part``: the block as projected.
+    """
+    from scipy.special import fdtrc
+
+    place = np.flatnonzero(part.reached == number)
+    if not len(place) or part.degrees_of_freedom < len(block.channels):
+        return np.ones(len(block.channels))
+    at = block.degree + 1 + block.columns_per_mode * int(place[0]) + np.arange(block.columns_per_mode)
+    value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
+    squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
+    scale = max(part.chi2 / part.degrees_of_freedom, 1.0)
+    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / len(block.channels), squared / 2.0 / scale))
 
 
 def proven_by(proof: Proof) -> str:
@@ -53,7 +207,7 @@ def is_proven(proof: Proof) -> bool:
 
     ``proof``: the orders that show it.
     """
-    return len(proof.passed) > 1 and (proof.rows >= ROWS_OF_TWO or proof.located > 1)
+    return len(proof.passed) > 1 and (proof.rows >= NUMBERS.rows_of_two or proof.located > 1)
 
 
 def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: IdentifySettings) -> Mode | None:
@@ -65,7 +219,7 @@ def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: Ident
     error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
     others = every.frequency_hz[every.frequency_hz != f]
-    is_another = zeta_error > KNOWN * zeta and bool((np.abs(others - f) <= Z95 * error).any())
+    is_another = zeta_error > NUMBERS.known_share * zeta and bool((np.abs(others - f) <= Z95 * error).any())
     if not proof.orders or zeta > settings.max_damping_ratio or is_another:
         return None
     return Mode(
@@ -103,7 +257,9 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
     said = []
     if not proof.passed:
         said.append("no order passes it: something else beyond what was swept may look the same")
-    elif len(proof.passed) == 1 and (proof.most_rows < ROWS_OF_TURN or zeta_error > KNOWN_ALONE * zeta):
+    elif len(proof.passed) == 1 and (
+        proof.most_rows < NUMBERS.rows_of_turn or zeta_error > NUMBERS.known_alone_share * zeta
+    ):
         name = f"{proof.passed[0]:g}"
         said.append(f"passed by order {name} alone, at {proof.most_rows} speeds: its force may peak there")
     elif len(proof.passed) == 1 and proof.rung_by:
@@ -111,15 +267,17 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
         said.append(f"passed by order {proof.passed[0]:g} alone, while it would still ring from order {before}")
     elif len(proof.passed) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
-    if error > UNCERTAIN * f:
+    if error > NUMBERS.uncertain_share * f:
         said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")
-    if zeta_error > KNOWN * zeta:
+    if zeta_error > NUMBERS.known_share * zeta:
         said.append("its damping is not determined")
     if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
         said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
     apart = np.abs(every.frequency_hz / f - 1.0)
     within = (apart > 0.0) & (apart < every.damping)
-    wider = every.frequency_hz[within & ((every.damping > WIDER * zeta) | (apart < every.damping / WIDER))]
+    wider = every.frequency_hz[
+        within & ((every.damping > NUMBERS.wider_ratio * zeta) | (apart < every.damping / NUMBERS.wider_ratio))
+    ]
     if len(wider):
         said.append(f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same")
     return "; ".join(said)

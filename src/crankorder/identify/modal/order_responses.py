@@ -10,45 +10,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderResponse
-from crankorder.identify.modal.bases import beyond, beyond_law, orthonormal
-from crankorder.identify.modal.order_force import force, grown_by, of_squares, resonance_slopes, smooth_shapes
+from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modal.order_terms import (
+    beyond,
+    beyond_law,
+    force,
+    grown_by,
+    of_squares,
+    orthonormal,
+    resonance_slopes,
+    scatter_of,
+    smooth_shapes,
+)
 from crankorder.identify.modal.passage import Passage
-from crankorder.identify.modal.scatter import ENOUGH_FREEDOM, LEAST_SCATTER, scatter_of
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
 from crankorder.identify.resonance import resonance
+from crankorder.settings import MethodNumbers
 
-MOST_SCATTER = 0.2
-"""Relative scatter beyond which an order says nothing of natural frequencies."""
 
-EXPONENTS = (0.0, 1.0, 2.0, 3.0)
-"""Powers of the speed that forces grow with: steady, …, inertia, and one more."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_responses"):
+    most_scatter: float
+    most_degree: int
+    reach_shares: tuple[float, float]
+    spare_amplitudes: int
 
-INERTIA = 2.0
-"""Power of the speed that needs no proof."""
 
-MOST_DEGREE = 3
-"""Degree, in the logarithm of speed, of what is smooth beside the modes, and of the force's departure from a power."""
+NUMBERS = _Numbers.load()
 
-REACH = (0.6, 2.0)
-"""Share of the lowest and of the highest frequency swept within which a mode takes part in an order's response."""
+EXPONENTS = (2.0, 0.0, 1.0, 3.0)
+"""Powers of the speed that forces grow with: that of inertia, which needs no proof, steady, …, and one more."""
 
-LAW_STEPS = 2
-"""Steps by which the law of a force is told."""
+LAW_STEPS, MOST_BEND = 2, 0.5
+"""Steps by which the law of a force is told, and the largest of them, as a logarithm."""
 
-MOST_BEND = 0.5
-"""Largest step of a law, as a logarithm."""
-
-MOST_ROUNDS = 3
-"""Times that scatter and linear terms are told from one another."""
-
-MOST_TURNS = 8
-"""Times that the signs of rows are told anew."""
+MOST_ROUNDS, MOST_TURNS = 3, 8
+"""Times that scatter and linear terms are told from one another, and that the signs of rows are told anew."""
 
 MOST_KEPT = 64
 """Columns along a sweep that are kept."""
-
-SPARE = 3
-"""Complex amplitudes that an order must have over its unknowns."""
 
 OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
 """What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
@@ -82,10 +81,10 @@ class Block:
     amplitude: Complex
     error: Array
     reference_rpm: float
-    exponent: float = INERTIA
+    exponent: float = EXPONENTS[0]
     law: tuple[complex, ...] = ()
     degree: int = 0
-    scatter: float = LEAST_SCATTER
+    scatter: float = ORDER_TERMS.least_scatter
     noise: float = 1.0
     passage: Passage | None = None
     power: bool = False
@@ -136,11 +135,11 @@ class Block:
     @cached_property
     def shapes(self) -> Array:
         """Polynomials (K, degree + 1) of the speeds up to the highest degree that is tried."""
-        return smooth_shapes(self.speed_rpm, self.span_rpm, MOST_DEGREE)
+        return smooth_shapes(self.speed_rpm, self.span_rpm, NUMBERS.most_degree)
 
     def shapes_to(self, degree: int) -> Array:
         """Polynomials (K, ``degree`` + 1) of the speeds."""
-        if degree > MOST_DEGREE:
+        if degree > NUMBERS.most_degree:
             return smooth_shapes(self.speed_rpm, self.span_rpm, degree)
         return self.shapes[:, : degree + 1]
 
@@ -209,9 +208,9 @@ class Block:
 
     def reached(self, poles: Poles) -> NDArray[np.int64]:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
-        low, high = REACH[0] * self.ends_hz[0], REACH[1] * self.ends_hz[1]
+        low, high = NUMBERS.reach_shares[0] * self.ends_hz[0], NUMBERS.reach_shares[1] * self.ends_hz[1]
         found = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
-        room = max(0, (self.fewest_rows - 1 - self.degree - SPARE) // self.columns_per_mode)
+        room = max(0, (self.fewest_rows - 1 - self.degree - NUMBERS.spare_amplitudes) // self.columns_per_mode)
         if len(found) > room:
             away = np.abs(np.log(poles.frequency_hz[found, None] / self.frequency_hz)).min(axis=1)
             found = np.sort(found[np.argsort(away, kind="stable")[:room]])
@@ -334,8 +333,8 @@ class Projected:
 
     ``basis`` (C, K, terms) is an orthonormal basis of the weighted columns, ``triangle`` (C, terms, terms) takes the
     linear terms, each times its ``scale`` (C, terms), to it (what is below its diagonal counts for nothing), ``along``
-    (C, terms) what was measured; ``left`` (C, K) is the weighted residual, ``chi2`` its square and ``freedom`` the real
-    numbers that it holds beyond the terms.
+    (C, terms) what was measured; ``left`` (C, K) is the weighted residual, ``chi2`` its square, with
+    ``degrees_of_freedom``: the real numbers that it holds beyond the terms.
     """
 
     reached: NDArray[np.int64]
@@ -345,7 +344,7 @@ class Projected:
     along: Complex
     left: Complex
     chi2: float
-    freedom: int
+    degrees_of_freedom: int
 
     @cached_property
     def linear(self) -> Complex:
@@ -391,8 +390,8 @@ def _eliminated(block: Block, reached: NDArray[np.int64], design: Complex) -> Pr
     measured = block.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
-    freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
-    return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), freedom)
+    degrees_of_freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
+    return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), degrees_of_freedom)
 
 
 def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
@@ -412,7 +411,7 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
         turned[..., offset::2] = made.reshape(*made.shape[:2], len(reached), per).sum(axis=3)
     turned *= block.weight[..., None]
     turned = beyond(part.basis, turned)
-    if part.freedom >= ENOUGH_FREEDOM:
+    if part.degrees_of_freedom >= ORDER_TERMS.enough_degrees_of_freedom:
         turned = beyond_law(turned, bent(block, part, max(len(block.law), 1)), power=block.power)
     places = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
     every[:, places] = as_real(turned, block)
@@ -446,12 +445,12 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
     """
     block, part = _with_signs(block, poles)
     for _ in range(MOST_ROUNDS):
-        if part.freedom < 1:
+        if part.degrees_of_freedom < 1:
             break
         weight = block.weight
         squared = np.square(np.abs(part.left) / np.where(weight > 0.0, weight, np.inf))
         scatter, noise = scatter_of(
-            squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.freedom
+            squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.degrees_of_freedom
         )
         settled = abs(scatter - block.scatter) <= 0.05 * scatter and abs(noise - block.noise) <= 0.05 * noise
         if scatter == block.scatter and noise == block.noise:
@@ -487,8 +486,8 @@ def with_best_law(block: Block, poles: Poles) -> Block:
     a power: each by the Bayesian information criterion with the scatter that it leaves.
     """
     best, cost = block, np.inf
-    most = min(MOST_DEGREE, block.fewest_rows // 4 - 1)
-    tried = [(n, 0, 0) for n in (INERTIA, *(n for n in EXPONENTS if n != INERTIA))]
+    most = min(NUMBERS.most_degree, block.fewest_rows // 4 - 1)
+    tried = [(exponent, 0, 0) for exponent in EXPONENTS]
     tried += [(np.nan, degree, 0) for degree in range(1, most + 1)]
     tried += [(np.nan, -1, degree) for degree in range(1, most + 1)]
     for exponent, degree, bends in tried:
@@ -505,7 +504,7 @@ def with_best_law(block: Block, poles: Poles) -> Block:
         new = missed(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
         if new < cost:
             best, cost = trial, new
-        if best.scatter <= LEAST_SCATTER:
+        if best.scatter <= ORDER_TERMS.least_scatter:
             break
     return best
 
@@ -536,7 +535,7 @@ def fitting(
     for _ in range(2):
         every = fit.poles.joined(fixed)
         blocks = tuple(with_scatter(block, every)[0] for block in blocks)
-        good = tuple(block for block in blocks if block.scatter <= MOST_SCATTER)
+        good = tuple(block for block in blocks if block.scatter <= NUMBERS.most_scatter)
         if not good:
             return replace(problem, others=None), fit
         problem = replace(problem, others=Blocks(good, fixed))
@@ -552,7 +551,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
             continue
         item, part = with_scatter(block, modes)
         first = item.degree + 1
-        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.freedom, 1))
+        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.degrees_of_freedom, 1))
         slopes = _terms_by_poles(item, modes, part)
         for number, channel in enumerate(item.channels):
             residue = np.zeros(len(modes), dtype=complex)
@@ -569,9 +568,9 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     residue,
                     part.reached,
                     np.asarray(covariance[number], dtype=np.complex128),
-                    part.freedom // len(item.channels),
+                    part.degrees_of_freedom // len(item.channels),
                     item.noise * float(np.median(item.error[number][np.isfinite(item.error[number])])),
-                    part.freedom > 0 and item.scatter <= MOST_SCATTER,
+                    part.degrees_of_freedom > 0 and item.scatter <= NUMBERS.most_scatter,
                     item.recording,
                     slopes[number],
                 )

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Swing
-from crankorder.identify.modal.order_proof import FELT, PROOF_CHANCE, SIDE_BY_SIDE, OrderPole, Proof, named
+from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modal.order_modes import OrderPole, Proof, named
+from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modal.order_responses import (
-    MOST_DEGREE,
     Block,
     Blocks,
     Projected,
@@ -21,22 +22,36 @@ from crankorder.identify.modal.order_responses import (
     with_best_law,
     with_scatter,
 )
+from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modal.pole_errors import order_pole_covariance
 from crankorder.identify.modal.ringing import swings_of, without_ringing
-from crankorder.identify.modal.scatter import LEAST_SCATTER
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
+from crankorder.settings import MethodNumbers
 
-MOST_POLES = 12
-"""Poles that are looked for at most."""
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_search"):
+    most_poles: int
+    next_to_share: float
+    rises_ratio: float
+    most_blocks: int
+    clear_sigmas: float
+    matters_share: float
+    felt_error_share: float
+    most_at_once: int
+    independent_trials: float
+    promising_share: float
+    expected_gain: float
+    well_laid_scatter: float
+    hopeless_scatter: float
+    fewest_rows: int
+    least_damping: float
+    model_error_share: float
+
+
+NUMBERS = _Numbers.load()
 
 TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 """Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
-
-NEXT_TO = 0.015
-"""Share of a frequency within which a row lies next to it."""
-
-RISES = 2.0
-"""Amplitude over that on both sides from which an order rises."""
 
 LIGHT = (0.001, 0.003, 0.01)
 """Damping ratios of a mode that may be taken for a tone."""
@@ -44,50 +59,11 @@ LIGHT = (0.001, 0.003, 0.01)
 TRIED_STARTS = 3
 """Best starts that are followed."""
 
-MOST_BLOCKS = 24
-"""Orders, in each recording of a sweep, that are asked for poles: those that stand out most."""
-
-CLEARLY = 3.0
-"""Standard errors of a row beyond which what is left of it is no noise."""
-
-MATTERS = 0.03
-"""Share of an order's largest amplitude below which no row tells of a pole alone."""
-
-FELT_ERROR = 0.01
-"""Share of an order's amplitude that counts as a standard error where a pole's gain is foretold: less is not felt."""
-
 AT_ONCE = 2
 """Poles that are asked for together at most where the others leave nothing that is felt."""
 
-MOST_AT_ONCE = 5
-"""Poles that are asked for together at most: each may hide in what the others leave."""
-
-TRIALS = 400.0
-"""Frequencies and damping ratios that are independent of one another, about."""
-
-PROMISING = 0.2
-"""Share of what chance saves at one of all starts by which a start is worth a trial."""
-
-EXPECTED_GAIN = 6.0
-"""What noise alone may save at a start in one channel."""
-
-WELL_LAID = 0.01
-"""Relative scatter up to which the law of a force needs no new look."""
-
-HOPELESS = 1.0
-"""Relative scatter beyond which no small move of the poles helps."""
-
-FEWEST_ROWS = 6
-"""Rows of an order without which it is asked for nothing new."""
-
-LEAST_DAMPING = 1e-3
-"""Smallest damping ratio that is looked for."""
-
 SETTLED = 0.05
 """Square of a standard error that a step must gain to be followed by another."""
-
-MODEL_SHARE = 0.1
-"""Share of its width by which the floor may err in a pole beyond its own errors, and of its damping."""
 
 STEPS = 12
 """Steps of a fit at most."""
@@ -109,7 +85,9 @@ class Prior:
         place = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))
         spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
         # what the floor takes for random may have rung from a start: its widths are not believed further
-        least = np.stack([MODEL_SHARE * poles.damping, np.full(len(poles), MODEL_SHARE)], axis=1)
+        least = np.stack(
+            [NUMBERS.model_error_share * poles.damping, np.full(len(poles), NUMBERS.model_error_share)], axis=1
+        )
         return cls(place, np.hypot(spread, least))
 
     def rows(self, poles: Poles) -> tuple[Array, Array]:
@@ -143,12 +121,12 @@ def poles_of_orders(
     if not blocks:
         return (), ()
     prior = Prior.of(known, covariance)
-    blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[:MOST_BLOCKS]
+    blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[: NUMBERS.most_blocks]
     state = Fitted.of([with_best_law(block, known) for block in blocks], known, prior)
     if len(known):
         state = state.moved()
     tried = Tried.of(blocks)
-    while len(state.poles) - len(known) < MOST_POLES:
+    while len(state.poles) - len(known) < NUMBERS.most_poles:
         more = _more(state, tried, chance=chance, most_damping=most_damping)
         if more is None:
             break
@@ -228,7 +206,7 @@ class Fitted:
 
     def moved(self, *, fixed: int = 0) -> Fitted:
         """With all poles but the first ``fixed`` where the likelihood is largest, and the scatter that is left then."""
-        good = tuple(block for block in self.blocks if block.scatter <= HOPELESS)
+        good = tuple(block for block in self.blocks if block.scatter <= NUMBERS.hopeless_scatter)
         if not good:
             return self
         number = np.arange(len(self.poles))
@@ -262,9 +240,9 @@ class Fitted:
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             size = np.sqrt(block.size) if block.power else block.size
             share = left / np.maximum(block.size, 1e-300) * (0.5 if block.power else 1.0)
-            counts = size > MATTERS * size.max()
+            counts = size > NUMBERS.matters_share * size.max()
             if clear:
-                counts &= left > CLEARLY * block.noise * block.error
+                counts &= left > NUMBERS.clear_sigmas * block.noise * block.error
             made.append(np.where(counts, share, 0.0))
         return made
 
@@ -273,10 +251,10 @@ class Fitted:
         saved = self.prior.misfit(less.poles) - self.prior.misfit(self.poles)
         pairs = zip(less.blocks, less.projected, self.blocks, self.projected, strict=True)
         for before, few, after, many in pairs:
-            if (after.scatter, after.noise) == (before.scatter, before.noise) == (LEAST_SCATTER, 1.0):
+            if (after.scatter, after.noise) == (before.scatter, before.noise) == (ORDER_TERMS.least_scatter, 1.0):
                 saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
-            share = max(many.freedom, 0) / (after.parts * int(after.rows.sum()))
+            share = max(many.degrees_of_freedom, 0) / (after.parts * int(after.rows.sum()))
             if after.passage is not None:
                 share *= _independent_share(many)
             saved += (missed(before, few) - missed(after, many)) * share
@@ -292,7 +270,7 @@ def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
     if passed and block.sign_free:
         both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
         block = min(both, key=lambda pair: missed(*pair))[0]
-    if block.scatter <= WELL_LAID or block.passage is not None or not passed:
+    if block.scatter <= NUMBERS.well_laid_scatter or block.passage is not None or not passed:
         return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
     return with_best_law(block, poles)
 
@@ -325,14 +303,17 @@ def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) ->
     Where one does not save enough others are tried with it: each may hide in what they leave.
     """
     more = state
-    for number in range(1, MOST_AT_ONCE + 1):
-        if number > AT_ONCE and more.misses < FELT:
+    for number in range(1, NUMBERS.most_at_once + 1):
+        if number > AT_ONCE and more.misses < ORDER_MODES.felt_share:
             return None
         trial = _one_more(more, tried, most_damping=most_damping)
         if trial is None:
             return None
         more = trial
-        if more.saves(state) > _limit(more.blocks, chance, number) and more.accounts_for(state) > FELT:
+        if (
+            more.saves(state) > _limit(more.blocks, chance, number)
+            and more.accounts_for(state) > ORDER_MODES.felt_share
+        ):
             return more
     return None
 
@@ -341,7 +322,7 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | N
     """``state`` with the one pole more that saves most; None where no start promises anything."""
     gains = _gains(state, tried)
     best, most = None, 0.0
-    promising = PROMISING * _limit(state.blocks, 1.0)
+    promising = NUMBERS.promising_share * _limit(state.blocks, 1.0)
     for _ in range(TRIED_STARTS):
         at = int(np.argmax(gains))
         if not gains[at] > promising:
@@ -369,7 +350,7 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     found = []
     for block in blocks:
         gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
-        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), PROOF_CHANCE))
+        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), ORDER_MODES.proof_chance))
         if proven or _stands_out(block, frequency_hz):
             found.append(block.order)
     return tuple(dict.fromkeys(found))
@@ -378,16 +359,16 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
 def _stands_out(block: Block, frequency_hz: float) -> bool:
     """Whether ``block`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
     away = np.abs(block.frequency_hz / frequency_hz - 1.0)
-    near = np.flatnonzero(away <= NEXT_TO)
+    near = np.flatnonzero(away <= NUMBERS.next_to_share)
     if not len(near):
         return False
-    below = np.flatnonzero(block.frequency_hz < frequency_hz * (1.0 - NEXT_TO))
-    above = np.flatnonzero(block.frequency_hz > frequency_hz * (1.0 + NEXT_TO))
+    below = np.flatnonzero(block.frequency_hz < frequency_hz * (1.0 - NUMBERS.next_to_share))
+    above = np.flatnonzero(block.frequency_hz > frequency_hz * (1.0 + NUMBERS.next_to_share))
     sides = [side[np.argmin(away[side])] for side in (below, above) if len(side)]
     if len(sides) < 2:
         return False
     size = np.sqrt(np.abs(block.amplitude)) if block.power else np.abs(block.amplitude)
-    return bool((size[:, near].max(axis=1) > RISES * size[:, sides].max(axis=1)).any())
+    return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
 
 def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
@@ -404,32 +385,32 @@ def _gains(state: Fitted, tried: Tried) -> Array:
     """
     total = np.zeros(len(tried.frequency_hz))
     for block, part in zip(state.blocks, state.projected, strict=True):
-        if block.rows.min() < FEWEST_ROWS or part.freedom < 4:
+        if block.rows.min() < NUMBERS.fewest_rows or part.degrees_of_freedom < 4:
             continue
         low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
-        settled = block.scatter < FELT_ERROR
+        settled = block.scatter < NUMBERS.felt_error_share
         if settled:
-            block = block.varied(scatter=FELT_ERROR)
+            block = block.varied(scatter=NUMBERS.felt_error_share)
             part = project(block, state.poles)
         else:
             block, part = _anew(block, part, state.poles)
         columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
-        freedom = max(part.freedom / len(block.channels) - 2.0, 0.0)
+        degrees_of_freedom = max(part.degrees_of_freedom / len(block.channels) - 2.0, 0.0)
         for weight, basis, left in zip(block.weight, part.basis, part.left, strict=True):
             made = columns * weight[:, None]
             made -= basis @ (basis.conj().T @ made)
             explained = _explained(made, left, block.columns_per_mode)
             share = np.minimum(explained / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
-            gain = explained if settled else -freedom * np.log1p(-share)
-            total[near] += np.maximum(gain - EXPECTED_GAIN, 0.0)
+            gain = explained if settled else -degrees_of_freedom * np.log1p(-share)
+            total[near] += np.maximum(gain - NUMBERS.expected_gain, 0.0)
     return total
 
 
 def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
     """``block`` and how it is projected (``part``), without what a pole that is missing may have led it to."""
-    if block.scatter > WELL_LAID and block.rows.min() > 4 * FEWEST_ROWS:
-        block = block.varied(degree=MOST_DEGREE)  # a peak may have hidden how the force grows
+    if block.scatter > NUMBERS.well_laid_scatter and block.rows.min() > 4 * NUMBERS.fewest_rows:
+        block = block.varied(degree=ORDER_RESPONSES.most_degree)  # a peak may have hidden how the force grows
     elif not block.sign_free:
         return block, part
     if block.sign_free:
@@ -461,7 +442,7 @@ def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
     """``free`` poles where ``joint`` and ``prior`` agree best, by Levenberg–Marquardt steps in ln f and ln ζ."""
     factor = 1e-2
-    least = np.minimum(LEAST_DAMPING, free.damping)
+    least = np.minimum(NUMBERS.least_damping, free.damping)
     jacobians, residuals, cost = _evaluated(joint, free, prior)
     for _ in range(STEPS):
         hessian = sum((j.T @ j for j in jacobians), np.zeros((2 * len(free),) * 2))
@@ -498,8 +479,8 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
     """
     from scipy.special import chdtri
 
-    freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
-    return float(chdtri(freedom, chance / TRIALS**number))
+    degrees_of_freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
+    return float(chdtri(degrees_of_freedom, chance / NUMBERS.independent_trials**number))
 
 
 def _pruned(state: Fitted, *, chance: float) -> Fitted:
@@ -511,12 +492,14 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     first = number = len(state.prior.place)
     for group in _neighbours(state.poles, first):
         alone = _told_anew(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
-        if state.accounts_for(alone) <= FELT:
+        if state.accounts_for(alone) <= ORDER_MODES.felt_share:
             return _pruned(alone, chance=chance)
     while number < len(state.poles):
         rest = state.poles.without(number)
         fewer = Fitted.of(state.blocks, rest, state.prior)
-        needed = state.saves(fewer) > _limit(state.blocks, chance) and state.accounts_for(fewer) > FELT
+        needed = (
+            state.saves(fewer) > _limit(state.blocks, chance) and state.accounts_for(fewer) > ORDER_MODES.felt_share
+        )
         if needed and _is_beside(state.poles, number):
             fewer = _told_anew(state, rest)
             needed = state.saves(fewer) > _limit(state.blocks, chance)
@@ -535,14 +518,14 @@ def _told_anew(state: Fitted, poles: Poles) -> Fitted:
 def _neighbours(poles: Poles, first: int) -> list[NDArray[np.int64]]:
     """Numbers of the ``poles`` from ``first`` on that lie side by side, two or more."""
     rank = first + np.argsort(poles.frequency_hz[first:], kind="stable")
-    gaps = np.flatnonzero(np.diff(np.log(poles.frequency_hz[rank])) > SIDE_BY_SIDE) + 1
+    gaps = np.flatnonzero(np.diff(np.log(poles.frequency_hz[rank])) > ORDER_MODES.side_by_side_share) + 1
     return [group for group in np.split(rank, gaps) if len(group) > 1]
 
 
 def _is_idle(state: Fitted, number: int, *, chance: float) -> bool:
     """Whether the others fit as well without pole ``number`` as noise lets them."""
     alone = Fitted.of(state.blocks, state.poles.without(number), state.prior)
-    return state.saves(alone) <= _limit(state.blocks, chance) or state.accounts_for(alone) <= FELT
+    return state.saves(alone) <= _limit(state.blocks, chance) or state.accounts_for(alone) <= ORDER_MODES.felt_share
 
 
 def _is_beside(poles: Poles, number: int) -> bool:

@@ -1,4 +1,4 @@
-"""Errors of poles that orders tell: what channels share, what speeds side by side share, what orders disagree by."""
+"""Errors of poles that orders tell, and covariance of those that the floor tells: what rows and channels share."""
 
 from __future__ import annotations
 
@@ -9,11 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.intervals import Z95, half_widths
-from crankorder.identify.modal.order_responses import MOST_SCATTER, Block, Projected, jacobian
-from crankorder.identify.modal.surface_fit import Poles
+from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modal.order_responses import Block, Projected, jacobian
+from crankorder.identify.modal.surface_fit import Poles, Problem, SurfaceFit, curvature
+from crankorder.settings import MethodNumbers
 
-MOST_FOR_FEW = 2.0
-"""Factor by which the scatter of few cells is taken for larger at most: that of two which weigh the same."""
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="pole_errors"):
+    most_for_few_ratio: float
+    tone_bins: float
+
+
+NUMBERS = _Numbers.load()
 
 Array = NDArray[np.float64]
 
@@ -41,10 +48,10 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
     alone: list[Cell] = []
     inner, beside = np.zeros((size, size)), np.zeros((size, size))
     for block, part in zip(blocks, parts, strict=True):
-        if block.scatter > MOST_SCATTER or part.freedom < 1:
+        if block.scatter > ORDER_RESPONSES.most_scatter or part.degrees_of_freedom < 1:
             continue
         rows = jacobian(block, poles, part)[:, own].reshape(block.parts, *block.amplitude.shape, size)
-        spare = block.parts * int(block.rows.sum()) / part.freedom
+        spare = block.parts * int(block.rows.sum()) / part.degrees_of_freedom
         left = np.stack([part.left.real] if block.power else [part.left.real, part.left.imag])
         norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
@@ -80,12 +87,15 @@ def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
     share = np.maximum(share, 0.0) / np.maximum(share.sum(axis=0), 1e-300)
     influence -= share * influence.sum(axis=0)
     squared = np.where(share.sum(axis=0) > 0.0, np.sum(share**2, axis=0), 1.0)
-    scattered = np.sum(influence**2, axis=0) * np.minimum(1.0 / np.maximum(1.0 - squared, 1e-9), MOST_FOR_FEW)
+    scattered = np.sum(influence**2, axis=0) * np.minimum(
+        1.0 / np.maximum(1.0 - squared, 1e-9), NUMBERS.most_for_few_ratio
+    )
     excess = np.maximum(scattered - known, 0.0)
     few = np.maximum(1.0 / squared - 1.0, 1.0)
-    freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
+    degrees_of_freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
     return np.asarray(
-        np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(freedom) / Z95, 1.0), dtype=np.float64
+        np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0),
+        dtype=np.float64,
     )
 
 
@@ -107,3 +117,138 @@ def _scores_together(scores: Array) -> Array:
         product = scores[lag:].T @ scores[:-lag]
         total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
     return np.asarray(total)
+
+
+POINTS_PER_BIN = 4
+"""Points of the integral over frequency per bin of the window."""
+
+POINTS_PER_MODE = 49
+"""Points of the integral over each mode that is narrower than a few bins."""
+
+NEAR_BINS = 3
+"""Bins on each side that a point of the integral is seen in."""
+
+
+def free_of(fit: SurfaceFit) -> NDArray[np.bool_]:
+    """Which of (ln f_1, ln ζ_1, …) the fit was free to move: not the damping of tones."""
+    return np.stack([np.ones(len(fit.poles), dtype=bool), ~fit.poles.tone], axis=1).ravel()
+
+
+def score_covariance(problem: Problem, fit: SurfaceFit) -> Array:
+    """Covariance (2M, 2M) of the score Σ Jᵀ r of ``fit``: of the derivatives of its log likelihood by the poles.
+
+    The score is a weighted sum of periodogram ordinates with weights φ(ν), so its covariance is ∫ φφᵀ S² dν / T, T the
+    time recorded (Brillinger 1981, theorem 5.10.1): overlapping bins and frames and the memory of narrow modes are in
+    it. Two channels share noise where the same modes make their power: |S_cd|² = S_c S_d (Σ_j √(s_cj s_dj))², with s_cj
+    the share of mode j in channel c; its largest value, for the signs are not known.
+    ``problem``: the floors that were fitted.
+    """
+    nodes, weights = _nodes(problem, fit)
+    power, shares = _resolved(problem, fit, nodes)
+    seen = problem.seen
+    bin_hz = float(problem.frequency_hz[1] - problem.frequency_hz[0])
+    reach = max(1, round(seen.bin_hz / bin_hz))
+    offsets = np.arange(-NEAR_BINS * reach, NEAR_BINS * reach + 1)
+    at = np.rint((nodes - problem.frequency_hz[0]) / bin_hz).astype(np.int64)[:, None] + offsets
+    inside = (at >= 0) & (at < len(problem.frequency_hz))
+    at = np.where(inside, at, 0)
+    kernel = np.where(inside, seen.kernel(problem.frequency_hz[at] - nodes[:, None]), 0.0)
+    # ∫ kernel² is what one average makes of white noise: it turns averages into time
+    lags = np.linspace(-4.0, 4.0, 801) * seen.bin_hz
+    squared = float(np.sum(seen.kernel(lags) ** 2) * (lags[1] - lags[0]))
+    total = np.zeros((2 * len(fit.poles),) * 2)
+    phis = []
+    for channel, of_channel in enumerate(fit.jacobian[: len(problem.psd)]):
+        n = problem.averages[channel]
+        by_bin = of_channel * np.where(n > 0.0, np.sqrt(n) / fit.model[channel], 0.0)[:, None]
+        phi = np.einsum("vk,vkp->vp", kernel, by_bin[at])
+        used = n > 0.0  # what a masked frequency leaks into kept bins was recorded as long as those
+        time = np.interp(nodes, problem.frequency_hz[used], n[used]) * squared if used.any() else np.inf
+        phis.append(phi * (power[channel] * np.sqrt(weights / time))[:, None])
+    for c, first in enumerate(phis):
+        for d, second in enumerate(phis):
+            common = np.ones(len(nodes)) if c == d else np.minimum(np.sqrt(shares[c] * shares[d]).sum(axis=0) ** 2, 1.0)
+            total += (first * common[:, None]).T @ second
+    return np.asarray(total)
+
+
+def _nodes(problem: Problem, fit: SurfaceFit) -> tuple[Array, Array]:
+    """Points in Hz and weights of the integral: denser where modes are narrow."""
+    frequency, bin_hz = problem.frequency_hz, problem.seen.bin_hz
+    step = bin_hz / POINTS_PER_BIN
+    nodes = [np.arange(frequency[0] - bin_hz, frequency[-1] + bin_hz, step)]
+    turned = np.tan(np.linspace(-1.5, 1.5, POINTS_PER_MODE))
+    for f, zeta, tone in zip(fit.poles.frequency_hz, fit.poles.damping, fit.poles.tone, strict=True):
+        if zeta * f < 2.0 * bin_hz and not tone:
+            nodes.append(f + zeta * f * turned)
+    every = np.unique(np.concatenate(nodes))
+    every = every[(every > frequency[0] - bin_hz) & (every < frequency[-1] + bin_hz)]
+    return every, np.gradient(every)
+
+
+def _resolved(problem: Problem, fit: SurfaceFit, nodes: Array) -> tuple[Array, Array]:
+    """Power (C, V) at ``nodes`` as no window blurs it, and the modes' shares (C, M, V) in it."""
+    n_poles, n_channels = len(fit.poles), len(fit.linear)
+    parts = np.zeros((n_channels, n_poles, len(nodes)))
+    for number in range(n_poles):
+        f, zeta = fit.poles.frequency_hz[number], fit.poles.damping[number]
+        sigma = zeta * f
+        p, q = fit.linear[:, 2 * number], fit.linear[:, 2 * number + 1]
+        if fit.poles.tone[number]:  # a tone has no scatter of its own, but noise beats with its skirts
+            skirts = fit.part(number)
+            skirts[:, np.abs(problem.frequency_hz - f) < NUMBERS.tone_bins * problem.seen.bin_hz] = 0.0
+            parts[:, number] = [np.interp(nodes, problem.frequency_hz, row) for row in skirts]
+            continue
+        damped = f * np.sqrt(1.0 - zeta**2)
+        near, far = 1.0 / (sigma + 1j * (nodes - damped)), 1.0 / (sigma + 1j * (nodes + damped))
+        parts[:, number] = sigma * (np.outer(p, near.real + far.real) + np.outer(q, far.imag - near.imag))
+    n_smooth = len(problem.background) - problem.n_lines
+    smooth = fit.linear[:, 2 * n_poles : 2 * n_poles + n_smooth] @ np.stack(
+        [np.interp(nodes, problem.frequency_hz, row) for row in problem.background[:n_smooth]]
+    )
+    power = parts.sum(axis=1) + smooth
+    for row, model, n in zip(power, fit.model, problem.averages, strict=True):
+        used = n > 0.0  # the model of masked bins is none
+        if used.any():
+            np.maximum(row, 0.02 * np.interp(nodes, problem.frequency_hz[used], model[used]), out=row)
+    power = np.maximum(power, np.finfo(np.float64).tiny)
+    return power, np.clip(parts / power[:, None], 0.0, 1.0)
+
+
+def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
+    """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), inflated by the mean square residual ``scatter`` (M,) around each.
+
+    The sandwich of the fit's own curvature and the covariance of its score (White 1982).
+    ``problem``: the floors that were fitted.
+    """
+    free = free_of(fit)
+    if not len(free):
+        return np.zeros((0, 0))
+    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
+    inner = score_covariance(problem, fit)[np.ix_(free, free)]
+    for j in fit.jacobian[len(problem.psd) :]:
+        # channels may share the noise of an order's amplitude: as if all did
+        inner = inner + len(problem.psd) * j[:, free].T @ j[:, free]
+    made = np.zeros((len(free), len(free)))
+    made[np.ix_(free, free)] = inverse @ inner @ inverse
+    scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
+    scale *= np.sqrt(np.repeat(scatter, 2))
+    return np.asarray(made * np.outer(scale, scale))
+
+
+def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
+    """Covariance as of :func:`pole_covariance`, more where channels and orders disagree about a pole beyond that.
+
+    ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
+    """
+    made = pole_covariance(problem, fit, scatter=scatter)
+    free = free_of(fit)
+    if not len(free):
+        return made
+    scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
+    inverse = np.asarray(np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True), dtype=np.float64)
+    cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
+    known = np.asarray(np.maximum(np.diag(made)[free] / scale[free] ** 2, 1e-300))
+    more = np.ones(len(scale))
+    more[free] = disagreement(cells, inverse, known)
+    return np.asarray(made * np.outer(more, more))

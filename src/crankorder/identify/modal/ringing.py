@@ -11,22 +11,23 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import HiddenSpeeds, Mode, Swing
-from crankorder.identify.modal.order_force import force
 from crankorder.identify.modal.order_responses import Block, Projected
+from crankorder.identify.modal.order_terms import force
 from crankorder.identify.modal.passage import Passage
 from crankorder.identify.modal.surface_fit import Poles
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="ringing"):
+    rings_share: float
+    hides_share: float
+    near_share: float
+
+
+NUMBERS = _Numbers.load()
 
 MOST_KEPT = 256
 """Passages that are kept."""
-
-RINGS = 1e-3
-"""Share of its size after which what rings on counts no more."""
-
-HIDES = 0.03
-"""Share of what one order left of a mode that hides another order which meets it."""
-
-NEAR = 0.03
-"""Share of a speed, beside that at which an order meets a mode, at which it may be large."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -119,7 +120,9 @@ def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles)
             took = _taken(block, other, f, zeta)
             column = other.degree + 1 + place
             residue = part.linear[from_rows, column]
-            spread = part.covariance[from_rows, column, column].real * max(1.0, part.chi2 / max(part.freedom, 1))
+            spread = part.covariance[from_rows, column, column].real * max(
+                1.0, part.chi2 / max(part.degrees_of_freedom, 1)
+            )
             total[shared] += residue[:, None] * took
             variance[shared] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
     return total, variance
@@ -132,7 +135,7 @@ def rings_into(block: Block, other: Block, natural_hz: float, damping: float) ->
     """
     if not block.ends_hz[0] < natural_hz < block.ends_hz[1]:
         return False
-    return _rings(other, block.order, natural_hz, damping, RINGS)
+    return _rings(other, block.order, natural_hz, damping, NUMBERS.rings_share)
 
 
 def _rings(block: Block, later: float, natural_hz: float, damping: float, share: float) -> bool:
@@ -166,9 +169,9 @@ def hidden_speeds(
     found: list[HiddenSpeeds] = []
     for mode in modes:
         f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
-        reach = mode.frequency_half_hz + NEAR * f
+        reach = mode.frequency_half_hz + NUMBERS.near_share * f
         for number in unknown.tolist():
-            rung = [block for block in swept if _rings(block, number, f, zeta, HIDES)]
+            rung = [block for block in swept if _rings(block, number, f, zeta, NUMBERS.hides_share)]
             if rung:
                 loudest = max(rung, key=lambda block: float(block.size.max()))
                 ends = 60.0 * (f - reach) / number, 60.0 * (f + reach) / number

@@ -7,16 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.covariance import free_of, score_covariance
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.strong_tones import (
-    SHADOW_BINS,
-    line_columns,
-    local_maxima,
-    narrow_peak,
-    ruled_by_lines,
-    unsure_power,
-)
+from crankorder.identify.modal.pole_errors import free_of, score_covariance
 from crankorder.identify.modal.surface_fit import (
     NO_POLES,
     Poles,
@@ -25,79 +18,181 @@ from crankorder.identify.modal.surface_fit import (
     background_columns,
     curvature,
     fit_surface,
+    pole_columns,
 )
+from crankorder.settings import MethodNumbers
 
-PEAK_SIGMAS = 5.0
-"""Standard deviations of its scatter by which a peak is tried as a mode; the fit decides later."""
 
-DEGREES = (2, 5)
-"""Degrees of the background's polynomial that are tried."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="search"):
+    strong_log_ratio: float
+    wander_hz: float
+    smear_left_share: float
+    rules_share: float
+    steady_width_bins: float
+    skirt_bins: int
+    peak_reach_bins: int
+    shadow_bins: int
+    peak_sigmas: float
+    background_degrees: tuple[int, int]
+    local_bins: int
+    shadow_share: float
+    wide_damping_ratio: float
+    suspect_residual: float
+    gate_share: float
+    misfit_residual: float
+    beside_bins: float
+    fewest_bins: int
+    own_peak_bins: float
+    narrow_bins: float
+    smooth_residual: float
+    smoothest_residual: float
+    surely_ratio: float
+    doubtful_ratio: float
 
-HANN_CORRELATION = 1.95
-"""Factor by which the likelihood counts neighbouring bins of a Hann window twice."""
 
-LOCAL_BINS = 61
-"""Bins around a pole whose misfit counts for it."""
+NUMBERS = _Numbers.load()
 
-SHADOW = 2e-5
-"""Share of a line's power by which its skirts may be off."""
+Array = NDArray[np.float64]
 
-WIDE_DAMPING = 0.25
-"""Damping ratio beyond which a pole is a part of the background, which is not taken apart."""
+START_WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Half widths in bins that are tried for narrow peaks."""
+
+
+def with_strong_tones(floor: Floor) -> Floor:
+    """``floor`` with frequencies, and their errors, of the lines that are far above it and as narrow as the window."""
+    tones: list[tuple[float, float]] = []
+    for density in floor.psd:
+        used = np.isfinite(density) & (density > 0.0)
+        if np.count_nonzero(used) < 20:
+            continue
+        whole = np.interp(np.arange(len(density)), np.flatnonzero(used), np.log(density[used]))
+        for peak in local_maxima(whole):
+            at = int(peak)
+            beside = np.median(whole[max(at - 3 * NUMBERS.shadow_bins, 0) : at + 3 * NUMBERS.shadow_bins + 1])
+            if (
+                whole[at] - beside < NUMBERS.strong_log_ratio
+                or whole[at] < whole[max(at - NUMBERS.shadow_bins, 0) : at + NUMBERS.shadow_bins + 1].max()
+            ):
+                continue
+            _, half = narrow_peak(whole, at, floor)
+            if half > NUMBERS.steady_width_bins * floor.seen.bin_hz:
+                continue
+            frequency = float(floor.frequency_hz[at]) + _offset_hz(whole, at, floor)
+            error = floor.step_hz * float(np.exp(0.5 * (beside - whole[at])))
+            if all(abs(frequency - other) > 2.0 * floor.seen.bin_hz for other, _ in tones):
+                tones.append((frequency, max(error, 1e-3 * floor.step_hz)))
+    return replace(floor, strong=tuple(sorted(tones)))
+
+
+def line_columns(floor: Floor) -> Array:
+    """Columns (3 lines, F) of the power of the strong tones of ``floor``, each a little off and wandering a little.
+
+    The window's response and its first two derivatives by frequency: what a small error of the frequency and a small
+    wander make of it, whatever their size.
+    """
+    step = 0.02 * floor.seen.bin_hz
+    made = np.zeros((3 * len(floor.strong), len(floor.frequency_hz)))
+    top = float(floor.seen.kernel(np.zeros(1))[0])
+    for number, (tone, _) in enumerate(floor.strong):
+        away = floor.frequency_hz - tone + step * np.array([[-1.0], [0.0], [1.0]])
+        low, middle, high = floor.seen.kernel(away) / top
+        made[3 * number] = middle
+        made[3 * number + 1] = (high - low) / 0.04
+        made[3 * number + 2] = (high - 2.0 * middle + low) / 0.02**2
+    return made
+
+
+def ruled_by_lines(floor: Floor) -> NDArray[np.bool_]:
+    """Which bins (C, F) of ``floor`` hold more of a strong tone than of all else."""
+    made = np.zeros(floor.psd.shape, dtype=bool)
+    columns = line_columns(floor)[::3]
+    for (tone, _), column in zip(floor.strong, columns, strict=True):
+        peak = np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz
+        top = np.nan_to_num(floor.psd[:, peak] / column[peak]).mean(axis=1)
+        made |= top[:, None] * column > NUMBERS.rules_share * np.nan_to_num(floor.psd, nan=np.inf)
+        made[:, np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz] = True
+    return made
+
+
+def unsure_power(floor: Floor) -> Array:
+    """Power (C, F) by which the strong lines of ``floor`` may miss what is made of them, for tones wander a little.
+
+    A line that wanders is smeared: where its power bends most over the frequency, it is least known.
+    """
+    made = np.zeros(floor.psd.shape)
+    away = np.array([-NUMBERS.wander_hz, 0.0, NUMBERS.wander_hz])
+    for tone, _ in floor.strong:
+        near = np.flatnonzero(np.abs(floor.frequency_hz - tone) <= 3 * NUMBERS.shadow_bins * floor.seen.bin_hz)
+        if not len(near):
+            continue
+        low, middle, high = floor.seen.kernel(floor.frequency_hz[near] - tone + away[:, None])
+        smeared = np.abs(0.5 * (low + high) - middle) / float(floor.seen.kernel(np.zeros(1))[0])
+        peak = near[np.abs(floor.frequency_hz[near] - tone) <= floor.seen.bin_hz]
+        made[:, near] += (
+            NUMBERS.smear_left_share * np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None] * smeared
+        )
+    return made
+
+
+def _offset_hz(level: Array, at: int, floor: Floor) -> float:
+    """Distance of a tone from the bin ``at`` at which ``level`` (ln of power) peaks.
+
+    From the two strongest bins of a Hann window (Rife and Vincent 1970), or, where the spectrum was padded, from the
+    parabola through three.
+    """
+    left, middle, right = level[at - 1 : at + 2]
+    if floor.seen.bin_hz > 1.5 * floor.step_hz:
+        bend = left - 2.0 * middle + right
+        return float(0.5 * (left - right) / bend) * floor.step_hz if bend < 0.0 else 0.0
+    side = 1.0 if right >= left else -1.0
+    share = float(np.exp(0.5 * (max(left, right) - middle)))
+    return side * max(2.0 * share - 1.0, 0.0) / (share + 1.0) * floor.step_hz
+
+
+def narrow_peak(level: Array, peak: int, floor: Floor) -> tuple[float, float]:
+    """Frequency and half width of the resonance that in dB is most like the narrow ``peak`` of ``level``.
+
+    ``floor``: the floor in all channels.
+    """
+    near = np.arange(max(peak - NUMBERS.skirt_bins, 0), min(peak + NUMBERS.skirt_bins + 1, len(level)))
+    peak = int(near[np.argmax(np.where(np.abs(near - peak) <= 1, level[near], -np.inf))])
+    shift, width = (part.ravel() for part in np.meshgrid(np.linspace(-0.5, 0.5, 11), START_WIDTHS))
+    natural = floor.frequency_hz[peak] + shift * floor.step_hz
+    half = width * floor.seen.bin_hz
+    made = pole_columns(floor.frequency_hz[near], natural, np.minimum(half / natural, 0.3), floor.seen)[0][::2]
+    at_peak = made[:, np.searchsorted(near, peak)][:, None]
+    under = np.exp(level[near].min())
+    model = np.log(np.maximum(made / at_peak, 0.0) * (np.exp(level[peak]) - under) + under)
+    best = int(np.argmin(np.square(model - level[near]).sum(axis=1)))
+    return float(natural[best]), float(half[best])
+
+
+def local_maxima(level: Array) -> NDArray[np.int64]:
+    """Bins of ``level`` that are the largest within some on both sides, the ends excluded."""
+    padded = np.pad(level, NUMBERS.peak_reach_bins, constant_values=-np.inf)
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.peak_reach_bins + 1).max(axis=-1)
+    inner = np.arange(len(level))
+    return np.flatnonzero((level >= highest) & (inner > 1) & (inner < len(level) - 2))
+
 
 PAIRS = ((0.5, 0.6), (1.0, 0.4))
 """Distance from a pole and half width, in its half widths, of the two that are tried in its place."""
 
-SUSPECT = 1.15
-"""Mean square residual around a pole from which every pair is tried."""
-
-GATE = 0.3
-"""Share of the limit that two in place of one must save in the bins around, whose background bends with them."""
-
-MISFIT = 1.5
-"""Mean square residual around a pole from which a line and a mode are tried in its place."""
-
 LINE_WIDTH = 0.02
 """Half width in bins of a line that is tried."""
-
-BESIDE_BINS = 3.0
-"""Distance in bins from it at which a mode is tried."""
-
-FEWEST_BINS = 12
-"""Bins around a pole without which it is not taken apart."""
 
 HARDLY = 1e-5
 """Share of a strong tone's power below which its skirts are left out where a pole is looked at closely."""
 
-STANDS_FOR = 1.5
-"""Distance in bins within which a peak is a strong tone's own."""
-
-NARROW_BINS = 5.0
-"""Width in bins up to which a peak's first guess sees through the window."""
-
-SMOOTH = 0.4
-"""Mean square residual below which bins around a pole surely scatter less than noise: six standard errors of it."""
-
-SMOOTHEST = 0.1
-"""Smallest mean square residual that is believed."""
-
 BOXES = (3, 7, 15, 31, 63, 127, 255, 511)
 """Widths in bins over which the residual is summed."""
-
-SURELY = 3.0
-"""Times the limit that a pole saves by which it is kept though few averages let its linear terms scatter widely."""
-
-DOUBTFUL = 20.0
-"""Times the limit of their evidence below which poles are left out on trial."""
-
-Array = NDArray[np.float64]
 
 
 def search(floor: Floor, *, chance: float) -> tuple[Problem, SurfaceFit]:
     """Problem and fit of ``floor`` with every pole that the data ask for at the false-alarm level ``chance``."""
     best: tuple[float, Problem, SurfaceFit] | None = None
     start = _beside_lines(peaks(floor), floor)
-    for degree in DEGREES:
+    for degree in NUMBERS.background_degrees:
         problem = problem_of(floor, degree)
         fit = fit_surface(problem, start, steps=15)
         fit = _grown(problem, _surely_idle_left_out(problem, fit, chance), chance)
@@ -121,10 +216,10 @@ def problem_of(floor: Floor, degree: int) -> Problem:
     known = np.isfinite(floor.psd) & (floor.psd > 0.0)
     level = np.where(known, floor.psd, 0.0)
     unsure = unsure_power(floor)
-    beside = np.pad(level, ((0, 0), (SHADOW_BINS, SHADOW_BINS)))
-    highest = np.lib.stride_tricks.sliding_window_view(beside, 2 * SHADOW_BINS + 1, axis=1).max(axis=-1)
+    beside = np.pad(level, ((0, 0), (NUMBERS.shadow_bins, NUMBERS.shadow_bins)))
+    highest = np.lib.stride_tricks.sliding_window_view(beside, 2 * NUMBERS.shadow_bins + 1, axis=1).max(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        averages = 1.0 / (1.0 / floor.averages + (SHADOW * highest / level) ** 2 + (unsure / level) ** 2)
+        averages = 1.0 / (1.0 / floor.averages + (NUMBERS.shadow_share * highest / level) ** 2 + (unsure / level) ** 2)
     averages = np.where(known, averages, 0.0)
     lines = line_columns(floor)
     smooth = background_columns(len(floor.frequency_hz), degree)
@@ -187,8 +282,8 @@ def peaks(floor: Floor) -> Poles:
         scatter = 1.0 / np.sqrt(1.5 * np.median(averages[used]))
         for peak in local_maxima(level):
             height, width = _prominence(level, int(peak))
-            if height > PEAK_SIGMAS * scatter and height > 0.1:
-                if width > NARROW_BINS:
+            if height > NUMBERS.peak_sigmas * scatter and height > 0.1:
+                if width > NUMBERS.narrow_bins:
                     found.append((float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step, height))
                 else:
                     found.append((*narrow_peak(whole, int(peak), floor), height))
@@ -198,7 +293,7 @@ def peaks(floor: Floor) -> Poles:
 def _beside_lines(poles: Poles, floor: Floor) -> Poles:
     """``poles`` but for those that stand where the strong tones of ``floor`` do."""
     for line, _ in floor.strong:
-        poles = poles.chosen(np.abs(poles.frequency_hz - line) > STANDS_FOR * floor.seen.bin_hz)
+        poles = poles.chosen(np.abs(poles.frequency_hz - line) > NUMBERS.own_peak_bins * floor.seen.bin_hz)
     return poles
 
 
@@ -270,7 +365,11 @@ def scatter_at(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
     ``problem``: the floors that were fitted; ``fit``: the fit so far.
     """
     square = _mean_square(problem, fit, at_hz)
-    return max(1.0, square) if square > SMOOTH else max(square / SMOOTH, SMOOTHEST)
+    return (
+        max(1.0, square)
+        if square > NUMBERS.smooth_residual
+        else max(square / NUMBERS.smooth_residual, NUMBERS.smoothest_residual)
+    )
 
 
 def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> float:
@@ -278,7 +377,7 @@ def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> floa
     used = problem.averages > 0.0
     free = 1.0 - (fit.linear.size + 2.0 * len(fit.poles)) / max(1.0, float(np.count_nonzero(used)))
     if at_hz is not None:
-        near = np.argsort(np.abs(problem.frequency_hz - at_hz), kind="stable")[:LOCAL_BINS]
+        near = np.argsort(np.abs(problem.frequency_hz - at_hz), kind="stable")[: NUMBERS.local_bins]
         residual, used = residual[:, near], used[:, near]
     spare = max(1.0, float(np.count_nonzero(used)) * max(free, 0.2))
     return float(np.sum(residual**2)) / spare
@@ -295,7 +394,7 @@ def _surely_idle_left_out(problem: Problem, fit: SurfaceFit, chance: float) -> S
         if evidence[weakest] > limit:
             break
         less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=5)
-        if less.deviance - fit.deviance > SURELY * limit:
+        if less.deviance - fit.deviance > NUMBERS.surely_ratio * limit:
             kept.append(float(fit.poles.frequency_hz[weakest]))
         else:
             fit, kept = less, []
@@ -314,11 +413,11 @@ def _pruned(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
         evidence = evidence_of(fit).sum(axis=1) / local
         evidence[np.isin(fit.poles.frequency_hz, kept)] = np.inf
         weakest = int(np.argmin(evidence))
-        if evidence[weakest] > DOUBTFUL * limit:
+        if evidence[weakest] > NUMBERS.doubtful_ratio * limit:
             break
         at_hz = float(fit.poles.frequency_hz[weakest])
         less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=12)
-        surely = less.deviance - fit.deviance > SURELY * limit
+        surely = less.deviance - fit.deviance > NUMBERS.surely_ratio * limit
         idle = evidence[weakest] < limit and not surely
         if idle or not saves_enough(problem, less, fit, at_hz=at_hz, chance=chance):
             fit, kept = less, []
@@ -369,24 +468,24 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
     limit = least_gain(len(problem.psd), chance)
     number = 0
     while number < len(fit.poles):
-        if fit.poles.damping[number] > WIDE_DAMPING:
+        if fit.poles.damping[number] > NUMBERS.wide_damping_ratio:
             number += 1
             continue
         f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
         width = max(zeta * f, 0.3 * problem.seen.bin_hz)
         local, start = _around(problem, fit, number, width)
-        if len(local.frequency_hz) < FEWEST_BINS or not len(start):
+        if len(local.frequency_hz) < NUMBERS.fewest_bins or not len(start):
             number += 1
             continue
         one = fit_surface(local, start, steps=8)
         alone = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
-        starts = PAIRS if dispersion(local, one) > SUSPECT else PAIRS[:1]
+        starts = PAIRS if dispersion(local, one) > NUMBERS.suspect_residual else PAIRS[:1]
         trials = [fit_surface(local, _pair(alone, f, width, *shape), steps=20) for shape in starts]
         two = min(trials, key=lambda trial: trial.deviance)
-        if dispersion(local, one) > MISFIT:
+        if dispersion(local, one) > NUMBERS.misfit_residual:
             beside = [fit_surface(local, poles, steps=20) for poles in _line_and_mode(local, alone, f)]
             two = min([two, *beside], key=lambda trial: trial.deviance)
-        if one.deviance - two.deviance > GATE * HANN_CORRELATION * limit * dispersion(local, two):
+        if one.deviance - two.deviance > NUMBERS.gate_share * HANN_CORRELATION * limit * dispersion(local, two):
             poles = fit.poles.without(number)
             near = np.argsort(np.abs(two.poles.frequency_hz - f))[:2]
             for k in near:
@@ -413,10 +512,10 @@ def _line_and_mode(local: Problem, poles: Poles, at_hz: float) -> list[Poles]:
     """
     bin_hz = local.seen.bin_hz
     level = np.nan_to_num(local.psd[int(np.argmax(np.nan_to_num(local.psd).max(axis=1)))])
-    level = np.where(np.abs(local.frequency_hz - at_hz) < BESIDE_BINS * bin_hz, level, 0.0)
+    level = np.where(np.abs(local.frequency_hz - at_hz) < NUMBERS.beside_bins * bin_hz, level, 0.0)
     line = float(local.frequency_hz[int(np.argmax(level))])
     both = poles.with_pole(line, LINE_WIDTH * bin_hz / line)
-    beside = (line - BESIDE_BINS * bin_hz, line + BESIDE_BINS * bin_hz)
+    beside = (line - NUMBERS.beside_bins * bin_hz, line + NUMBERS.beside_bins * bin_hz)
     return [both.with_pole(f, bin_hz / f) for f in beside if f > bin_hz]
 
 

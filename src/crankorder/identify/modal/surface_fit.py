@@ -8,18 +8,124 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.resonance import Sight, pole_columns
+from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="surface_fit"):
+    smallest_model_share: float
+    widest_damping_ratio: float
+
+
+NUMBERS = _Numbers.load()
+
+SMALLEST_TERM = 1e-7
+"""Power response of the window below which a term of its autocorrelation is left out."""
+
+FAR = 60.0
+"""Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
 Array = NDArray[np.float64]
 
-SMALLEST_MODEL = 0.05
-"""Share of the measured power that the model is taken to be at least: no weight explodes."""
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """How a window sees power: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
+
+    ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
+    """
+
+    order: Array
+    weight: Array
+    length_s: float
+
+    @property
+    def bin_hz(self) -> float:
+        """Width in Hz of a bin of an unpadded transform."""
+        return 1.0 / self.length_s
+
+    def kernel(self, offset_hz: Array) -> Array:
+        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
+        real: Array = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
+        return real
+
+
+def sight(window: str, enbw_hz: float) -> Sight:
+    """Sight of the window ``window`` whose noise bandwidth is ``enbw_hz``.
+
+    A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
+    the window's power response at every half bin.
+    """
+    shape = window_named(window, 512)
+    order = np.arange(2 * WIDEST_LOBE_BINS + 1, dtype=np.float64)
+    power = shape.response(0.5 * order) ** 2
+    power[0] = 0.5
+    kept = power > SMALLEST_TERM
+    return Sight(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
+
+
+def _near(a: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
+    decay = np.exp(-a)[..., None]
+    sign = 1.0 - 2.0 * (seen.order % 2)
+    over = 1.0 / (a[..., None] ** 2 + (np.pi * seen.order) ** 2)
+    top = 1.0 - sign * decay
+    a_top = a[..., None] * top
+    value = (a_top * over) @ seen.weight
+    slope = ((top + a[..., None] * sign * decay) * over - 2.0 * a[..., None] * a_top * over**2) @ seen.weight
+    return seen.length_s * value, seen.length_s * slope
+
+
+def seen_pole(z_hz: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
+
+    The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
+    both the spectrum of a tone (σ → 0) and a broad resonance come out exactly.
+    ``seen``: how the window sees power.
+    """
+    scale = 2.0 * np.pi * seen.length_s
+    a = scale * z_hz
+    curve = np.pi**2 * float(seen.weight @ seen.order**2)
+    fourth = np.pi**4 * float(seen.weight @ seen.order**4)
+    inverse = 1.0 / a
+    square = inverse * inverse
+    value = seen.length_s * inverse * (1.0 - square * (curve - fourth * square))
+    slope = -seen.length_s * square * (1.0 - square * (3.0 * curve - 5.0 * fourth * square))
+    close = np.abs(a) < FAR
+    value[close], slope[close] = _near(a[close], seen)
+    return value, scale * slope
+
+
+def pole_columns(frequency_hz: Array, natural_hz: Array, damping: Array, seen: Sight) -> tuple[Array, Array, Array]:
+    """Columns (2 modes, frequencies) of the power spectrum of modes, and their derivatives by ln f_j and by ln ζ_j.
+
+    Behind white forces the spectrum of a mode with ``natural_hz`` and ``damping`` (modes,) at ``frequency_hz`` is
+    Re [R / (σ + i (f − f_d)) + R* / (σ + i (f + f_d))] with one complex R, so two real columns each (Ewins 2000, §4.3,
+    for the power instead of the response). They are scaled by 2πσ, which makes them of order one.
+    ``seen``: how the window sees power.
+    """
+    sigma = (damping * natural_hz)[:, None]
+    turned = np.sqrt(1.0 - damping**2)[:, None]
+    damped = natural_hz[:, None] * turned
+    near, near_slope = seen_pole(sigma + 1j * (frequency_hz - damped), seen)
+    far, far_slope = seen_pole(sigma + 1j * (frequency_hz + damped), seen)
+    scale = 2.0 * np.pi * sigma
+    by_damping = natural_hz[:, None] * (-(damping[:, None] ** 2) / turned)  # of f_d by ln ζ
+    made = []
+    for near_part, far_part in (
+        (near, far),
+        (near_slope * (sigma - 1j * damped) + near, far_slope * (sigma + 1j * damped) + far),
+        (near_slope * (sigma - 1j * by_damping) + near, far_slope * (sigma + 1j * by_damping) + far),
+    ):
+        columns = np.empty((len(natural_hz), 2, len(frequency_hz)))
+        columns[:, 0] = scale * (near_part.real + far_part.real)
+        columns[:, 1] = scale * (far_part.imag - near_part.imag)
+        made.append(columns.reshape(-1, len(frequency_hz)))
+    return made[0], made[1], made[2]
+
 
 TONE_BINS = 1e-3
 """Half width in bins that stands for none: the line of a tone."""
-
-WIDEST = 0.7
-"""Largest damping ratio that a pole may take during the fit."""
 
 MOST_STEPS = 40
 """Steps of the fit at most."""
@@ -175,7 +281,7 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array) -> SurfaceFit:
         by = [(part.reshape(n_poles, 2, -1) * pairs).sum(axis=1) for part in slopes]
         raw = np.stack(by, axis=1).reshape(2 * n_poles, -1) * weight
         jacobians.append(raw.T - q @ (q.T @ raw.T))
-    model = np.maximum(linear @ columns, SMALLEST_MODEL * np.nan_to_num(problem.psd))
+    model = np.maximum(linear @ columns, NUMBERS.smallest_model_share * np.nan_to_num(problem.psd))
     model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
     missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
     if problem.others is not None and n_poles:
@@ -276,6 +382,8 @@ def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:
     shift = np.clip(by[:, 0], -reach, reach)
     low, high = 0.5 * problem.frequency_hz[0], 1.2 * problem.frequency_hz[-1]
     frequency = np.clip(poles.frequency_hz * np.exp(shift), low, high)
-    narrowest = np.minimum(TONE_BINS * problem.seen.bin_hz / frequency, WIDEST)  # a bin may be all of a low frequency
-    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, WIDEST)
+    narrowest = np.minimum(
+        TONE_BINS * problem.seen.bin_hz / frequency, NUMBERS.widest_damping_ratio
+    )  # a bin may be all of a low frequency
+    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, NUMBERS.widest_damping_ratio)
     return Poles(frequency, np.where(poles.tone, narrowest, damping), poles.tone)

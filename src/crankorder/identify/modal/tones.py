@@ -7,23 +7,33 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
 from crankorder.identify.mains import multiple_on, nearest_multiple
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.search import HANN_CORRELATION, dispersion
+from crankorder.identify.modal.search import dispersion
+from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
 from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
-from crankorder.identify.modal.surface_fit import WIDEST, Problem, SurfaceFit, evaluate, fit_surface
-from crankorder.identify.said import ALIKE_SPEEDS
-from crankorder.settings import IdentifySettings
+from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-WIDTH_CHANCE = 1e-4
-"""Chance below which a line that has no width is taken to have one."""
 
-LEAST_DAMPING = 5e-4
-"""Damping ratio below which no mode of a machine is: its joints alone make more."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="tones"):
+    width_chance: float
+    least_damping_ratio: float
+    first_width_bins: float
+    speed_spread_share: float
+    multiple_bins: float
+    by_chance_share: float
+    steady_chance: float
+    same_sigmas: float
+    shown_share: float
+    beside_bins: int
+    few_of_share: float
 
-FIRST_WIDTH = 0.1
-"""Half width in bins from which a tone is tried as a mode."""
+
+NUMBERS = _Numbers.load()
 
 TWO_SIDED = 0.02
 """Chance of a width beyond either end of an interval whose upper end holds with 99 %."""
@@ -34,29 +44,8 @@ WIDER = 1.5
 MOST_WIDTHS = 16
 """Widths that are tried at most."""
 
-SPEED_SPREAD = 0.002
-"""Share by which the speed of a steady recording wanders, and with it the frequency of an order."""
-
-MULTIPLE_BINS = 0.15
-"""Distance in bins within which a narrow line lies on a multiple of a tone …"""
-
-BY_CHANCE = 0.005
-"""… which is at most this share of the tone's frequency."""
-
-STEADY_CHANCE = 1e-3
-"""Chance that noise of the speeds' averages scatters as little as a line does that is called steady."""
-
-SAME_SIGMAS = 4.0
-"""Standard errors within which two lines on one multiple of the mains are one."""
-
 NEAR_BINS = 2
 """Bins on each side that hold a tone's power in a spectrum seen through a Hann window."""
-
-SHOWN, BESIDE_BINS = 0.1, 24
-"""Share of the largest excess over the bins on both sides with which a line counts as seen at a speed."""
-
-FEW_OF = 0.6
-"""Share of the speeds up to which a line is seen at some alone: a tone is there at all that let it be seen."""
 
 Array = NDArray[np.float64]
 
@@ -76,7 +65,10 @@ def with_tones(problem: Problem, fit: SurfaceFit, floor: Floor, *, settings: Ide
         tone, mode = both_ways(problem, fit, number)
         if is_steady(floor, f) or (
             not _width_is_seen(problem, tone, mode, f)
-            and (_on_a_tone(f, fit, floor) or widest_hz(problem, mode, number, tone.deviance) < LEAST_DAMPING * f)
+            and (
+                _on_a_tone(f, fit, floor)
+                or widest_hz(problem, mode, number, tone.deviance) < NUMBERS.least_damping_ratio * f
+            )
         ):
             fit = tone
         elif mode.deviance < tone.deviance or not fit.poles.tone[number]:
@@ -109,7 +101,7 @@ def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFi
     """
     bin_hz = problem.seen.bin_hz
     if fit.poles.tone[number]:
-        wide = fit.poles.as_tone(number, False, width_hz=FIRST_WIDTH * bin_hz)
+        wide = fit.poles.as_tone(number, False, width_hz=NUMBERS.first_width_bins * bin_hz)
         return fit, fit_surface(problem, wide, start=fit.model, steps=10)
     none = fit.poles.as_tone(number, True, width_hz=NO_WIDTH * bin_hz)
     return fit_surface(problem, none, start=fit.model, steps=10), fit
@@ -117,10 +109,10 @@ def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFi
 
 def _on_a_tone(frequency_hz: float, fit: SurfaceFit, floor: Floor) -> bool:
     """Whether a narrow line lies on a multiple of a tone, and hardly by chance."""
-    near = MULTIPLE_BINS * floor.seen.bin_hz
+    near = NUMBERS.multiple_bins * floor.seen.bin_hz
     for tone in (*(f for f, _ in floor.strong), *fit.poles.frequency_hz[fit.poles.tone].tolist()):
         multiple = round(frequency_hz / tone)
-        if multiple >= 2 and near < BY_CHANCE * tone and abs(frequency_hz - multiple * tone) <= near:
+        if multiple >= 2 and near < NUMBERS.by_chance_share * tone and abs(frequency_hz - multiple * tone) <= near:
             return True
     return False
 
@@ -134,7 +126,7 @@ def _width_is_seen(problem: Problem, tone: SurfaceFit, mode: SurfaceFit, at_hz: 
     """Whether no width costs more deviance than chance would."""
     from scipy.special import chdtri
 
-    least = HANN_CORRELATION * float(chdtri(1.0, WIDTH_CHANCE))
+    least = HANN_CORRELATION * float(chdtri(1.0, NUMBERS.width_chance))
     return tone.deviance - mode.deviance > least * dispersion(problem, mode, at_hz)
 
 
@@ -147,9 +139,9 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
 
     f = float(fit.poles.frequency_hz[number])
     allowed = HANN_CORRELATION * float(chdtri(1.0, TWO_SIDED)) * dispersion(problem, fit, f)
-    width = max(float(fit.poles.damping[number]) * f, 0.5 * LEAST_DAMPING * f)
+    width = max(float(fit.poles.damping[number]) * f, 0.5 * NUMBERS.least_damping_ratio * f)
     for _ in range(MOST_WIDTHS):
-        if width >= WIDEST * f:
+        if width >= SURFACE_FIT.widest_damping_ratio * f:
             return width
         poles = fit.poles.as_tone(number, False, width_hz=width)
         if evaluate(problem, poles, fit.model).deviance > least + allowed:
@@ -174,7 +166,7 @@ def is_steady(floor: Floor, frequency_hz: float) -> bool:
             continue
         share = power[used] / power[used].mean()
         spread = float(np.sum(floor.cell_averages[channel, used] * (share - 1.0) ** 2))
-        if float(chdtr(np.count_nonzero(used) - 1.0, spread)) < STEADY_CHANCE:
+        if float(chdtr(np.count_nonzero(used) - 1.0, spread)) < NUMBERS.steady_chance:
             return True
     return False
 
@@ -239,7 +231,11 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
                 f"no damping, {multiple:.0f} times the mains frequency of {mains:g} Hz{_same_at(floor)}",
             )
     rows = _rows_that_show(frequency_hz, floor)
-    if rows.any() and np.count_nonzero(rows) < FEW_OF * len(rows) and _on_half_orders(frequency_hz, rows, floor):
+    if (
+        rows.any()
+        and np.count_nonzero(rows) < NUMBERS.few_of_share * len(rows)
+        and _on_half_orders(frequency_hz, rows, floor)
+    ):
         return (
             "order",
             "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it",
@@ -252,7 +248,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
 def _moves(floor: Floor) -> bool:
     """Whether several speeds were tested, between which an order would have moved: one cannot tell what stays."""
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
-    return len(speed) > 1 and bool(speed.max() > ALIKE_SPEEDS * speed.min())
+    return len(speed) > 1 and bool(speed.max() > SAID.alike_speeds_ratio * speed.min())
 
 
 def _same_at(floor: Floor) -> str:
@@ -266,7 +262,7 @@ def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:
     """
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     inner = slice(max(0, at - NEAR_BINS), at + NEAR_BINS + 1)
-    outer = np.r_[max(0, at - BESIDE_BINS) : inner.start, inner.stop : at + BESIDE_BINS]
+    outer = np.r_[max(0, at - NUMBERS.beside_bins) : inner.start, inner.stop : at + NUMBERS.beside_bins]
     outer = outer[outer < floor.cells.shape[2]]
     cells = np.where(np.isfinite(floor.cells), floor.cells, 0.0) * floor.gain[:, :, None]
     if not outer.size:
@@ -274,7 +270,7 @@ def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:
     level = np.median(cells[:, :, outer], axis=2)
     excess = cells[:, :, inner].max(axis=2) - level
     best = int(np.argmax((excess / np.maximum(level.max(axis=1, keepdims=True), 1e-300)).max(axis=1)))
-    return np.asarray(excess[best] >= SHOWN * max(float(excess[best].max()), 1e-300))
+    return np.asarray(excess[best] >= NUMBERS.shown_share * max(float(excess[best].max()), 1e-300))
 
 
 def _on_half_orders(frequency_hz: float, rows: NDArray[np.bool_], floor: Floor) -> bool:
@@ -283,7 +279,7 @@ def _on_half_orders(frequency_hz: float, rows: NDArray[np.bool_], floor: Floor) 
     if not np.isfinite(halves_hz).all() or floor.seen.bin_hz > 0.1 * halves_hz.min():
         return False
     off = np.abs(frequency_hz - np.round(frequency_hz / halves_hz) * halves_hz)
-    return bool((off <= floor.seen.bin_hz + SPEED_SPREAD * frequency_hz).all())
+    return bool((off <= floor.seen.bin_hz + NUMBERS.speed_spread_share * frequency_hz).all())
 
 
 def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[Tone, ...]:
@@ -317,7 +313,7 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
             kept.append(tone)
             continue
         error = float(np.hypot(tone.frequency_error_hz, better.frequency_error_hz))
-        if abs(tone.frequency_hz - better.frequency_hz) > SAME_SIGMAS * error:
+        if abs(tone.frequency_hz - better.frequency_hz) > NUMBERS.same_sigmas * error:
             words = f"no damping; beside the mains line of {better.frequency_hz:.6g} Hz, which has one frequency"
             kept.append(replace(tone, kind="tone", evidence=words))
     return sorted(kept, key=lambda one: one.frequency_hz)
@@ -343,7 +339,11 @@ def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Id
         return ""
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
     step = float(np.median(speed)) / 60.0 / 2.0
-    spread = (0.5 * np.ptp(speed) / np.median(speed) + SPEED_SPREAD) * frequency_hz + 2.0 * error_hz + floor.seen.bin_hz
+    spread = (
+        (0.5 * np.ptp(speed) / np.median(speed) + NUMBERS.speed_spread_share) * frequency_hz
+        + 2.0 * error_hz
+        + floor.seen.bin_hz
+    )
     half = max(1, round(frequency_hz / step))
     if abs(frequency_hz - step * half) <= spread and step > 2.0 * spread:
         return f"lies on order {0.5 * half:g}, and the tested speeds are too alike to tell an order from a fixed line"

@@ -8,60 +8,245 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.search import HANN_CORRELATION
-from crankorder.identify.modal.whirl_fit import (
-    Cells,
-    Line,
-    LineFit,
-    curvature_of,
-    fit_line,
-    fixed_alone,
-    shape_of,
-)
-from crankorder.settings import IdentifySettings
+from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
+from crankorder.identify.modal.surface_fit import Sight, gamma_deviance, seen_pole
+from crankorder.settings import IdentifySettings, MethodNumbers
 
-FEWEST_SPEEDS = 6
-"""Speeds that must be there: a level of its own at each leaves a slope to be told."""
 
-MOST_SLOPE = 1.0
-"""Steepest slope looked for, in orders: a whirl moves by no more than the shaft turns."""
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="whirl"):
+    most_damping_ratio: float
+    fewest_speeds: int
+    most_slope_orders: float
+    cap_sigmas: float
+    most_tries: int
+    masked_share: float
+    least_averages: float
+    broader_widths: float
+    flank_widths: float
+    flank_db: float
+    sure_sigmas: float
+    sideband_orders: float
+
+
+NUMBERS = _Numbers.load()
+
+MOST_STEPS = 40
+"""Steps of the fit at most."""
+
+STAYING_STEPS = 8
+"""Steps to what stays where nothing else is looked for; one is enough where nothing is known to be beside it."""
+
+RIDGE = 1e-7
+"""Share of the largest curvature that is added to all: a resonance that does not move is also a part of what stays."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Powers ``psd`` (C, K, F) of channels at speeds ``revs_per_s`` (K,) off the middle and at ``frequency_hz`` (F,).
+
+    ``averages`` (C, K, F): independent spectra behind each, none where masked; ``seen``: how the window sees power;
+    ``beside`` (C, K, F), or 0: what is known to be there too.
+    """
+
+    frequency_hz: Array
+    revs_per_s: Array
+    psd: Array
+    averages: Array
+    seen: Sight
+    beside: Array | float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A resonance at ``frequency_hz`` in the middle of the speeds, moving by ``slope`` Hz per rev/s, of ``damping``."""
+
+    frequency_hz: float
+    slope: float
+    damping: float
+
+    def at(self, revs_per_s: Array) -> Array:
+        """Its frequency (K,) at ``revs_per_s`` (K,) off the middle."""
+        return self.frequency_hz + self.slope * revs_per_s
+
+
+@dataclass(frozen=True, eq=False)
+class LineFit:
+    """``line`` of ``power`` (C, K) over the ``fixed`` spectrum (C, F) and its ``deviance`` (C, K).
+
+    ``curvature`` (3, 3): half the second derivatives of the deviance by (Hz, slope, ln damping), all else eliminated;
+    ``model`` (C, K, F) is the whole, ``part`` (C, K, F) the line; ``scatter`` the mean square of what is left.
+    """
+
+    line: Line
+    power: Array
+    fixed: Array
+    deviance: Array
+    curvature: Array
+    model: Array
+    part: Array
+    scatter: float
+
+
+def shape_of(line: Line, cells: Cells) -> tuple[Array, Array, Array]:
+    """Spectrum (K, F) of ``line`` of unit power as ``cells`` see it, and its derivatives by its Hz and ln damping."""
+    at = line.at(cells.revs_per_s)[:, None]
+    sigma = line.damping * at
+    value, slope = seen_pole(sigma + 1j * (cells.frequency_hz - at), cells.seen)
+    scale = 2.0 * np.pi * sigma
+    by_hz = scale * (slope * (line.damping - 1j)).real + scale / at * value.real
+    return scale * value.real, by_hz, scale * ((slope * sigma).real + value.real)
+
+
+def fixed_alone(cells: Cells) -> tuple[Array, Array]:
+    """Spectrum (C, F) of ``cells`` that stays at all speeds, and the deviance (C, K) of nothing else being there."""
+    fixed = _low(cells)
+    for _ in range(STAYING_STEPS):  # multiplicative steps never lose likelihood (Févotte, Bertin and Durrieu 2009)
+        model = np.where(cells.averages > 0.0, fixed[:, None] + cells.beside, 1.0)
+        pull, against = (cells.averages * cells.psd / model**2).sum(axis=1), (cells.averages / model).sum(axis=1)
+        fixed = np.where(against > 0.0, fixed * pull / np.maximum(against, 1e-300), fixed)
+    model = np.where(cells.averages > 0.0, fixed[:, None] + cells.beside, 1.0)
+    return fixed, gamma_deviance(cells.psd, cells.averages, model).sum(axis=2)
+
+
+def fit_line(cells: Cells, start: Line, *, moves: bool) -> LineFit:
+    """Best line in ``cells`` from ``start`` on; one that stays where it is unless it ``moves``.
+
+    Its power is free at every speed and in every channel, and so is what stays in every bin: these are eliminated
+    from every step (Fisher scoring of the gamma likelihood), so that a mode that stays, however its level varies with
+    speed, is told as well by a line that does not move.
+    """
+    free = np.array([True, moves, True])
+    fixed = np.asarray(_low(cells))
+    current = _evaluated(cells, start, fixed, _first_power(cells, start, fixed))
+    factor = 1e-2
+    for _ in range(MOST_STEPS):
+        step = _step(cells, current, free, factor)
+        trial = _evaluated(cells, *step)
+        gained = float((current.deviance - trial.deviance).sum())
+        if gained >= -1e-6:
+            current, factor = trial, max(0.2 * factor, 1e-6)
+            if gained < 0.01:
+                break
+        else:
+            factor *= 10.0
+            if factor > 1e6:
+                break
+    return current
+
+
+def _low(cells: Cells) -> Array:
+    """A low quarter (C, F) over the speeds: what is there when nothing passes."""
+    known = np.where(cells.averages > 0.0, cells.psd, np.inf)  # masked ones come last
+    ordered = np.sort(known, axis=1)
+    place = (cells.averages > 0.0).sum(axis=1) // 3
+    low = np.take_along_axis(ordered, place[:, None], axis=1)[:, 0]
+    return np.asarray(np.where(np.isfinite(low) & (low > 0.0), low, 1.0))
+
+
+def _first_power(cells: Cells, line: Line, fixed: Array) -> Array:
+    """Power (C, K) that a line would need to make up for what stands over ``fixed``."""
+    shape = shape_of(line, cells)[0]
+    weight = np.where(cells.averages > 0.0, 1.0, 0.0) * shape
+    over = (weight * (cells.psd - cells.beside - fixed[:, None])).sum(axis=2)
+    least = 1e-3 * np.median(fixed, axis=1)[:, None]
+    return np.asarray(np.maximum(over / np.maximum((weight * shape).sum(axis=2), 1e-12), least))
+
+
+def _evaluated(cells: Cells, line: Line, fixed: Array, power: Array) -> LineFit:
+    part = power[:, :, None] * shape_of(line, cells)[0]
+    used = cells.averages > 0.0
+    model = np.where(
+        used, np.maximum(fixed[:, None] + part + cells.beside, SURFACE_FIT.smallest_model_share * cells.psd), 1.0
+    )
+    deviance = gamma_deviance(cells.psd, cells.averages, model).sum(axis=2)
+    left = np.where(used, cells.averages * (cells.psd / model - 1.0) ** 2, 0.0)
+    degrees_of_freedom = int(np.count_nonzero(used)) - power.size - fixed.size - 3
+    scatter = float(left.sum()) / float(max(degrees_of_freedom, 1))
+    return LineFit(line, power, fixed, deviance, np.zeros((3, 3)), model, part, scatter)
+
+
+def _step(cells: Cells, fit: LineFit, free: NDArray[np.bool_], factor: float) -> tuple[Line, Array, Array]:
+    """Where one damped step leads: line, what stays, and power."""
+    weight = cells.averages / fit.model**2
+    shape, slopes = _slopes(cells, fit)
+    pull = np.where(cells.averages > 0.0, cells.psd, 0.0) - np.where(cells.averages > 0.0, fit.model, 0.0)
+    parts = _normal(weight, shape, slopes, pull)
+    across, inner, outer, pull_power, pull_line = parts
+    eased = inner + factor * np.einsum("ckl,kl->ckl", inner, np.eye(inner.shape[1]))
+    solved = np.linalg.solve(eased, np.concatenate([across, pull_power[:, :, None]], axis=2))
+    hessian = (outer - np.einsum("ckj,cki->cji", across, solved[:, :, :3])).sum(axis=0)
+    gradient = (pull_line - np.einsum("ckj,ck->cj", across, solved[:, :, 3])).sum(axis=0)
+    move = np.zeros(3)
+    chosen = hessian[np.ix_(free, free)]
+    damped = chosen + np.diag(factor * np.abs(np.diag(chosen)) + 1e-12)
+    move[free] = np.linalg.solve(damped, gradient[free])
+    line = _moved(fit.line, move, cells)
+    by_power = solved[:, :, 3] - solved[:, :, :3] @ move
+    left = pull - by_power[:, :, None] * shape - np.einsum("jckf,j->ckf", slopes, move)
+    total = weight.sum(axis=1)
+    by_fixed = np.where(total > 0.0, (weight * left).sum(axis=1) / np.maximum(total, 1e-300), 0.0)
+    fixed = np.maximum(fit.fixed + by_fixed, 0.1 * fit.fixed)
+    return line, fixed, np.maximum(fit.power + by_power, 0.0)
+
+
+def _slopes(cells: Cells, fit: LineFit) -> tuple[Array, Array]:
+    """Shape (K, F) of the line, and derivatives (3, C, K, F) of the model by its Hz, slope and ln damping."""
+    shape, by_hz, by_damping = shape_of(fit.line, cells)
+    by = np.stack([by_hz, by_hz * cells.revs_per_s[:, None], by_damping])
+    return shape, fit.power[None, :, :, None] * by[:, None]
+
+
+def _normal(weight: Array, shape: Array, slopes: Array, pull: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Normal equations with what stays eliminated: power by line, power, line, and the pulls on power and line."""
+    over = 1.0 / np.maximum(weight.sum(axis=1), 1e-300)  # (C, F)
+    seen = weight * shape  # (C, K, F)
+    inner = -(seen * over[:, None]) @ seen.swapaxes(1, 2)
+    diagonal = (seen * shape).sum(axis=2)
+    at = np.arange(inner.shape[1])
+    inner[:, at, at] += diagonal + RIDGE * diagonal.max(axis=1, initial=1e-300)[:, None]
+    weighted = weight * slopes  # (3, C, K, F)
+    mean = weighted.sum(axis=2)  # (3, C, F)
+    across = np.einsum("ckf,jckf->ckj", seen, slopes) - np.einsum("ckf,cf,jcf->ckj", seen, over, mean)
+    outer = np.einsum("ickf,jckf->cij", weighted, slopes) - np.einsum("icf,cf,jcf->cij", mean, over, mean)
+    drawn = (weight * pull).sum(axis=1)
+    pull_power = (seen * pull).sum(axis=2) - np.einsum("ckf,cf,cf->ck", seen, over, drawn)
+    pull_line = np.einsum("jckf,ckf->cj", weighted, pull) - np.einsum("jcf,cf,cf->cj", mean, over, drawn)
+    return across, inner, outer, pull_power, pull_line
+
+
+def _moved(line: Line, move: Array, cells: Cells) -> Line:
+    """``line`` after a step, no further than it is wide."""
+    reach = max(line.damping * line.frequency_hz, cells.seen.bin_hz)
+    span = float(np.abs(cells.revs_per_s).max())
+    hz, slope = float(np.clip(move[0], -reach, reach)), float(np.clip(move[1], -reach / span, reach / span))
+    narrowest = 0.02 * cells.seen.bin_hz / line.frequency_hz
+    damping = float(np.clip(line.damping * np.exp(np.clip(move[2], -1.0, 1.0)), narrowest, NUMBERS.most_damping_ratio))
+    lowest = float(cells.frequency_hz[0])
+    return Line(max(line.frequency_hz + hz, lowest), line.slope + slope, damping)
+
+
+def curvature_of(cells: Cells, fit: LineFit) -> Array:
+    """Half the second derivatives (3, 3) of the deviance of ``fit`` by (Hz, slope, ln damping), all else eliminated.
+
+    ``cells``: what was fitted.
+    """
+    weight = cells.averages / fit.model**2
+    shape, slopes = _slopes(cells, fit)
+    across, inner, outer, _, _ = _normal(weight, shape, slopes, np.zeros_like(fit.model))
+    made: Array = (outer - np.einsum("ckj,cki->cji", across, np.linalg.solve(inner, across))).sum(axis=0)
+    return made
+
 
 BOXES = (3, 7, 15, 31)
 """Widths in bins over which what stands over the mean is summed."""
 
-CAP = 5.0
-"""Standard deviations by which one cell counts at most."""
-
-MOST_TRIES = 6
-"""Lines that are tried at most."""
-
 ROUNDS = 3
 """Times that several whirls are fitted, each with what the others came to."""
-
-MASKED_SHARE = 0.3
-"""Share of the rest from which the power of a whirl covers a cell."""
-
-LEAST_WORTH = 10.0
-"""Spectra that what stays in a bin must be worth beside a whirl: of fewer, its scatter is not that of a gamma law."""
-
-BROADER = 2.0
-"""Half widths of a whirl from which an undecided hump is broader, and of the hump up to which it is on its flank."""
-
-FLANK = 15.0
-"""Half widths of a whirl beside what it sweeps that are its flank."""
-
-FLANK_DB = 6.0
-"""Level over the floor below which a mode on a whirl's flank may be what the fit of the whirl leaves."""
-
-SURE = 3.5
-"""Standard errors that a slope is off zero, and a line off an order, at least."""
-
-SIDEBAND = 0.5
-"""Lines without width that move by multiples of so many orders are sidebands."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -108,12 +293,16 @@ def whirls_of(floor: Floor, *, settings: IdentifySettings) -> tuple[Floor, tuple
     where its slope is not 0; and where it does not start at 0 Hz, as an order does.
     """
     speed = floor.speed_rpm
-    if len(speed) < FEWEST_SPEEDS or not speed.min() > 0.0 or speed.max() < settings.mode_speed_ratio * speed.min():
+    if (
+        len(speed) < NUMBERS.fewest_speeds
+        or not speed.min() > 0.0
+        or speed.max() < settings.mode_speed_ratio * speed.min()
+    ):
         return floor, ()
     whole = cells = _cells(floor)
     excess = _excess(cells)
     found: list[_Told] = []
-    for _ in range(MOST_TRIES):
+    for _ in range(NUMBERS.most_tries):
         candidate, tried = _best_line(excess, cells)
         if candidate is None:
             break
@@ -149,7 +338,7 @@ def _excess(cells: Cells) -> Array:
         ordered = np.sort(known, axis=1)
         count = np.count_nonzero(np.isfinite(known), axis=1)
         middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)
-        over = np.minimum(np.sqrt(cells.averages) * (known / middle - 1.0), CAP)
+        over = np.minimum(np.sqrt(cells.averages) * (known / middle - 1.0), NUMBERS.cap_sigmas)
         held = np.isfinite(over).any(axis=2)  # a channel may be missing at some speeds
         over[held] -= np.nanmedian(over[held], axis=1, keepdims=True)
         total = np.nansum(over, axis=0) / np.sqrt(np.maximum(np.isfinite(over).sum(axis=0), 1))
@@ -162,17 +351,17 @@ def _best_line(excess: Array, cells: Cells) -> tuple[_Candidate | None, int]:
     """The line along which ``excess`` sums up to most, None where noise alone does so; how many were tried."""
     step = float(cells.frequency_hz[1] - cells.frequency_hz[0])
     span = float(np.ptp(cells.revs_per_s))
-    n_slopes = max(2, int(np.ceil(MOST_SLOPE * span / cells.seen.bin_hz)))
-    slopes = np.linspace(-MOST_SLOPE, MOST_SLOPE, 2 * n_slopes + 1)
+    n_slopes = max(2, int(np.ceil(NUMBERS.most_slope_orders * span / cells.seen.bin_hz)))
+    slopes = np.linspace(-NUMBERS.most_slope_orders, NUMBERS.most_slope_orders, 2 * n_slopes + 1)
     slopes = slopes[np.abs(slopes) * span >= 2.0 * cells.seen.bin_hz]
     shifts = np.rint(slopes[:, None] * cells.revs_per_s / step).astype(np.int64)
     sums, counts = _sheared(excess, shifts)
     tried = len(slopes) * excess.shape[1] * len(BOXES)
     best, found = float(np.sqrt(2.0 * np.log(tried))), None
     for box in BOXES:
-        along, worth = _boxed(sums, box), _boxed(counts, box)
-        enough = worth >= 0.5 * box * len(excess)
-        score = np.where(enough, along / np.sqrt(np.maximum(HANN_CORRELATION * worth, 1.0)), 0.0)
+        along, independent = _boxed(sums, box), _boxed(counts, box)
+        enough = independent >= 0.5 * box * len(excess)
+        score = np.where(enough, along / np.sqrt(np.maximum(HANN_CORRELATION * independent, 1.0)), 0.0)
         score /= max(1.0, 1.4826 * float(np.median(np.abs(score[enough]))) if enough.any() else 1.0)
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
         if score[row, column] > best:
@@ -293,14 +482,14 @@ def _moves(whirl: Whirl, cells: Cells, settings: IdentifySettings) -> bool:
     """Whether ``whirl`` is neither a mode that stays, nor an order, nor a sideband of one."""
     span = float(np.ptp(cells.revs_per_s))
     width = whirl.damping_ratio * whirl.frequency_hz
-    broad = whirl.damping_ratio - SURE * whirl.damping_error > settings.max_damping_ratio
+    broad = whirl.damping_ratio - NUMBERS.sure_sigmas * whirl.damping_error > settings.max_damping_ratio
     vague = not whirl.damping_told and width > cells.seen.bin_hz
-    steep = abs(whirl.slope) > MOST_SLOPE + SURE * whirl.slope_error
-    still = abs(whirl.slope) < SURE * whirl.slope_error
+    steep = abs(whirl.slope) > NUMBERS.most_slope_orders + NUMBERS.sure_sigmas * whirl.slope_error
+    still = abs(whirl.slope) < NUMBERS.sure_sigmas * whirl.slope_error
     still |= abs(whirl.slope) * span < max(width, 1.5 * cells.seen.bin_hz)
-    order = whirl.line_at(0.0) < SURE * whirl.error_at(0.0) + cells.seen.bin_hz
-    nearest = round(whirl.slope / SIDEBAND) * SIDEBAND
-    near = abs(whirl.slope - nearest) <= SURE * whirl.slope_error + 0.5 * cells.seen.bin_hz / span
+    order = whirl.line_at(0.0) < NUMBERS.sure_sigmas * whirl.error_at(0.0) + cells.seen.bin_hz
+    nearest = round(whirl.slope / NUMBERS.sideband_orders) * NUMBERS.sideband_orders
+    near = abs(whirl.slope - nearest) <= NUMBERS.sure_sigmas * whirl.slope_error + 0.5 * cells.seen.bin_hz / span
     sideband = near and nearest != 0.0 and width < 0.5 * cells.seen.bin_hz
     return not (broad or vague or steep or still or order or sideband)
 
@@ -320,10 +509,10 @@ def _without(told: _Told, floor: Floor) -> Floor:
     fit, weight = told.fit, told.cells.averages
     share = np.where(weight > 0.0, np.minimum(fit.fixed[:, None] / np.maximum(fit.model, 1e-300), 1.0), 0.0)
     psd, averages, cells = floor.psd.copy(), floor.averages.copy(), floor.cells.copy()
-    worth = (weight * share**2).sum(axis=1)
-    psd[:, told.bins] = np.where(worth >= LEAST_WORTH, fit.fixed, np.nan)
-    averages[:, told.bins] = np.where(worth >= LEAST_WORTH, worth, 0.0)
-    strong = fit.part > MASKED_SHARE * fit.fixed[:, None]
+    independent = (weight * share**2).sum(axis=1)
+    psd[:, told.bins] = np.where(independent >= NUMBERS.least_averages, fit.fixed, np.nan)
+    averages[:, told.bins] = np.where(independent >= NUMBERS.least_averages, independent, 0.0)
+    strong = fit.part > NUMBERS.masked_share * fit.fixed[:, None]
     cells[:, :, told.bins] *= np.where(strong, np.nan, 1.0 - fit.part / np.maximum(fit.model, 1e-300))
     return replace(floor, cells=cells, psd=psd, averages=averages)
 
@@ -367,9 +556,9 @@ def _is_crossing(mode: Mode, whirl: Whirl) -> bool:
 def _is_flank(mode: Mode, whirl: Whirl, speed_rpm: Array) -> bool:
     """Whether an undecided ``mode`` is what the fit leaves of the flanks of ``whirl``."""
     half = mode.damping_ratio * mode.frequency_hz
-    if not mode.undecided or half < BROADER * whirl.damping_ratio * whirl.frequency_hz:
+    if not mode.undecided or half < NUMBERS.broader_widths * whirl.damping_ratio * whirl.frequency_hz:
         return False
-    return _within(mode, whirl, speed_rpm, BROADER * half)
+    return _within(mode, whirl, speed_rpm, NUMBERS.broader_widths * half)
 
 
 def _within(mode: Mode, whirl: Whirl, speed_rpm: Array, beside_hz: float) -> bool:
@@ -380,10 +569,10 @@ def _within(mode: Mode, whirl: Whirl, speed_rpm: Array, beside_hz: float) -> boo
 
 def _doubted(mode: Mode, whirls: tuple[Whirl, ...], speed_rpm: Array) -> Mode:
     """``mode``, undecided where it is low, no order shows it, and it is on the flank of one of ``whirls``."""
-    if mode.undecided or mode.reached_by or mode.prominence_db >= FLANK_DB:
+    if mode.undecided or mode.reached_by or mode.prominence_db >= NUMBERS.flank_db:
         return mode
     for whirl in whirls:
-        if _within(mode, whirl, speed_rpm, FLANK * whirl.damping_ratio * whirl.frequency_hz):
+        if _within(mode, whirl, speed_rpm, NUMBERS.flank_widths * whirl.damping_ratio * whirl.frequency_hz):
             return replace(mode, undecided="it is low, on the flank of a whirl, of which it may be what is left")
     return mode
 

@@ -10,6 +10,21 @@ import math
 import numpy as np
 from numba import njit
 
+CHUNK = 256
+"""Samples that are worked on at a time: their buffers stay in the first-level cache."""
+
+LANES = 32
+"""Chunks are filled up with zeros to a multiple of this: what vector loops take in one round."""
+
+# Taylor coefficients in odd and even powers: below 1e-17 for angles up to π/4
+_SIN = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(9))
+
+_COS = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(9))
+
+_S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8 = _SIN[1:]
+
+_C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = _COS[1:]
+
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def factorise(band):  # type: ignore[no-untyped-def]
@@ -100,19 +115,6 @@ def inverse_band(factor):  # type: ignore[no-untyped-def]
             total -= below[k] * entry[k]
         inverse[i, width] = total
     return inverse
-
-
-CHUNK = 256
-"""Samples that are worked on at a time: their buffers stay in the first-level cache."""
-
-LANES = 32
-"""Chunks are filled up with zeros to a multiple of this: what vector loops take in one round."""
-
-# Taylor coefficients in odd and even powers: below 1e-17 for angles up to π/4
-_SIN = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(9))
-_COS = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(9))
-_S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8 = _SIN[1:]
-_C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8 = _COS[1:]
 
 
 @njit(cache=True, nogil=True, fastmath=True)

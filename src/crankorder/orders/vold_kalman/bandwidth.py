@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
+
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 
 HALF_POWER = math.sqrt(2.0) - 1.0
 """What the structural equation weighs against the data where the gain is 1/sqrt(2)."""
@@ -17,8 +18,38 @@ HALF_POWER = math.sqrt(2.0) - 1.0
 FARTHEST_LAG = 16.0
 """Reciprocal bandwidths from which on noise counts as uncorrelated."""
 
+FRAME_BANDWIDTHS = 4.0
+"""Length of a frame, in reciprocal bandwidths: short enough to follow a resonance that is passed."""
 
-def structural_weight(bandwidth_hz: NDArray[np.float64], *, rate_hz: float, poles: int) -> NDArray[np.float64]:
+FLANK = (1.0, 4.8)
+"""Offsets from the order, in bandwidths, between which the noise is read, on both sides: outside of the band."""
+
+LEAST_BINS = (2, 6)
+"""First bin and number of bins of a flank where the record is short against the filter's response."""
+
+WIDEST = 0.3
+"""Highest offset read, as a share of the rate of the sums."""
+
+LOWER = 0.75
+"""Share of the bins, from below, whose mean tells the level: a line that nobody tracked is above."""
+
+FEWEST_BINS = 6
+
+INDEPENDENT = 0.55
+"""Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
+
+
+DEGREE = 5
+"""Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
+
+FEWEST_INTERVALS = 16
+"""However narrow the band: the envelope may still bend in a record that is shorter than the filter's response."""
+
+SPLINE_CORRELATION = np.array([15724248, 9738114, 2203488, 152637, 2036, 1]) / 15724248.0
+"""Correlation of white noise between quintic splines that are 0 … 5 knots apart: splines of degree 11 at the knots."""
+
+
+def structural_weight(bandwidth_hz: Floats, *, rate_hz: float, poles: int) -> Floats:
     """Weight r² of the squared structural equation (∇ to the power ``poles``) whose half-power bandwidth is exact.
 
     ``bandwidth_hz`` (any shape), from half-power point to half-power point, 0 < bandwidth < ``rate_hz``. A real line
@@ -43,7 +74,7 @@ def noise_bandwidth_share(poles: int) -> float:
     return float(HALF_POWER ** (-1.0 / power) * shape)
 
 
-def noise_correlation(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArray[np.float64]:
+def noise_correlation(lag_bandwidths: Floats, poles: int) -> Floats:
     """Correlation of the filter's noise at two times, ``lag_bandwidths`` (any shape) reciprocal bandwidths apart.
 
     The cosine transform of |gain|², ``poles`` as of the filter: lines that far apart share their error.
@@ -52,7 +83,7 @@ def noise_correlation(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArra
     return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table))
 
 
-def impulse_response(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArray[np.float64]:
+def impulse_response(lag_bandwidths: Floats, poles: int) -> Floats:
     """What the filter gives ``lag_bandwidths`` (any shape) reciprocal bandwidths after an impulse, far below the rate.
 
     The cosine transform of the gain, as of ``poles``; its integral over the lag is one.
@@ -62,7 +93,7 @@ def impulse_response(lag_bandwidths: NDArray[np.float64], poles: int) -> NDArray
 
 
 @functools.cache
-def _response_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _response_table(poles: int) -> tuple[Floats, Floats]:
     """Lags in reciprocal bandwidths, and the response there."""
     x = np.linspace(0.0, 40.0, 8001)
     gain = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles))
@@ -72,7 +103,7 @@ def _response_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 @functools.cache
-def _correlation_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _correlation_table(poles: int) -> tuple[Floats, Floats]:
     """Lags in reciprocal bandwidths, and the correlation there."""
     x = np.linspace(0.0, 8.0, 801)
     power = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles)) ** 2
@@ -82,37 +113,9 @@ def _correlation_table(poles: int) -> tuple[NDArray[np.float64], NDArray[np.floa
     return grid, table
 
 
-FRAME_BANDWIDTHS = 4.0
-"""Length of a frame, in reciprocal bandwidths: short enough to follow a resonance that is passed."""
-
-FLANK = (1.0, 4.8)
-"""Offsets from the order, in bandwidths, between which the noise is read, on both sides: outside of the band."""
-
-LEAST_BINS = (2, 6)
-"""First bin and number of bins of a flank where the record is short against the filter's response."""
-
-WIDEST = 0.3
-"""Highest offset read, as a share of the rate of the sums."""
-
-LOWER = 0.75
-"""Share of the bins, from below, whose mean tells the level: a line that nobody tracked is above."""
-
-FEWEST_BINS = 6
-INDEPENDENT = 0.55
-"""Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
-
-_Array = NDArray[np.float64]
-
-
 def local_level(
-    sums: NDArray[np.complex128],
-    weight: _Array,
-    others: _Array,
-    *,
-    sums_per_bandwidth: float,
-    poles: int,
-    correlation: _Array,
-) -> tuple[_Array, _Array]:
+    sums: Complexes, weight: Floats, others: Floats, *, sums_per_bandwidth: float, poles: int, correlation: Floats
+) -> tuple[Floats, Floats]:
     """Variance of the white noise that would be as strong as the residual beside one order, by frame.
 
     ``sums`` (channels, places) of the residual turned back by the order's phase, whose mean square is ``weight``
@@ -137,7 +140,7 @@ def local_level(
     return starts[usable] + 0.5 * (length - 1), level
 
 
-def _flanks(length: int, sums_per_bandwidth: float) -> NDArray[np.int64]:
+def _flanks(length: int, sums_per_bandwidth: float) -> Ints:
     """Bins of a transform of ``length`` that are beside the order, those below it negative."""
     first = max(LEAST_BINS[0], math.ceil(FLANK[0] * length / sums_per_bandwidth))
     last = max(first + LEAST_BINS[1], int(FLANK[1] * length / sums_per_bandwidth))
@@ -146,7 +149,7 @@ def _flanks(length: int, sums_per_bandwidth: float) -> NDArray[np.int64]:
     return np.concatenate([-one, one])
 
 
-def _shape(offset: _Array, sums_per_bandwidth: float, poles: int, correlation: _Array) -> _Array:
+def _shape(offset: Floats, sums_per_bandwidth: float, poles: int, correlation: Floats) -> Floats:
     """Power of white noise in the sums at each offset [cycles per place], where the filter has taken its share."""
     gain = 1.0 / (1.0 + HALF_POWER * (2.0 * offset * sums_per_bandwidth) ** (2 * poles))
     lags = np.arange(1, len(correlation))
@@ -154,9 +157,7 @@ def _shape(offset: _Array, sums_per_bandwidth: float, poles: int, correlation: _
     return np.asarray(spread * (1.0 - gain) ** 2)
 
 
-def _free_of_others(
-    offset: _Array, others: _Array, starts: NDArray[np.int64], length: int, bandwidth: float
-) -> NDArray[np.bool_]:
+def _free_of_others(offset: Floats, others: Floats, starts: Ints, length: int, bandwidth: float) -> Bools:
     """Which bins (frames, bins) hold no other tracked order, whose filter has taken the noise there."""
     free = np.ones((len(starts), len(offset)), dtype=bool)
     for other in others:
@@ -167,7 +168,7 @@ def _free_of_others(
     return free
 
 
-def _level(power: _Array, free: NDArray[np.bool_]) -> _Array:
+def _level(power: Floats, free: Bools) -> Floats:
     """Mean power (channels, frames) of the free bins, from the lower ones of each side: noise may slope."""
     total = np.zeros(power.shape[:2])
     for side in np.split(np.arange(power.shape[2]), 2):
@@ -180,7 +181,7 @@ def _level(power: _Array, free: NDArray[np.bool_]) -> _Array:
     return np.asarray(total / count * student_factor(2.0 * INDEPENDENT * count) ** 2)
 
 
-def student_factor(dof: NDArray[np.float64]) -> NDArray[np.float64]:
+def student_factor(dof: Floats) -> Floats:
     """What Student's t asks for at 95 % over a normal distribution, by degrees of freedom ``dof`` (any shape)."""
     return np.asarray(1.0 + 1.21 / dof)
 
@@ -191,31 +192,21 @@ def level_dof(bandwidths: float) -> float:
     return 4.0 * INDEPENDENT * max(1.0 + LEAST_BINS[1], (FLANK[1] - FLANK[0]) * flank)
 
 
-def _expected(kept: NDArray[np.int64], count: NDArray[np.int64]) -> _Array:
+def _expected(kept: Ints, count: Ints) -> Floats:
     """Mean of exponential powers over the mean of the ``kept`` lowest of ``count`` of them."""
     share = np.minimum(kept / np.maximum(count, 1), 1.0 - 1e-9)
     left = 1.0 - share
     return np.asarray(share / (1.0 - left * (1.0 - np.log(left))))
 
 
-DEGREE = 5
-"""Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
-
-FEWEST_INTERVALS = 16
-"""However narrow the band: the envelope may still bend in a record that is shorter than the filter's response."""
-
-SPLINE_CORRELATION = np.array([15724248, 9738114, 2203488, 152637, 2036, 1]) / 15724248.0
-"""Correlation of white noise between quintic splines that are 0 … 5 knots apart: splines of degree 11 at the knots."""
-
-
 @dataclass(frozen=True)
 class Knots:
     """Knots half a sample before the samples ``starts`` (intervals + 1,), the last one after the end."""
 
-    starts: NDArray[np.int64]
+    starts: Ints
 
     @property
-    def middles(self) -> _Array:
+    def middles(self) -> Floats:
         """Middle of each interval [samples]."""
         return np.asarray(0.5 * (self.starts[1:] + self.starts[:-1] - 1.0), dtype=np.float64)
 
@@ -225,13 +216,13 @@ class Knots:
         return len(self.starts) - 1
 
     @cached_property
-    def extended(self) -> _Array:
+    def extended(self) -> Floats:
         """Knots [samples] with the ends repeated, so that the first and last spline are one at the ends."""
         inner = self.starts - 0.5
         return np.concatenate([np.full(DEGREE, inner[0]), inner, np.full(DEGREE, inner[-1])])
 
     @cached_property
-    def runs(self) -> NDArray[np.int64]:
+    def runs(self) -> Ints:
         """First interval of each run of intervals (runs,) between whose neighbours nothing changes."""
         lengths = np.diff(self.starts)
         changed = np.flatnonzero(np.diff(lengths)) + 1
@@ -240,7 +231,7 @@ class Knots:
         return np.unique(near)
 
 
-def place_knots(spacing: _Array, n_samples: int, *, fewest: int = FEWEST_INTERVALS) -> Knots:
+def place_knots(spacing: Floats, n_samples: int, *, fewest: int = FEWEST_INTERVALS) -> Knots:
     """Knots across ``n_samples`` whose distance follows ``spacing`` [samples] (points,), even across the record.
 
     At least ``fewest`` intervals, none shorter than a sample. Where the spacing does not change, all intervals hold
@@ -262,7 +253,7 @@ def place_knots(spacing: _Array, n_samples: int, *, fewest: int = FEWEST_INTERVA
     return Knots(np.unique(np.round(place).astype(np.int64)))
 
 
-def spline_pieces(knots: _Array, at: NDArray[np.int64], degree: int) -> _Array:
+def spline_pieces(knots: Floats, at: Ints, degree: int) -> Floats:
     """Powers of u in (-1, 1) (intervals, degree + 1 splines, degree + 1 powers) of B-splines in the intervals ``at``.
 
     ``knots`` hold ``degree`` repeated ends before and after the intervals. Source: de Boor 1972, recursion.
@@ -288,7 +279,7 @@ def spline_pieces(knots: _Array, at: NDArray[np.int64], degree: int) -> _Array:
     return found
 
 
-def difference_slopes(knots: Knots, poles: int) -> _Array:
+def difference_slopes(knots: Knots, poles: int) -> Floats:
     """Factors (poles, splines) that turn differences of coefficients on ``knots`` into those of derivatives [1/sample].
 
     Row k, for the step from derivative k to k + 1 of ``poles``, holds one factor less than the row before it.
@@ -301,7 +292,7 @@ def difference_slopes(knots: Knots, poles: int) -> _Array:
     return found
 
 
-def local_differences(knots: Knots, at: NDArray[np.int64], poles: int) -> _Array:
+def local_differences(knots: Knots, at: Ints, poles: int) -> Floats:
     """Matrices (intervals, splines - poles, splines) that take coefficients on ``knots`` to those of a derivative.
 
     ``at`` are the intervals, ``poles`` the order of the derivative.
@@ -312,7 +303,7 @@ def local_differences(knots: Knots, at: NDArray[np.int64], poles: int) -> _Array
     return found
 
 
-def roughness(knots: Knots, at: NDArray[np.int64], poles: int) -> _Array:
+def roughness(knots: Knots, at: Ints, poles: int) -> Floats:
     """Quadratic forms (intervals, splines, splines) of the structural equation in the intervals ``at`` of ``knots``.
 
     They act on the coefficients of the derivative of order ``poles``. The sum of the squared difference becomes the

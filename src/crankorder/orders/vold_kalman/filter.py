@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,47 +19,7 @@ from crankorder.orders.vold_kalman.bandwidth import (
     structural_weight,
 )
 from crankorder.orders.vold_kalman.system import KNOTS_PER_BANDWIDTH, EnvelopeSystem, Solution
-
-
-def closest(
-    phase_rev: NDArray[np.float64],
-    bandwidth_hz: NDArray[np.float64],
-    *,
-    rate_hz: float,
-    names: Sequence[str] | None = None,
-) -> tuple[str, float]:
-    """Name of the two components that are closest for their bandwidth, and their median distance in Hz.
-
-    ``phase_rev`` (orders, samples) at ``rate_hz``, ``bandwidth_hz`` (orders, points), ``names`` (orders,) for people,
-    "component 0" and so on without. A component is also held against its own and the others' images at minus the
-    frequency, and at the sample rate.
-    """
-    frequency = np.diff(phase_rev, axis=1) * rate_hz
-    width = np.median(bandwidth_hz, axis=1)
-    called = [f"component {k}" for k in range(len(frequency))] if names is None else list(names)
-    found = []
-    for i in range(len(frequency)):
-        for j in range(i, len(frequency)):
-            wide = float(width[i] * width[j]) ** 0.5
-            if i != j:
-                apart = _distance(frequency[i] - frequency[j], rate_hz)
-                found.append(
-                    (
-                        apart / wide,
-                        f"components {i} and {j}" if names is None else f"{called[i]} and {called[j]}",
-                        apart,
-                    )
-                )
-            apart = _distance(frequency[i] + frequency[j], rate_hz)
-            image = "its own image" if i == j else f"the image of {called[j]}"
-            found.append((apart / wide, f"{called[i]} and {image} at minus the frequency", apart))
-    _, name, apart = min(found)
-    return name, apart
-
-
-def _distance(difference_hz: NDArray[np.float64], rate_hz: float) -> float:
-    return float(np.median(np.abs(difference_hz - rate_hz * np.round(difference_hz / rate_hz))))
-
+from crankorder.quantities import Bools, Complexes, Floats
 
 BLOCK = 65_536
 """Samples solved for at a time, beside the margins that are thrown away."""
@@ -76,7 +36,52 @@ LEAST_CONSTANT = 1e-6
 REFINEMENTS = 2
 """Steps of iterative refinement."""
 
-_Array = NDArray[np.float64]
+
+MOST_POLES = 4
+
+FEWEST_SAMPLES = 64
+
+LEAST_SPACING = (6, 6, 6, 3)
+"""Samples between knots, by poles, below which the equations are solved at every sample."""
+
+WIDEST_RATIO = 200.0
+"""Of the bandwidths of joint orders: beyond, the narrowest loses too many digits on the knots of the widest."""
+
+MOST_MAGNIFICATION = 1e3
+"""Noise power of an order, over that of the same order alone, beyond which it counts as not distinguishable."""
+
+Method = Literal["auto", "knots", "samples"]
+
+
+def closest(
+    phase_rev: Floats, bandwidth_hz: Floats, *, rate_hz: float, names: Sequence[str] | None = None
+) -> tuple[str, float]:
+    """Name of the two components that are closest for their bandwidth, and their median distance in Hz.
+
+    ``phase_rev`` (orders, samples) at ``rate_hz``, ``bandwidth_hz`` (orders, points), ``names`` (orders,) for people,
+    "component 0" and so on without. A component is also held against its own and the others' images at minus the
+    frequency, and at the sample rate.
+    """
+    frequency = np.diff(phase_rev, axis=1) * rate_hz
+    width = np.median(bandwidth_hz, axis=1)
+    called = [f"component {k}" for k in range(len(frequency))] if names is None else list(names)
+    found = []
+    for i in range(len(frequency)):
+        for j in range(i, len(frequency)):
+            wide = float(width[i] * width[j]) ** 0.5
+            if i != j:
+                apart = _distance(frequency[i] - frequency[j], rate_hz)
+                both = f"components {i} and {j}" if names is None else f"{called[i]} and {called[j]}"
+                found.append((apart / wide, both, apart))
+            apart = _distance(frequency[i] + frequency[j], rate_hz)
+            image = "its own image" if i == j else f"the image of {called[j]}"
+            found.append((apart / wide, f"{called[i]} and {image} at minus the frequency", apart))
+    _, name, apart = min(found)
+    return name, apart
+
+
+def _distance(difference_hz: Floats, rate_hz: float) -> float:
+    return float(np.median(np.abs(difference_hz - rate_hz * np.round(difference_hz / rate_hz))))
 
 
 @dataclass(frozen=True)
@@ -84,12 +89,12 @@ class SampleEnvelopes:
     """``values`` (channels + 1, samples, rows) of cosines and sines, the last channel for a signal of ones, and
     ``variance`` (samples, rows) per unit of white noise variance."""
 
-    values: _Array
-    variance: _Array
+    values: Floats
+    variance: Floats
 
 
 def envelopes_at_samples(
-    signals: _Array, phase_rev: _Array, usable: NDArray[np.bool_], *, weight: _Array, poles: int, margin: int
+    signals: Floats, phase_rev: Floats, usable: Bools, *, weight: Floats, poles: int, margin: int
 ) -> SampleEnvelopes:
     """Envelopes of all orders jointly, in blocks with ``margin`` samples on both sides.
 
@@ -113,7 +118,7 @@ def envelopes_at_samples(
     return SampleEnvelopes(values, variance)
 
 
-def _solved(signals: _Array, waves: _Array, weight: _Array, poles: int) -> tuple[_Array, _Array]:
+def _solved(signals: Floats, waves: Floats, weight: Floats, poles: int) -> tuple[Floats, Floats]:
     rows, n = waves.shape
     steps = np.zeros(poles + 1)
     steps[0] = 1.0
@@ -139,9 +144,7 @@ def _solved(signals: _Array, waves: _Array, weight: _Array, poles: int) -> tuple
     return found, inverse_band(band)[:, -1].reshape(n, rows)
 
 
-def with_offset(
-    values: _Array, signals: _Array, phase_rev: _Array, usable: NDArray[np.bool_]
-) -> tuple[NDArray[np.complex128], _Array, _Array]:
+def with_offset(values: Floats, signals: Floats, phase_rev: Floats, usable: Bools) -> tuple[Complexes, Floats, Floats]:
     """Amplitudes (channels, orders, samples), residual (channels, samples) and constant part (channels,).
 
     ``values`` of SampleEnvelopes, the last for a signal of ones; ``signals``, ``phase_rev`` and ``usable`` as given to
@@ -161,13 +164,8 @@ def with_offset(
 
 
 def sample_errors(
-    remaining: _Array,
-    phase_rev: _Array,
-    usable: NDArray[np.bool_],
-    variance: _Array,
-    samples_per_bandwidth: _Array,
-    poles: int,
-) -> _Array:
+    remaining: Floats, phase_rev: Floats, usable: Bools, variance: Floats, samples_per_bandwidth: Floats, poles: int
+) -> Floats:
     """Standard errors (channels, orders, samples) from the local residual spectrum beside each order.
 
     ``remaining`` (channels, samples) residual without constant, ``phase_rev`` (orders, samples), ``usable`` (samples,),
@@ -209,20 +207,6 @@ def _assemble(waves, weight, steps, band):  # type: ignore[no-untyped-def]
                         band[(i - a) * rows + row, width - (b - a) * rows] += r2 * steps[a] * steps[b]
 
 
-MOST_POLES = 4
-FEWEST_SAMPLES = 64
-LEAST_SPACING = (6, 6, 6, 3)
-"""Samples between knots, by poles, below which the equations are solved at every sample."""
-
-WIDEST_RATIO = 200.0
-"""Of the bandwidths of joint orders: beyond, the narrowest loses too many digits on the knots of the widest."""
-
-MOST_MAGNIFICATION = 1e3
-"""Noise power of an order, over that of the same order alone, beyond which it counts as not distinguishable."""
-
-Method = Literal["auto", "knots", "samples"]
-
-
 @dataclass(frozen=True)
 class VoldKalmanTracks:
     """Tracks of all channels: the line of an order is Re(amplitude · exp(2πi phase_rev)).
@@ -234,18 +218,18 @@ class VoldKalmanTracks:
     of the order alone, and ``condition`` the largest; ``method``: "knots" or "samples"; ``notes`` for people.
     """
 
-    amplitude: NDArray[np.complex128]
-    residual: _Array
-    offset: _Array
-    error_place: _Array
-    error: _Array
-    noise_magnification: _Array
+    amplitude: Complexes
+    residual: Floats
+    offset: Floats
+    error_place: Floats
+    error: Floats
+    noise_magnification: Floats
     condition: float
     method: str
     notes: tuple[str, ...]
 
     @property
-    def standard_error(self) -> _Array:
+    def standard_error(self) -> Floats:
         """Standard error (channels, orders, samples) at every sample, linear between ``error_place``."""
         at = np.arange(self.residual.shape[1])
         flat = self.error.reshape(-1, len(self.error_place))
@@ -306,7 +290,7 @@ def vold_kalman(
 
 def _checked(
     signals: ArrayLike, phase_rev: ArrayLike, bandwidth_hz: ArrayLike, *, rate_hz: float, poles: int
-) -> tuple[NDArray[np.floating], _Array, _Array]:
+) -> tuple[NDArray[np.floating], Floats, Floats]:
     """Arguments as arrays: signals (channels, samples), phases (orders, samples), bandwidths (orders, points)."""
     values = np.asarray(signals)
     if values.dtype not in (np.float32, np.float64):
@@ -335,9 +319,9 @@ def _checked(
     return np.ascontiguousarray(values), phase, np.ascontiguousarray(band)
 
 
-def _mask(values: NDArray[np.floating], usable: ArrayLike | None) -> NDArray[np.bool_]:
+def _mask(values: NDArray[np.floating], usable: ArrayLike | None) -> Bools:
     """Which samples count (channels, samples): those named and finite."""
-    mask: NDArray[np.bool_] = np.isfinite(values)
+    mask: Bools = np.isfinite(values)
     if usable is not None:
         named = np.asarray(usable, dtype=bool)
         if named.shape not in (values.shape, values.shape[1:]):
@@ -349,7 +333,7 @@ def _mask(values: NDArray[np.floating], usable: ArrayLike | None) -> NDArray[np.
     return mask
 
 
-def _check_ratio(bandwidth: _Array, *, rate_hz: float, poles: int, method: str) -> None:
+def _check_ratio(bandwidth: Floats, *, rate_hz: float, poles: int, method: str) -> None:
     widest, narrowest = float(bandwidth.max()), float(bandwidth.min())
     if method == "samples":
         heaviest = float(structural_weight(np.array(narrowest), rate_hz=rate_hz, poles=poles)) * 4.0**poles
@@ -369,7 +353,7 @@ def _check_ratio(bandwidth: _Array, *, rate_hz: float, poles: int, method: str) 
         )
 
 
-def _scales(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> _Array:
+def _scales(values: NDArray[np.floating], mask: Bools) -> Floats:
     """Powers of two (channels,) that bring signals near one: squares then neither overflow nor vanish."""
     whole = bool(mask.all())
     known = [row if whole else row[mask] for row in values]
@@ -379,9 +363,9 @@ def _scales(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> _Array:
 
 def _by_knots(
     values: NDArray[np.floating],
-    phase: _Array,
-    bandwidth: _Array,
-    mask: NDArray[np.bool_],
+    phase: Floats,
+    bandwidth: Floats,
+    mask: Bools,
     rate_hz: float,
     poles: int,
     knots_per_bandwidth: int,
@@ -415,7 +399,7 @@ def _by_knots(
     return VoldKalmanTracks(amplitude, residual, offset, middle, error, magnification, condition, "knots", tuple(notes))
 
 
-def standard_errors(system: EnvelopeSystem, solution: Solution) -> _Array:
+def standard_errors(system: EnvelopeSystem, solution: Solution) -> Floats:
     """Standard errors (channels, orders, intervals) in the middle of each interval, of real and imaginary part.
 
     ``system`` must have read all of its record with ``solution``. The noise is that of the local residual spectrum
@@ -441,12 +425,7 @@ def standard_errors(system: EnvelopeSystem, solution: Solution) -> _Array:
 
 
 def _by_samples(
-    values: NDArray[np.floating],
-    phase: _Array,
-    bandwidth: _Array,
-    mask: NDArray[np.bool_],
-    rate_hz: float,
-    poles: int,
+    values: NDArray[np.floating], phase: Floats, bandwidth: Floats, mask: Bools, rate_hz: float, poles: int
 ) -> VoldKalmanTracks:
     n_samples = values.shape[1]
     scale = _scales(values, mask)
@@ -476,14 +455,8 @@ def _by_samples(
 
 
 def _magnification(
-    variance: _Array,
-    usable_share: _Array,
-    place: _Array,
-    bandwidth: _Array,
-    n_samples: int,
-    rate_hz: float,
-    poles: int,
-) -> _Array:
+    variance: Floats, usable_share: Floats, place: Floats, bandwidth: Floats, n_samples: int, rate_hz: float, poles: int
+) -> Floats:
     """Noise power of each order over that of the order alone, median over the usable places (orders,)."""
     n_orders = len(bandwidth)
     points = np.linspace(0.0, n_samples, bandwidth.shape[1])
@@ -505,7 +478,7 @@ class _TooCloseError(Exception):
 
 
 def _indistinguishable(
-    phase: _Array, bandwidth: _Array, rate_hz: float, magnification: float, names: Sequence[str] | None
+    phase: Floats, bandwidth: Floats, rate_hz: float, magnification: float, names: Sequence[str] | None
 ) -> RequestError:
     pair, distance_hz = closest(phase, bandwidth, rate_hz=rate_hz, names=names)
     seconds = phase.shape[1] / rate_hz
@@ -522,18 +495,9 @@ def _together(parts: list[VoldKalmanTracks], groups: list[list[int]]) -> VoldKal
     """Tracks of all channels from those of groups with equal gaps."""
     order = np.argsort([channel for group in groups for channel in group])
     worst = max(parts, key=lambda part: part.condition)
-    stacked = {
-        name: np.concatenate([getattr(part, name) for part in parts])[order]
+    amplitude, residual, offset, error = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("amplitude", "residual", "offset", "error")
-    }
-    return VoldKalmanTracks(
-        stacked["amplitude"],
-        stacked["residual"],
-        stacked["offset"],
-        worst.error_place,
-        stacked["error"],
-        worst.noise_magnification,
-        worst.condition,
-        worst.method,
-        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
+    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+    return replace(worst, amplitude=amplitude, residual=residual, offset=offset, error=error, notes=notes)

@@ -20,12 +20,28 @@ from crankorder.orders.vold_kalman.bandwidth import (
     spline_pieces,
     structural_weight,
 )
+from crankorder.quantities import Bools, Complexes, Floats
 
 SPLINES = DEGREE + 1
 """Splines in an interval, and powers of u of each: a constant, so that the loops are unrolled."""
 
 
-def spline_products(pieces: NDArray[np.float64]) -> NDArray[np.float64]:
+KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
+"""Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
+order than 8 bandwidths (which the exact filter lets through 3e-5 of, with two poles) is rejected altogether. The gain
+of one pole falls so slowly that more of what lies there belongs to the exact solution."""
+
+REFINEMENTS = 3
+"""Most steps of iterative refinement; one is enough unless orders are close."""
+
+ENOUGH = 1e-10
+"""Relative size of a step of refinement after which the next one would be below rounding."""
+
+LEAST_CONSTANT = 1e-6
+"""Share of a constant that the orders must leave unexplained for it to be told from them."""
+
+
+def spline_products(pieces: Floats) -> Floats:
     """Products of two splines in powers of u, (runs, powers, pairs): pairs (a, b) with b up to a, in rows of a.
 
     ``pieces`` (runs, splines, powers) are the splines.
@@ -163,10 +179,7 @@ def variance_at_middles(inverse, pieces, kind, n_rows):  # type: ignore[no-untyp
     return found
 
 
-_Array = NDArray[np.float64]
-
-
-def integration(slopes: _Array, n_splines: int) -> _Array:
+def integration(slopes: Floats, n_splines: int) -> Floats:
     """Coefficients (splines, splines) of splines from the first coefficient of each derivative and all of the last.
 
     ``slopes`` (poles, splines) as of ``difference_slopes``, ``n_splines`` the number of coefficients. In these unknowns
@@ -181,8 +194,8 @@ def integration(slopes: _Array, n_splines: int) -> _Array:
 
 
 def solve_short(
-    data_band: _Array, forms: _Array, weight: _Array, slopes: _Array, wanted: _Array
-) -> tuple[_Array, _Array]:
+    data_band: Floats, forms: Floats, weight: Floats, slopes: Floats, wanted: Floats
+) -> tuple[Floats, Floats]:
     """Coefficients (columns, splines, rows) and their covariance (n, n) from white data noise of unit variance.
 
     ``data_band`` (n, width + 1) the data's weight, ``forms`` (intervals, splines, splines) and ``weight`` (intervals,
@@ -212,7 +225,7 @@ def solve_short(
     return (turn @ found).T.reshape(wanted.shape), back @ spread @ back.T
 
 
-def _dense(band: _Array) -> _Array:
+def _dense(band: Floats) -> Floats:
     n, width = len(band), band.shape[1] - 1
     found = np.zeros((n, n))
     for k in range(min(width, n - 1) + 1):
@@ -220,29 +233,14 @@ def _dense(band: _Array) -> _Array:
     return found + np.tril(found, -1).T
 
 
-KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
-"""Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
-order than 8 bandwidths (which the exact filter lets through 3e-5 of, with two poles) is rejected altogether. The gain
-of one pole falls so slowly that more of what lies there belongs to the exact solution."""
-
-REFINEMENTS = 3
-"""Most steps of iterative refinement; one is enough unless orders are close."""
-
-ENOUGH = 1e-10
-"""Relative size of a step of refinement after which the next one would be below rounding."""
-
-LEAST_CONSTANT = 1e-6
-"""Share of a constant that the orders must leave unexplained for it to be told from them."""
-
-
 @dataclass(frozen=True)
 class Solution:
     """Envelopes of all channels: ``pieces`` (intervals, channels, rows, powers of u), ``offset`` (channels,) the
     constant part, ``variance`` (intervals, rows) per unit of white noise variance, in the middle of each interval."""
 
-    pieces: _Array
-    offset: _Array
-    variance: _Array
+    pieces: Floats
+    offset: Floats
+    variance: Floats
 
 
 class EnvelopeSystem:
@@ -256,10 +254,10 @@ class EnvelopeSystem:
         *,
         n_samples: int,
         n_channels: int,
-        bandwidth_hz: _Array,
+        bandwidth_hz: Floats,
         rate_hz: float,
         poles: int,
-        scale: _Array | None = None,
+        scale: Floats | None = None,
         knots_per_bandwidth: int | None = None,
     ) -> None:
         """The equations without data.
@@ -286,7 +284,7 @@ class EnvelopeSystem:
         self.knot_phase_rev = np.zeros((self.n_orders, intervals + 1))
         self.data_band = np.empty((0, 0))
 
-    def _weights(self, bandwidth_hz: _Array, rate_hz: float, n_samples: int) -> _Array:
+    def _weights(self, bandwidth_hz: Floats, rate_hz: float, n_samples: int) -> Floats:
         middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
         points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
         at_knots = np.array([np.interp(middle, points, one) for one in bandwidth_hz])
@@ -302,7 +300,7 @@ class EnvelopeSystem:
         steep = local_differences(knots, runs, self.poles)
         self.stiffness = np.ascontiguousarray(steep.transpose(0, 2, 1) @ self.forms @ steep)
 
-    def add(self, signals: NDArray[np.floating], phase_rev: _Array, usable: NDArray[np.bool_], *, begin: int) -> None:
+    def add(self, signals: NDArray[np.floating], phase_rev: Floats, usable: Bools, *, begin: int) -> None:
         """Take in the samples from number ``begin`` on.
 
         ``signals`` (channels, samples), ``phase_rev`` (orders, samples), ``usable`` (samples,); blocks in any order,
@@ -338,7 +336,7 @@ class EnvelopeSystem:
         scatter(values, self.splines, self.kind, pieces)
         return Solution(pieces, offset, variance_at_middles(inverse, self.splines, self.kind, rows))
 
-    def _solve_long(self, wanted: _Array) -> tuple[_Array, _Array]:
+    def _solve_long(self, wanted: Floats) -> tuple[Floats, Floats]:
         """Coefficients, and the band of their covariance from data noise.
 
         That noise is the same share 1 - 1/(2 poles) of the inverse everywhere: the noise bandwidth of the filter over
@@ -355,7 +353,7 @@ class EnvelopeSystem:
             )
         return self._refined(factor, wanted), inverse_band(factor) * (1.0 - 0.5 / self.poles)
 
-    def _refined(self, factor: _Array, wanted: _Array) -> _Array:
+    def _refined(self, factor: Floats, wanted: Floats) -> Floats:
         found = wanted.copy()
         solve(factor, found.reshape(len(found), -1))
         last = np.inf
@@ -369,14 +367,14 @@ class EnvelopeSystem:
             last = change
         return found
 
-    def _applied(self, values: _Array) -> _Array:
+    def _applied(self, values: Floats) -> Floats:
         """The normal equations applied to ``values``, roughness by differences: exact where envelopes are smooth."""
         found = np.zeros_like(values)
         product(self.data_band, values.reshape(len(values), -1), found.reshape(len(values), -1))
         apply_roughness(self.forms, self.kind, self.weight, self.slopes, values, found)
         return found
 
-    def _offset(self, found: _Array, wanted: _Array) -> _Array:
+    def _offset(self, found: Floats, wanted: Floats) -> Floats:
         """Constant part of each channel, jointly with the orders: the last channel is a signal of ones."""
         n_usable = self.totals[-1]
         left = n_usable - float(np.sum(found[-1] * wanted[-1]))
@@ -386,14 +384,8 @@ class EnvelopeSystem:
         return np.asarray((self.totals[:-1] - explained) / left)
 
     def read(
-        self,
-        solution: Solution,
-        signals: NDArray[np.floating],
-        phase_rev: _Array,
-        usable: NDArray[np.bool_],
-        *,
-        begin: int,
-    ) -> tuple[NDArray[np.complex128], _Array]:
+        self, solution: Solution, signals: NDArray[np.floating], phase_rev: Floats, usable: Bools, *, begin: int
+    ) -> tuple[Complexes, Floats]:
         """Amplitudes (channels, orders, samples) and residual (channels, samples) of the samples from ``begin`` on.
 
         ``solution`` of ``solve``; ``signals``, ``phase_rev`` and ``usable`` as in ``add``. The residual is noted for
@@ -406,13 +398,13 @@ class EnvelopeSystem:
         evaluate(signals, self.scale, solution.offset, *where, amplitude, residual, self.residual_data)
         return amplitude.view(np.complex128), residual
 
-    def distances(self, order: int) -> _Array:
+    def distances(self, order: int) -> Floats:
         """Distance of the other orders from number ``order`` (others, splines), in cycles per spline."""
         apart = np.diff(self.knot_phase_rev - self.knot_phase_rev[order], axis=1)
         extra = (DEGREE - DEGREE // 2, DEGREE // 2)
         return np.pad(np.delete(apart, order, axis=0), ((0, 0), extra), mode="edge")
 
-    def residual_sums(self) -> tuple[NDArray[np.complex128], _Array]:
+    def residual_sums(self) -> tuple[Complexes, Floats]:
         """What the residual holds about each order, by spline: sums (channels, orders, splines) and their weights.
 
         The sums are of residual · spline · exp(-2πi phase); for white noise of variance s² their mean square is s²
@@ -427,7 +419,7 @@ class EnvelopeSystem:
         return sums, (weight[:, :k] + weight[:, k:]).T
 
 
-def _band_of(matrix: _Array, width: int) -> _Array:
+def _band_of(matrix: Floats, width: int) -> Floats:
     """Lower band of a full symmetric ``matrix``, stored as the banded kernels do."""
     n = len(matrix)
     return np.array([[matrix[i, max(i - k, 0)] for k in range(width, -1, -1)] for i in range(n)])

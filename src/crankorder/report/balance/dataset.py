@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import BalancedEngine, reduced_masses
 from crankorder.engine.balance_sheet import ONE_RADIAN_PER_S_RPM, POSSIBILITIES, STRATEGIES
-from crankorder.engine.balancing import balanced, force_by_order
+from crankorder.engine.balancing import OrderForce, balanced, force_by_order, polar_diagram, unbalance_force_n
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
-from crankorder.engine.polar import OrderForce, polar_diagram, unbalance_force_n
 from crankorder.engine.shafts import shaft_layout
 
 Forces = tuple[OrderForce, ...]

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from crankorder.engine.polar import unbalance_force_n
-from crankorder.engine.residual_tables import speed_key
+from crankorder.engine.balance_data import speed_key
+from crankorder.engine.balancing import unbalance_force_n
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
 from crankorder.report.balance.look import (
     COUNTERWEIGHTS,

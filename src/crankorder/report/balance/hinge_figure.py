@@ -8,10 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crankorder.engine.crank_torque import CrankTorque, crank_torque, torque_extrema
-from crankorder.engine.elastic_hinge import side_force_without_hinge
-from crankorder.engine.hinge_definition import HingedCrankData, HingedEngine
-from crankorder.engine.hinge_solutions import hinge_table
+from crankorder.engine.elastic_hinge import hinge_table, side_force_without_hinge
+from crankorder.engine.hinged_crank import CrankTorque, HingedCrankData, HingedEngine, crank_torque, torque_extrema
 from crankorder.report.balance.look import color_key
 from crankorder.report.notation import number_text
 from crankorder.report.style import (

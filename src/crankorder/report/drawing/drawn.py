@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.findings import Findings
 from crankorder.report.drawing.canvas import Canvas, Clip
 from crankorder.report.drawing.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL, rgb_of
 from crankorder.report.drawing.typeface import CAP_HEIGHT, LAYOUT_DPI, shortened, text_width_in
@@ -190,10 +191,9 @@ def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> 
         )
 
 
-def quality_note(drawing: Drawing, findings: dict[str, object]) -> None:
+def quality_note(drawing: Drawing, findings: Findings) -> None:
     """Note at the foot of ``drawing`` when the ``findings`` carry suspect or bad data."""
-    flags = findings.get("quality")
-    doubtful = sum(flag.get("severity") in ("suspect", "bad") for flag in flags) if isinstance(flags, list) else 0
+    doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
     if doubtful:
         text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
         drawing.add(Words(drawing.width_in - 0.2, 0.14, text, SMALL + 0.5, MAINS, along="right"))

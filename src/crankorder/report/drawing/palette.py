@@ -1,23 +1,20 @@
-"""Colours, type sizes and dashes of the pictures: one house, whichever program draws them."""
+"""Colours of the house, and what the pages draw beside those of the notebook: verdicts, type sizes, dashes."""
 
 from __future__ import annotations
 
-INK = "#1f2933"
-FAINT = "#7b8794"
-GRID = "#e4e7eb"
-LIGHT = "#b8c0ca"
-"""Lines that are there for comparison, behind those that are named."""
-NOT_MEASURED = "#dfe3e8"
-MODE = "#00718f"
-MODE_ON_MAP = "#7fe3ff"
-MAINS = "#a03c78"
-MAINS_ON_MAP = "#ff9ad5"
+from crankorder.plot.palette import FAINT, GRID, INK, LIGHT, LINES, MAINS, MAINS_ON_MAP, MODE, MODE_ON_MAP, NOT_MEASURED
+
+__all__ = [
+    "AVOID", "BAND_FACTOR", "DOUBT_DASHES", "FAINT", "FREE", "GRID", "HALF_ORDER", "INK", "LARGE", "LIGHT", "LINES",
+    "MAINS", "MAINS_ON_MAP", "MODE", "MODE_DASHES", "MODE_ON_MAP", "NORMAL", "NOT_JUDGED", "NOT_MEASURED", "SMALL",
+    "TONE_DASHES", "rgb_of",
+]  # fmt: skip
+
 HALF_ORDER = "#9a5b00"
 """Labels of orders that only the cycle of a four-stroke engine makes."""
 AVOID = "#c4314b"
 FREE = "#8fc79a"
 NOT_JUDGED = "#9aa5b1"
-LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
 SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
 BAND_FACTOR = 1.959964
 """Half a 95 % interval in standard errors of a normal estimate."""

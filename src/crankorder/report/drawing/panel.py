@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.plot.axes import decade_text
 from crankorder.report.drawing.drawn import Area, Box, Drawing, Rings, Stroke, Words
 from crankorder.report.drawing.palette import FAINT, GRID, NORMAL
-from crankorder.report.drawing.ticks import decade_text, linear_texts, linear_ticks, log_ticks
+from crankorder.report.drawing.ticks import linear_texts, linear_ticks, log_ticks
 from crankorder.report.drawing.typeface import text_width_in
 
 TICK_SIZE = 8.5

@@ -7,18 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _FEW_DECADES = 2.0
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
-
-
-def decade_text(value: float) -> str:
-    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0."""
-    exponent = int(np.floor(np.log10(value) + 1e-9))
-    if -3 <= exponent <= 3:
-        return f"{value:g}"
-    mantissa = f"{value / 10.0**exponent:.0f}·"
-    return ("" if mantissa == "1·" else mantissa) + "10" + str(exponent).translate(_RAISED)
 
 
 def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> NDArray[np.float64]:

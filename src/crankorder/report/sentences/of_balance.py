@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from crankorder.findings import Balance, Findings
 from crankorder.identify.said import IF_UNBALANCE
 from crankorder.report.notation import NAME_CHARACTERS, estimate_text, is_number, listed, named, order_texts
 
@@ -26,26 +25,26 @@ QUANTITIES = {
 _LETTERS = 4 * NAME_CHARACTERS
 
 
-def balance_sentences(findings: dict[str, Any]) -> list[str]:
+def balance_sentences(findings: Findings) -> list[str]:
     """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known."""
-    balance = findings.get("balance")
-    if not isinstance(balance, dict):
-        reason = named(findings.get("balance_reason") or "", limit=_LETTERS).rstrip(".")
+    balance = findings.balance
+    if balance is None:
+        reason = named(findings.balance_reason or "", limit=_LETTERS).rstrip(".")
         return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
     sentences = []
-    but = f", {IF_UNBALANCE}" if IF_UNBALANCE in str(balance.get("evidence")) else ""
-    if is_number(balance.get("residual_reciprocating_g")):
+    but = f", {IF_UNBALANCE}" if IF_UNBALANCE in balance.evidence else ""
+    if is_number(balance.residual_reciprocating_g):
         text = f"Unbalanced reciprocating mass: {estimate_text(balance, 'residual_reciprocating_g', unit='g')}"
         sentences.append(f"{text}{source_text(balance)}.")
-    if is_number(balance.get("residual_rotating_gmm")):
+    if is_number(balance.residual_rotating_gmm):
         text = f"Rotating unbalance{but}: {estimate_text(balance, 'residual_rotating_gmm', unit='g·mm')}"
-        if is_number(balance.get("angle_deg")):
+        if is_number(balance.angle_deg):
             text += f" at {estimate_text(balance, 'angle_deg')}° from the crank"
         sentences.append(f"{text}.")
     sides = [
         f"{estimate_text(balance, key, unit='g')} {side}"
         for key, side in (("along_g", "along"), ("across_g", "across"))
-        if is_number(balance.get(key))
+        if is_number(getattr(balance, key))
     ]
     if sides:
         sentences.append(f"Residual unbalance at the crank radius{but}: {listed(sides)} the cylinder.")
@@ -54,24 +53,22 @@ def balance_sentences(findings: dict[str, Any]) -> list[str]:
     return [*sentences, *_open(balance)]
 
 
-def source_text(balance: dict[str, Any]) -> str:
+def source_text(balance: Balance) -> str:
     """Where the numbers of ``balance`` come from: ``", from engine orders 1 and 2"``; empty where not stated."""
-    source = named(balance.get("source") or "", limit=NAME_CHARACTERS)
-    orders = [float(order) for order in balance.get("orders_used") or [] if is_number(order)]
+    source = named(balance.source, limit=NAME_CHARACTERS)
+    orders = [float(order) for order in balance.orders_used]
     which = f" {listed(order_texts(orders))}" if orders and source.endswith("orders") else ""
     return f", from {source}{which}" if source else ""
 
 
-def undecided_quantities(balance: dict[str, Any]) -> list[tuple[str, str]]:
+def undecided_quantities(balance: Balance) -> list[tuple[str, str]]:
     """Title and reason of every number of ``balance`` that is not decided."""
-    reasons = balance.get("not_decided")
-    if not isinstance(reasons, dict):
-        return []
+    reasons = balance.not_decided or {}
     titles = {key: QUANTITIES[key][0] if key in QUANTITIES else str(key).replace("_", " ") for key in reasons}
     return [(named(titles[key], limit=_LETTERS), named(reason, limit=_LETTERS)) for key, reason in reasons.items()]
 
 
-def _open(balance: dict[str, Any]) -> list[str]:
+def _open(balance: Balance) -> list[str]:
     """What is not decided, with its reason; quantities that share a reason share a sentence."""
     by_reason: dict[str, list[str]] = {}
     for title, reason in undecided_quantities(balance):

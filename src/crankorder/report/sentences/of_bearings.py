@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from crankorder.findings import BearingFinding, Findings
+from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     estimate_text,
@@ -29,20 +29,20 @@ _LINE_NAMES = {
 _LETTERS = 400  # of a verdict
 
 
-def bearing_sentences(findings: dict[str, Any], *, with_rule: bool = True) -> list[str]:
+def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str]:
     """One sentence per bearing line of ``findings`` that was seen; ``with_rule`` adds the rule of its verdict."""
-    groups: dict[tuple[float, str, str], list[dict[str, Any]]] = {}
-    for record in findings.get("bearings", []):
-        if is_number(record.get("amplitude")) and is_number(record.get("order")):
-            key = nominal_order(record), str(record.get("line", "")), str(record.get("seen_in", ""))
+    groups: dict[tuple[float, str, str], list[BearingFinding]] = {}
+    for record in findings.bearings:
+        if is_number(record.amplitude) and is_number(record.order):
+            key = nominal_order(record), record.line, str(record.seen_in)
             groups.setdefault(key, []).append(record)
     sentences = []
     # faults go first, those that strike before those that only sound
     for (_, line, _), records in sorted(
         groups.items(), key=lambda item: (item[0][1] == "N*fs", item[0][2] != "envelope")
     ):
-        best = max(records, key=lambda record: float(record["amplitude"]))
-        names = list(dict.fromkeys(named(record.get("name", ""), limit=NAME_CHARACTERS) for record in records))
+        best = max(records, key=lambda record: record.size)
+        names = list(dict.fromkeys(named(record.name, limit=NAME_CHARACTERS) for record in records))
         which = _LINE_NAMES.get(line, named(line, limit=NAME_CHARACTERS))
         text = (
             f"Order {order_name(best, findings)} fits the {which} line of the {listed(names)}"
@@ -59,37 +59,34 @@ def _noun(names: list[str]) -> str:
     return " bearings"
 
 
-def asks_re_run(record: dict[str, Any]) -> bool:
+def asks_re_run(record: BearingFinding) -> bool:
     """True where the verdict of a bearing ``record`` asks to run the test again, or where none was worked out."""
-    return "lock" not in record or "re-run" in str(record.get("verdict", "")).lower()
+    return record.lock is None or "re-run" in record.verdict.lower()
 
 
-def _seen(findings: dict[str, Any], record: dict[str, Any]) -> str:
+def _seen(findings: Findings, record: BearingFinding) -> str:
     """Amplitude, place and slip of a line."""
     value, _, interval = estimate_text(record, "amplitude").partition(" ")
     text = " ".join(part for part in (value, unit_of(findings, record), interval) if part)
-    if record.get("channel"):
-        text += f" in {named(record['channel'], limit=NAME_CHARACTERS)}"
-    if record.get("seen_in") == "envelope":
+    if record.channel:
+        text += f" in {named(record.channel, limit=NAME_CHARACTERS)}"
+    if record.seen_in == "envelope":
         band = band_text(record)
         text += f", in the envelope of {band} Hz" if band else ", in the envelope"
-    if interval_of(record, "slip_percent") is not None and record.get("lock") != "locked":
+    if interval_of(record, "slip_percent") is not None and record.lock != "locked":
         text += f", slip {estimate_text(record, 'slip_percent')} %"
-    harmonics = record.get("harmonics")
+    harmonics = record.harmonics
     if is_number(harmonics) and harmonics > 1:
         text += f", {harmonics:.0f} multiples"
     return text
 
 
-def band_text(record: dict[str, Any]) -> str:
+def band_text(record: BearingFinding) -> str:
     """Band of the envelope of a bearing ``record`` in Hz, such as ``"2000–4000"``; empty where there is none."""
-    band = record.get("band_hz")
-    if not isinstance(band, list | tuple) or len(band) != 2 or not all(is_number(end) for end in band):
-        return ""
-    return "–".join(f"{end:.0f}" if end >= 100 else number_text(float(end)) for end in band)
+    return "–".join(f"{end:.0f}" if end >= 100 else number_text(end) for end in known(record.band_hz) or ())
 
 
-def _verdict(record: dict[str, Any]) -> str:
+def _verdict(record: BearingFinding) -> str:
     """Sentences of the verdict but the rule to re-run, which is said once."""
-    parts = [part.strip().rstrip(".") for part in named(record.get("verdict", ""), limit=_LETTERS).split(". ")]
+    parts = [part.strip().rstrip(".") for part in named(record.verdict, limit=_LETTERS).split(". ")]
     return "".join(f" {part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from crankorder.findings import Findings, Level
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     frequency_text,
@@ -29,38 +29,38 @@ _MANY = 4  # channels that a sentence names one by one
 _WORTH_SAYING = 0.005  # share of the energy below which a channel is not named
 
 
-def stronger_above(findings: dict[str, Any], channel: str, amplitude: float) -> dict[str, Any] | None:
+def stronger_above(findings: Findings, channel: str, amplitude: float) -> Level | None:
     """Levels of ``channel`` in ``findings`` where a line above the band is larger than ``amplitude``, else None."""
-    for record in findings.get("levels") or []:
-        above = record.get("amplitude_above")
-        if record.get("channel") == channel and is_number(above) and above > amplitude:
-            return dict(record)
+    for record in findings.levels:
+        above = record.amplitude_above
+        if record.channel == channel and is_number(above) and above > amplitude:
+            return record
     return None
 
 
-def above_sentence(findings: dict[str, Any], record: dict[str, Any]) -> str:
+def above_sentence(findings: Findings, record: Level) -> str:
     """That the strongest line of a channel lies above the band, by its ``record`` in the levels of ``findings``."""
-    where, order, hertz = named(record["channel"], limit=NAME_CHARACTERS), None, record.get("frequency_hz_above")
-    if is_number(record.get("order_above")):
-        order = float(record["order_above"])
+    where, order, hertz = named(record.channel, limit=NAME_CHARACTERS), None, record.frequency_hz_above
+    if is_number(record.order_above):
+        order = record.order_above
     places = [f"{frequency_text(float(hertz))} Hz"] if is_number(hertz) else []
     places += [f"order {number_text(order)}"] if order is not None else []
-    rpm = record.get("speed_rpm_above")
+    rpm = record.speed_rpm_above
     at = f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-    level = f"{number_text(float(record['amplitude_above']))} {unit_of(findings, record)}".strip()
+    level = f"{number_text(record.amplitude_above or 0.0)} {unit_of(findings, record)}".strip()
     recipe = GEAR_RECIPE if order is not None and order <= GEAR_ORDER else FULL_RECIPE
-    end = _band(record.get("band_hz_there"))
+    end = _band(record.band_hz_there)
     return (
         f"The strongest line in {where} lies above the band that was looked at{end}: about "
         f"{', '.join(places)}{at}, about {level}. The recipe {recipe} looks there."
     )
 
 
-def look_above(record: dict[str, Any]) -> str:
+def look_above(record: Level) -> str:
     """What to do about the strongest line of a channel above the band, by its ``record`` in the levels."""
-    where, order = named(record["channel"], limit=NAME_CHARACTERS), record.get("order_above")
+    where, order = named(record.channel, limit=NAME_CHARACTERS), record.order_above
     if not is_number(order):
-        hertz = record.get("frequency_hz_above")
+        hertz = record.frequency_hz_above
         reach = f"`max_frequency_hz = {_beyond(float(hertz)):.0f}` under `[campbell]`" if is_number(hertz) else ""
         return _run_again(where, f"a recipe of your own that states {reach}") if reach else ""
     if float(order) <= GEAR_ORDER - BESIDE:
@@ -80,23 +80,23 @@ def _beyond(value: float) -> float:
     return math.ceil(1.1 * value / step * 2.0) * step / 2.0
 
 
-def share_sentences(findings: dict[str, Any]) -> list[str]:
+def share_sentences(findings: Findings) -> list[str]:
     """Share of the energy of each channel above the band, by the ``findings``; nothing where none was worked out."""
-    known = [record for record in findings.get("levels") or [] if is_number(record.get("share_above"))]
+    known = [(one.share_above, one) for one in findings.levels if is_number(one.share_above)]
     if not known:
         return []
-    known.sort(key=lambda record: -float(record["share_above"]))
-    end = known[0].get("band_hz")
-    much = [record for record in known if float(record["share_above"]) >= _WORTH_SAYING]
+    known.sort(key=lambda item: -item[0])
+    end = known[0][1].band_hz
+    much = [(share, one) for share, one in known if share >= _WORTH_SAYING]
     if not much:
         return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{_band(end)}."]
-    said = [f"{percent_text(float(one['share_above']))} of that of {_name(one)}" for one in much[:_MANY]]
+    said = [f"{percent_text(share)} of that of {_name(one)}" for share, one in much[:_MANY]]
     more = ", less in the others" if len(known) > min(len(much), _MANY) else ""
     return [f"Energy above the band looked at{_band(end)}: {listed(said)}{more}."]
 
 
-def _name(record: dict[str, Any]) -> str:
-    return named(record["channel"], limit=NAME_CHARACTERS)
+def _name(record: Level) -> str:
+    return named(record.channel, limit=NAME_CHARACTERS)
 
 
 def _band(hertz: object) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from crankorder.findings import Findings, Motor, MotorLine, MotorSpeed
 from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, unit_of
 
 SHAFT_SIDES = "motor, pole-pass sideband of order 1 of the motor"
@@ -17,23 +16,23 @@ _SPEAKS_FOR = {
 }
 
 
-def motor_sentences(findings: dict[str, Any]) -> list[str]:
+def motor_sentences(findings: Findings) -> list[str]:
     """How the motor of ``findings`` slips and which of its lines were found; empty where none is stated."""
-    motor = findings.get("motor")
-    if not isinstance(motor, dict):
+    motor = findings.motor
+    if motor is None:
         return []
-    if motor.get("misfit"):
-        return [f"No line of the motor is named: {named(motor['misfit'], limit=400)}."]
+    if motor.misfit:
+        return [f"No line of the motor is named: {named(motor.misfit, limit=400)}."]
     sentences = _slip(motor)
-    if motor.get("bars_doubt"):
-        sentences.append(f"The stated count of rotor bars may be wrong: {named(motor['bars_doubt'], limit=400)}.")
-    lines = [line for line in motor.get("lines") or [] if is_number(line.get("frequency_hz"))]
+    if motor.bars_doubt:
+        sentences.append(f"The stated count of rotor bars may be wrong: {named(motor.bars_doubt, limit=400)}.")
+    lines = [line for line in motor.lines or [] if is_number(line.frequency_hz)]
     sentences += [text for name in (SHAFT_SIDES, FIELD_SIDES) if (text := _sides(name, lines, motor, findings))]
-    own = [line for line in _strongest(lines) if line["name"] not in _SPEAKS_FOR]
+    own = [line for line in _strongest(lines) if line.name not in _SPEAKS_FOR]
     if own:
         said = [
-            f"{_hz(line)} ({' or '.join([_name(line), *(named(one, limit=80) for one in line.get('or') or [])])}, "
-            f"{_level(findings, line)} in {named(line.get('channel', ''), limit=NAME_CHARACTERS)})"
+            f"{_hz(line)} ({' or '.join([_name(line), *(named(one, limit=80) for one in line.others)])}, "
+            f"{_level(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)})"
             for line in own
         ]
         sentences.append(f"Of the motor and its supply: {listed(said)}.")
@@ -42,86 +41,85 @@ def motor_sentences(findings: dict[str, Any]) -> list[str]:
     return sentences
 
 
-def _slip(motor: dict[str, Any]) -> list[str]:
-    if motor.get("speed_doubt"):
-        return [f"The slip of the motor is not known: {named(motor['speed_doubt'], limit=400)}."]
-    speeds = [one for one in motor.get("speeds") or [] if one.get("fits")]
+def _slip(motor: Motor) -> list[str]:
+    if motor.speed_doubt:
+        return [f"The slip of the motor is not known: {named(motor.speed_doubt, limit=400)}."]
+    speeds = [one for one in motor.speeds if one.fits and one.slip is not None]
     if not speeds:
         return []
-    by = "as its own lines measure" if motor.get("supply_measured") else "as stated: no line of the mains measures it"
-    slow, fast = (pick(speeds, key=lambda one: float(one["slip"])) for pick in (max, min))
-    text = f"The motor ({motor['poles']} poles at {float(motor['supply_hz']):.5g} Hz, {by}) slips by {_slip_text(fast)}"
+    by = "as its own lines measure" if motor.supply_measured else "as stated: no line of the mains measures it"
+    slow, fast = (pick(speeds, key=lambda one: one.slip or 0.0) for pick in (max, min))
+    text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {_slip_text(fast)}"
     if slow is not fast:
         text += f" to {_slip_text(slow)}"
-    if motor.get("supply_measured"):
-        ends = dict.fromkeys(f"{float(one['pole_pass_hz']):.3g}" for one in (fast, slow))
+    if motor.supply_measured:
+        ends = dict.fromkeys(f"{one.pole_pass_hz:.3g}" for one in (fast, slow))
         text += f"; its pole-pass frequency is {' to '.join(ends)} Hz"
-    left_out = len(motor.get("speeds") or []) - len(speeds)
+    left_out = sum(not one.fits for one in motor.speeds)
     more = [f"At {left_out} of {left_out + len(speeds)} speeds its poles and supply do not fit, and no line is named."]
     return [f"{text}.", *(more if left_out else [])]
 
 
-def _slip_text(one: dict[str, Any]) -> str:
-    low, high = (100.0 * float(end) for end in one["slip_ci95"])
+def _slip_text(one: MotorSpeed) -> str:
+    slip = one.slip or 0.0
+    low, high = (100.0 * end for end in one.slip_ci95 or (slip, slip))
     wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
-    return f"{100.0 * float(one['slip']):.3g} %{wide} at {float(one['speed_rpm']):.4g} rpm"
+    return f"{100.0 * slip:.3g} %{wide} at {one.speed_rpm:.4g} rpm"
 
 
-def _sides(name: str, lines: list[dict[str, Any]], motor: dict[str, Any], findings: dict[str, Any]) -> str:
+def _sides(name: str, lines: list[MotorLine], motor: Motor, findings: Findings) -> str:
     """Sentence on one pair of pole-pass sidebands, found or looked for in vain."""
     beside = name.removeprefix("motor, pole-pass sideband of ")
-    own = [line for line in lines if line["name"] == name]
+    own = [line for line in lines if line.name == name]
     if own:
-        alone = [line for line in own if not line.get("or")] or own
-        top = max(alone, key=lambda line: float(line["amplitude"]))
-        pair = sorted(
-            (line for line in own if line["channel"] == top["channel"]), key=lambda line: float(line["frequency_hz"])
-        )
+        alone = [line for line in own if not line.others] or own
+        top = max(alone, key=lambda line: line.amplitude)
+        pair = sorted((line for line in own if line.channel == top.channel), key=lambda line: line.frequency_hz)
         said = listed([f"{_hz(line)}{_or(line)}" for line in pair])
         share = _share(top, lines, findings, beside)
         verb = "are its" if len(pair) > 1 else "is one of its"
         size = f", up to {_level(findings, top)}{share}"
         return f"Beside {beside}, {said} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
-    limits = [one for one in motor.get("not_seen") or [] if one["name"] == name]
+    limits = [one for one in motor.not_seen or [] if one.name == name]
     if not limits:
         return ""
-    worst = max(limits, key=lambda one: float(one["from_amplitude"]))
-    size = f"{float(worst['from_amplitude']):.2g} {unit_of(findings, worst)}".strip()
+    worst = max(limits, key=lambda one: one.from_amplitude)
+    size = f"{worst.from_amplitude:.2g} {unit_of(findings, worst)}".strip()
     return f"No pole-pass sidebands stand beside {beside}: they would have been seen from {size}."
 
 
-def _share(top: dict[str, Any], lines: list[dict[str, Any]], findings: dict[str, Any], beside: str) -> str:
+def _share(top: MotorLine, lines: list[MotorLine], findings: Findings, beside: str) -> str:
     """Share of the carrier that a sideband has in its channel; empty where that was not found."""
     if beside == "twice mains":
-        sizes = [one["amplitude"] for one in lines if one["name"] == beside and one["channel"] == top["channel"]]
+        sizes = [one.amplitude for one in lines if one.name == beside and one.channel == top.channel]
     else:
-        turns = [one for one in findings.get("orders", []) if one.get("channel") == top["channel"]]
-        sizes = [one["amplitude"] for one in turns if is_number(one.get("order")) and abs(one["order"] - 1.0) < 1e-3]
-    return f", {percent_text(float(top['amplitude']) / float(max(sizes)))} of it" if sizes and max(sizes) > 0 else ""
+        turns = [one for one in findings.orders if one.channel == top.channel]
+        sizes = [one.amplitude for one in turns if is_number(one.order) and abs(one.order - 1.0) < 1e-3]
+    return f", {percent_text(top.amplitude / float(max(sizes)))} of it" if sizes and max(sizes) > 0 else ""
 
 
-def _name(line: dict[str, Any]) -> str:
-    return named(line["name"], limit=NAME_CHARACTERS).removeprefix("motor, ")
+def _name(line: MotorLine) -> str:
+    return named(line.name, limit=NAME_CHARACTERS).removeprefix("motor, ")
 
 
-def _or(line: dict[str, Any]) -> str:
-    others = [named(one, limit=NAME_CHARACTERS) for one in line.get("or") or []]
+def _or(line: MotorLine) -> str:
+    others = [named(one, limit=NAME_CHARACTERS) for one in line.others or []]
     return f" (or {' or '.join(others)}, which stands there too)" if others else ""
 
 
-def _strongest(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _strongest(lines: list[MotorLine]) -> list[MotorLine]:
     """Each line in the channel where it is strongest, lowest first."""
-    best: dict[tuple[str, str], dict[str, Any]] = {}
+    best: dict[tuple[str, str], MotorLine] = {}
     for line in lines:
-        key = str(line["name"]), str(line.get("side", ""))
-        if key not in best or float(line["amplitude"]) > float(best[key]["amplitude"]):
+        key = line.name, str(line.side)
+        if key not in best or line.amplitude > best[key].amplitude:
             best[key] = line
-    return sorted(best.values(), key=lambda line: float(line["frequency_hz"]))
+    return sorted(best.values(), key=lambda line: line.frequency_hz)
 
 
-def _hz(line: dict[str, Any]) -> str:
-    return f"{float(line['frequency_hz']):.2f} Hz"
+def _hz(line: MotorLine) -> str:
+    return f"{line.frequency_hz:.2f} Hz"
 
 
-def _level(findings: dict[str, Any], line: dict[str, Any]) -> str:
-    return f"{float(line['amplitude']):.3g} {unit_of(findings, line)}".strip()
+def _level(findings: Findings, line: MotorLine) -> str:
+    return f"{line.amplitude:.3g} {unit_of(findings, line)}".strip()

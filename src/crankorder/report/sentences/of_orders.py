@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.said import NOT_AS_UNBALANCE
 from crankorder.report.fixed_lines import hertz_of_order, is_electric
 from crankorder.report.notation import (
@@ -23,20 +22,20 @@ _SHOWN = 8  # orders that a sentence names
 _STEADY_CAUSES = ("unexplained", "bearing", "gear", "tooth", "teeth")  # words of causes that keep their size
 
 
-def law_sentences(findings: dict[str, Any]) -> list[str]:
+def law_sentences(findings: Findings) -> list[str]:
     """How the orders of ``findings`` change with speed, each judged in the channel where it is strongest."""
     strongest = _strongest(findings)
     square: list[str] = []
     steady: list[str] = []
     met: dict[float, list[str]] = {}
     for order, record in sorted(strongest.items()):
-        law, name = str(record.get("speed_law") or ""), order_name(record, findings)
-        if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or "speed_law" not in record):
+        law, name = str(record.speed_law or ""), order_name(record, findings)
+        if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or not law):
             square.append(name)
         if law == "keeps its size" and _may_be_steady(record) and not is_electric(record):
             steady.append(name)
-        if is_number(record.get("meets_hz")) and not is_in_doubt(float(record["meets_hz"]), findings):
-            met.setdefault(float(record["meets_hz"]), []).append(name)
+        if is_number(record.meets_hz) and not is_in_doubt(record.meets_hz, findings):
+            met.setdefault(record.meets_hz, []).append(name)
     sentences = []
     if square:
         verb = "grow" if len(square) > 1 else "grows"
@@ -55,42 +54,41 @@ def law_sentences(findings: dict[str, Any]) -> list[str]:
     return [*sentences, *_half_orders(strongest, findings)]
 
 
-def _unlike_unbalance(strongest: dict[float, dict[str, Any]]) -> list[str]:
+def _unlike_unbalance(strongest: dict[float, OrderFinding]) -> list[str]:
     """That order 1 surely grows more slowly than an unbalance, by the exponent of its record."""
-    record = strongest.get(1.0, {})
-    if f"it {NOT_AS_UNBALANCE}" not in str(record.get("evidence")) or not is_number(record.get("speed_exponent")):
+    record = strongest.get(1.0)
+    if record is None or f"it {NOT_AS_UNBALANCE}" not in record.evidence or not is_number(record.speed_exponent):
         return []
     return [f"Order 1 {NOT_AS_UNBALANCE}: it goes with speed to the {estimate_text(record, 'speed_exponent')}."]
 
 
-def _may_be_steady(record: dict[str, Any]) -> bool:
+def _may_be_steady(record: OrderFinding) -> bool:
     """Whether what explains a ``record`` does not contradict that it is rather a bearing or a gear."""
-    cause = str(record.get("explained_by") or "")
+    cause = str(record.explained_by or "")
     return not cause or cause.startswith(_STEADY_CAUSES)
 
 
-def _strongest(findings: dict[str, Any]) -> dict[float, dict[str, Any]]:
+def _strongest(findings: Findings) -> dict[float, OrderFinding]:
     """Record of each order in the channel where it is strongest, by nominal order."""
-    found: dict[float, dict[str, Any]] = {}
-    for record in findings.get("orders", []):
-        if is_number(record.get("order")):
-            order = nominal_order(record)
-            if order not in found or float(record.get("amplitude") or 0) > float(found[order].get("amplitude") or 0):
-                found[order] = record
+    found: dict[float, OrderFinding] = {}
+    for record in findings.orders:
+        order = nominal_order(record)
+        if order not in found or record.amplitude > found[order].amplitude:
+            found[order] = record
     return found
 
 
-def _is_square(record: dict[str, Any]) -> bool:
+def _is_square(record: OrderFinding) -> bool:
     ends = interval_of(record, "speed_exponent")
     return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
 
 
-def _half_orders(strongest: dict[float, dict[str, Any]], findings: dict[str, Any]) -> list[str]:
+def _half_orders(strongest: dict[float, OrderFinding], findings: Findings) -> list[str]:
     """Half orders that the findings explain by the engine's cycle: other sources may lie on them too."""
     names = [
         order_name(record, findings)
         for _, record in sorted(strongest.items())
-        if "half order" in str(record.get("explained_by") or "").lower()
+        if "half order" in str(record.explained_by or "").lower()
     ]
     if not names:
         return []
@@ -103,7 +101,7 @@ def _orders(names: list[str]) -> str:
     return f"Order{'s' if len(names) > 1 else ''} {listed(names)}"
 
 
-def lock_sentences(findings: dict[str, Any]) -> list[str]:
+def lock_sentences(findings: Findings) -> list[str]:
     """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
     slips, open_, longest, swept = [], [], 0.0, False
     loose = []
@@ -111,17 +109,17 @@ def lock_sentences(findings: dict[str, Any]) -> list[str]:
         name, hertz = order_name(record, findings), hertz_of_order(record, findings)
         if is_electric(record):
             continue
-        if hertz is not None and record.get("lock") == "undecided":
+        if hertz is not None and record.lock == "undecided":
             continue  # it speaks for another speed than the one that was stated
         if hertz is not None:
             loose.append(f"{hertz:.2f} Hz (order {estimate_text(record, 'order')})")
-        elif record.get("lock") == "slips":
+        elif record.lock == "slips":
             slips.append(f"{estimate_text(record, 'order')}")
-        elif record.get("lock") == "undecided":
+        elif record.lock == "undecided":
             open_.append(name)
-            needed = record.get("revs_to_decide")
+            needed = record.revs_to_decide
             longest = max(longest, float(needed)) if is_number(needed) else longest
-            swept = swept or "a recording at one speed would tell" in str(record.get("evidence") or "")
+            swept = swept or "a recording at one speed would tell" in str(record.evidence or "")
     sentences = []
     if slips:
         several = len(slips) > 1

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
+from crankorder.findings import AvoidedSpeed, CrossingFinding, Findings, FreeBand, OpenBand, SpeedSwing
+from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     frequency_text,
@@ -30,15 +34,15 @@ _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest a
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
-def avoid_sentences(findings: dict[str, Any]) -> list[str]:
+def avoid_sentences(findings: Findings) -> list[str]:
     """Speeds to avoid: one sentence per group of excited crossings of ``findings`` inside the tested range.
 
     In the order of their rank where the findings rank them (``speeds_to_avoid``), else those with most crossings first.
     """
     sentences = []
     for group in speeds_together(findings):
-        rpm = sum(float(record["rpm"]) for record in group) / len(group)
-        ranges = [record["rpm_range"] for record in group if is_range(record.get("rpm_range"))]
+        rpm = sum(record.rpm for record in group) / len(group)
+        ranges = [ends for record in group if (ends := known(record.rpm_range)) is not None]
         span = f" ({min(low for low, _ in ranges):.0f} to {max(high for _, high in ranges):.0f} rpm)" if ranges else ""
         pairs = [
             _excites(order, mode_hz, findings)
@@ -50,137 +54,131 @@ def avoid_sentences(findings: dict[str, Any]) -> list[str]:
     return sentences
 
 
-def _excites(order: float, mode_hz: float, findings: dict[str, Any]) -> str:
+@dataclass(frozen=True)
+class _Order:
+    order: float
+
+
+def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     """That an order excites a natural frequency, or peaks where one may be."""
-    name, hertz = order_name({"order": order}, findings), frequency_text(mode_hz)
+    name, hertz = order_name(_Order(order), findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
-    met = [one for one in findings.get("crossings", []) if _is_pair(one, order, mode_hz)]
-    verb = "peaks near" if met and not any(one.get("excited") for one in met) else "excites"
+    met = [one for one in findings.crossings if _is_pair(one, order, mode_hz)]
+    verb = "peaks near" if met and not any(one.excited for one in met) else "excites"
     return f"order {name} {verb} the {hertz} Hz natural frequency"
 
 
-def _is_pair(crossing: dict[str, Any], order: float, mode_hz: float) -> bool:
+def _is_pair(crossing: CrossingFinding, order: float, mode_hz: float) -> bool:
     """Whether a record of the crossings is that of ``order`` with the natural frequency ``mode_hz``."""
-    if not is_number(crossing.get("order")) or not is_number(crossing.get("mode_hz")):
-        return False
-    return nominal_order(crossing) == order and abs(float(crossing["mode_hz"]) - mode_hz) < SAME_MODE * mode_hz
+    return nominal_order(crossing) == order and abs(crossing.mode_hz - mode_hz) < SAME_MODE * mode_hz
 
 
-def meetings(record: dict[str, Any]) -> list[tuple[float, float]]:
+def meetings(record: AvoidedSpeed) -> list[tuple[float, float]]:
     """Nominal order and natural frequency [Hz] of every crossing that a ``record`` of a speed to avoid stands for."""
-    orders, modes = record.get("orders"), record.get("modes_hz")
-    if not isinstance(orders, list | tuple) or not isinstance(modes, list | tuple) or len(orders) != len(modes):
-        return [(nominal_order(record), float(record["mode_hz"]))]
-    return [
-        (nominal_order(float(order)), float(mode_hz))
-        for order, mode_hz in zip(orders, modes, strict=True)
-        if is_number(order) and is_number(mode_hz)
-    ]
+    if not record.orders or len(record.orders) != len(record.modes_hz):
+        return [(nominal_order(record), record.mode_hz)]
+    return [(nominal_order(order), mode_hz) for order, mode_hz in zip(record.orders, record.modes_hz, strict=True)]
 
 
-def speeds_together(findings: dict[str, Any]) -> list[list[dict[str, Any]]]:
+def speeds_together(findings: Findings) -> list[list[AvoidedSpeed]]:
     """Records of the speeds to avoid of ``findings``, those next to one another in one group, the worst first."""
-    ranked = findings.get("speeds_to_avoid")
-    wanted = [
-        record
-        for record in (findings.get("crossings", []) if ranked is None else ranked)
-        if is_number(record.get("rpm")) and is_number(record.get("order")) and is_number(record.get("mode_hz"))
-    ]
-    if ranked is None:
-        wanted = [record for record in wanted if record.get("excited") and record.get("in_range")]
-        wanted.sort(key=lambda record: float(record["rpm"]))
-    groups: list[list[dict[str, Any]]] = []
+    ranked = findings.speeds_to_avoid
+    wanted = _excited(findings) if ranked is None else ranked
+    groups: list[list[AvoidedSpeed]] = []
     for record in wanted:
-        home = next((group for group in groups if abs(record["rpm"] - group[0]["rpm"]) <= _TOGETHER_RPM), None)
+        home = next((group for group in groups if abs(record.rpm - group[0].rpm) <= _TOGETHER_RPM), None)
         if home is None:
             groups.append([record])
         else:
             home.append(record)
-    return groups if ranked is not None else sorted(groups, key=lambda group: (-len(group), float(group[0]["rpm"])))
+    return groups if ranked is not None else sorted(groups, key=lambda group: (-len(group), group[0].rpm))
 
 
-def is_range(value: object) -> bool:
-    """True where ``value`` is a pair of numbers: low and high end."""
-    return isinstance(value, list | tuple) and len(value) == 2 and all(is_number(end) for end in value)
+def _excited(findings: Findings) -> list[AvoidedSpeed]:
+    """Excited crossings within the tested speeds of ``findings`` that rank none, by speed."""
+    found = sorted((one for one in findings.crossings if one.excited and one.in_range), key=lambda one: one.rpm)
+    return [
+        AvoidedSpeed(
+            rank=rank, rpm=one.rpm, rpm_range=None, order=one.order, mode_hz=one.mode_hz, reason=one.evidence,
+            channel=one.channel or "", amplitude=None, amplification=None,
+        )
+        for rank, one in enumerate(found, start=1)
+    ]  # fmt: skip
 
 
-def _peak(findings: dict[str, Any], record: dict[str, Any]) -> str:
+def _peak(findings: Findings, record: AvoidedSpeed) -> str:
     """How bad it is there, in the findings' own numbers."""
     said = []
-    if is_number(record.get("amplitude")) and record["amplitude"] > 0:
-        where = f" in {named(record['channel'], limit=NAME_CHARACTERS)}" if record.get("channel") else ""
-        level = f"{number_text(float(record['amplitude']))} {unit_of(findings, record)}".strip()
-        said.append(f"peak {'at least ' if record.get('at_least') else ''}{level}{where}")
-    if is_number(record.get("amplification")) and record["amplification"] > 0 and "amplitude" in record:
+    if is_number(record.amplitude) and record.amplitude > 0:
+        where = f" in {named(record.channel, limit=NAME_CHARACTERS)}" if record.channel else ""
+        level = f"{number_text(record.amplitude)} {unit_of(findings, record)}".strip()
+        said.append(f"peak {'at least ' if record.at_least else ''}{level}{where}")
+    if is_number(record.amplification) and record.amplification > 0:
         said.append(f"amplified {_amplified(record)} times")
     return f" ({', '.join(said)})" if said else ""
 
 
-def _amplified(record: dict[str, Any]) -> str:
+def _amplified(record: AvoidedSpeed) -> str:
     """Amplification of a ``record``: its interval, its lower end alone where it has no upper one, else the number."""
     ends = interval_of(record, "amplification")
     if ends is not None:
         return " to ".join(dict.fromkeys(number_text(end, digits=2) for end in ends))
     least = least_of(record, "amplification")
-    return (
-        number_text(float(record["amplification"]), digits=2)
-        if least is None
-        else f"at least {number_text(least, digits=2)}"
-    )
+    text = number_text(least if least is not None else record.amplification or 0.0, digits=2)
+    return text if least is None else f"at least {text}"
 
 
-def free_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
+def free_bands(findings: Findings) -> list[tuple[float, float]]:
     """Speed ranges [rpm] of ``findings`` in which no order can be amplified much, slowest first."""
-    return sorted((float(band["low_rpm"]), float(band["high_rpm"])) for band in _bands(findings, "free_bands"))
+    return sorted((band.low_rpm, band.high_rpm) for band in _wide(findings.free_bands))
 
 
-def open_bands(findings: dict[str, Any]) -> list[tuple[float, float]]:
+def open_bands(findings: Findings) -> list[tuple[float, float]]:
     """Speed ranges [rpm] of ``findings`` that are neither free nor to be avoided, slowest first."""
-    return sorted((float(band["low_rpm"]), float(band["high_rpm"])) for band in _bands(findings, "open_bands"))
+    return sorted((band.low_rpm, band.high_rpm) for band in _wide(findings.open_bands or ()))
 
 
-def all_judged(findings: dict[str, Any]) -> bool:
+def all_judged(findings: Findings) -> bool:
     """Whether ``findings`` leave no tested speed open; of such as do not speak of open bands nothing is known."""
-    return findings.get("open_bands") is None or bool(free_bands(findings) and not open_bands(findings))
+    return findings.open_bands is None or bool(free_bands(findings) and not open_bands(findings))
 
 
-def _bands(findings: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    return [
-        band
-        for band in findings.get(key) or []
-        if is_number(band.get("low_rpm")) and is_number(band.get("high_rpm")) and band["high_rpm"] > band["low_rpm"]
-    ]
+B = TypeVar("B", FreeBand, OpenBand)
 
 
-def doubt_sentences(findings: dict[str, Any]) -> list[str]:
+def _wide(bands: Sequence[B]) -> list[B]:
+    return [band for band in bands if band.high_rpm > band.low_rpm]
+
+
+def doubt_sentences(findings: Findings) -> list[str]:
     """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
-    doubt = findings.get("speed_doubt")
+    doubt = findings.speed_doubt
     if not doubt:
         return []
     reason = named(doubt, limit=4 * NAME_CHARACTERS)
     return [f"The speed, read from the vibration, is in doubt, and with it every order, cause and crossing: {reason}."]
 
 
-def swing_sentences(findings: dict[str, Any]) -> list[str]:
+def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
-    records = [one for one in findings.get("speed_swing") or [] if float(one["speed_rpm"]) > 0.0]
+    records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]
     if not records:
         return []
-    worst = max(records, key=lambda one: float(one["amplitude_rpm"]) / float(one["speed_rpm"]))
-    own = [one for one in records if one["recording"] == worst["recording"]][:_SHOWN]
-    rpm = float(worst["speed_rpm"])
+    worst = max(records, key=lambda one: one.amplitude_rpm / one.speed_rpm)
+    own = [one for one in records if one.recording == worst.recording][:_SHOWN]
+    rpm = worst.speed_rpm
     said = [
-        f"order {number_text(float(one['order']))} by ± {number_text(float(one['amplitude_rpm']))} rpm "
-        f"({percent_text(float(one['amplitude_rpm']) / rpm)})"
+        f"order {number_text(one.order)} by ± {number_text(one.amplitude_rpm)} rpm "
+        f"({percent_text(one.amplitude_rpm / rpm)})"
         for one in own
     ]
-    where = f"{rpm:.0f} rpm ({named(worst['recording'], limit=NAME_CHARACTERS)})"
-    doubt = _of_an_encoder(records, [float(one["order"]) for one in own])
+    where = f"{rpm:.0f} rpm ({named(worst.recording, limit=NAME_CHARACTERS)})"
+    doubt = _of_an_encoder(records, [one.order for one in own])
     return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}"]
 
 
-def _of_an_encoder(records: list[dict[str, Any]], orders: list[float]) -> str:
+def _of_an_encoder(records: list[SpeedSwing], orders: list[float]) -> str:
     """That an encoder off its centre would show the same of the first of ``orders`` that it can make.
 
     Its error is one angle at all speeds, and so is the share of the speed that it shows; a shaft's changes with load
@@ -188,9 +186,9 @@ def _of_an_encoder(records: list[dict[str, Any]], orders: list[float]) -> str:
     """
     for order, name in _OF_ENCODER.items():
         shares = {
-            round(float(one["speed_rpm"])): float(one["amplitude_rpm"]) / float(one["speed_rpm"])
+            round(one.speed_rpm): one.amplitude_rpm / one.speed_rpm
             for one in records
-            if float(one["order"]) == order and one.get("may_be_encoder")
+            if one.order == order and one.may_be_encoder
         }
         if order not in orders or not shares or min(shares.values()) < _ONE_SHARE * max(shares.values()):
             continue
@@ -199,34 +197,34 @@ def _of_an_encoder(records: list[dict[str, Any]], orders: list[float]) -> str:
     return ""
 
 
-def not_judged_rpm(findings: dict[str, Any]) -> list[float]:
+def not_judged_rpm(findings: Findings) -> list[float]:
     """Speeds [rpm] of the crossings of ``findings`` inside the tested range of which nothing could be decided."""
     return [
-        float(record["rpm"])
-        for record in findings.get("crossings", [])
-        if record.get("in_range") and record.get("verdict", "excited") not in _JUDGED and is_number(record.get("rpm"))
+        record.rpm
+        for record in findings.crossings
+        if record.in_range and record.verdict not in _JUDGED and is_number(record.rpm)
     ]
 
 
-def free_sentences(findings: dict[str, Any]) -> list[str]:
+def free_sentences(findings: Findings) -> list[str]:
     """Where ``findings`` allow steady running, the widest bands; and where they cannot tell, with the first reason."""
-    free, unknown = free_bands(findings), _bands(findings, "open_bands")
+    free, unknown = free_bands(findings), _wide(findings.open_bands or ())
     said = []
     if free:
         widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
-        remark = named(str(_bands(findings, "free_bands")[0].get("remark") or ""), limit=4 * NAME_CHARACTERS)
+        remark = named(_wide(findings.free_bands)[0].remark or "", limit=4 * NAME_CHARACTERS)
         said.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
-    speeds = [float(one) for one in findings.get("speed_range_rpm") or [] if is_number(one)]
+    speeds = [float(one) for one in findings.speed_range_rpm if is_number(one)]
     if not free and speeds and max(speeds) - min(speeds) < _ONE_SPEED_RPM:
         return ["A test at one speed cannot tell which speeds are free of resonances."]
-    if not free and (unknown or findings.get("open_bands") is not None) and not findings.get("speeds_to_avoid"):
+    if not free and (unknown or findings.open_bands is not None) and not findings.speeds_to_avoid:
         said.append("No speed of the tested range can be called free of resonances.")
     if unknown:
-        widest_open = max(unknown, key=lambda band: float(band["high_rpm"]) - float(band["low_rpm"]))
-        reason = named(str(widest_open.get("remark") or "").split("; ")[0], limit=4 * NAME_CHARACTERS)
-        ends = f"{float(widest_open['low_rpm']):.0f} to {float(widest_open['high_rpm']):.0f}"
+        widest_open = max(unknown, key=lambda band: band.high_rpm - band.low_rpm)
+        reason = named(widest_open.remark.split("; ")[0], limit=4 * NAME_CHARACTERS)
+        ends = f"{widest_open.low_rpm:.0f} to {widest_open.high_rpm:.0f}"
         others = f" (and {len(unknown) - 1} more {'bands' if len(unknown) > 2 else 'band'})" if len(unknown) > 1 else ""
         said.append(f"Not free, or not known: {ends} rpm{others}: {reason}.")
     return said

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any, TypedDict
+from typing import TypedDict
 
+from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.said import LIKE_UNBALANCE, ONE_SPEED
 from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, listed, named, percent_text
@@ -68,15 +69,15 @@ class Story(TypedDict):
     what_to_do: list[str]
 
 
-def headline(findings: dict[str, Any]) -> list[str]:
+def headline(findings: Findings) -> list[str]:
     """The few sentences that matter most, the strongest line first; for the command line and the head of the page.
 
     The strongest line with its cause, the first bearing's verdict (first where a bearing strikes), the worst speed, the
     residual unbalance (or why it is not known), the share of energy that nothing explains; of what does not turn its
     natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
-    if NOT_ASKED_FOR in findings:
-        return [f"Findings were {named(findings[NOT_ASKED_FOR], limit=400)}."]
+    if findings.not_asked_for:
+        return [f"Findings were {named(findings.not_asked_for, limit=400)}."]
     energy = energy_sentence(findings)
     if stands_still(findings):
         return [*mode_sentences(findings)[:1], *([energy] if energy else [])]
@@ -91,9 +92,9 @@ def headline(findings: dict[str, Any]) -> list[str]:
     ]
 
 
-def story_of(findings: dict[str, Any]) -> Story:
+def story_of(findings: Findings) -> Story:
     """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
-    if NOT_ASKED_FOR in findings:
+    if findings.not_asked_for:
         return Story(what=[], why=[], how_sure=_quality_sentences(findings), what_to_do=_repeat_sentences(findings))
     energy = energy_sentence(findings)
     if stands_still(findings):
@@ -131,30 +132,30 @@ def story_of(findings: dict[str, Any]) -> Story:
     )
 
 
-def stands_still(findings: dict[str, Any]) -> bool:
+def stands_still(findings: Findings) -> bool:
     """Whether nothing turned, as far as ``findings`` tell: no speed, no order, but natural frequencies."""
-    speeds = findings.get("speed_range_rpm") or []
-    return bool(findings.get("modes")) and not findings.get("orders") and not any(is_number(one) for one in speeds)
+    speeds = findings.speed_range_rpm or []
+    return bool(findings.modes) and not findings.orders and not any(is_number(one) for one in speeds)
 
 
-def strikes(findings: dict[str, Any]) -> bool:
+def strikes(findings: Findings) -> bool:
     """Whether a bearing of ``findings`` strikes: a line of its envelope is called damage."""
-    said = [str(record.get("verdict", "")) for record in findings.get("bearings", [])]
+    said = [record.verdict for record in findings.bearings]
     return any(verdict.startswith("Damage") for verdict in said)
 
 
-def energy_sentence(findings: dict[str, Any]) -> str:
+def energy_sentence(findings: Findings) -> str:
     """Share of the energy of ``findings`` that nothing explains, as a number, and of what; empty where not known."""
-    fraction, energy = findings.get("unexplained_energy_fraction"), findings.get("energy")
+    fraction, energy = findings.unexplained_energy_fraction, findings.energy
     if not is_number(fraction):
         return ""
-    whole = isinstance(energy, dict) and bool(energy.get("channels"))
-    if not whole and not findings.get("lines") and not findings.get("orders"):
+    whole = energy is not None and bool(energy.channels)
+    if not whole and not findings.lines and not findings.orders:
         return ""  # no line, no energy of lines
     what = "the energy that is not broadband" if whole else "the energy of the lines that were found"
-    if findings.get("speed_doubt"):
+    if findings.speed_doubt:
         return ""  # what orders explain is as good as the speed
-    judged = not whole or energy is None or energy.get("cells_judged") is not False
+    judged = not whole or energy is None or energy.cells_judged is not False
     but = "" if judged else " What lies between the lines could not be judged."
     if float(fraction) == 0 and whole and not has_lines(findings):
         return f"No order and no tone holds energy that would need a cause.{but}"
@@ -166,20 +167,20 @@ def energy_sentence(findings: dict[str, Any]) -> str:
     return f"{percent_text(float(fraction))} of {what} has no known cause.{but}"
 
 
-def _much_above(findings: dict[str, Any]) -> bool:
+def _much_above(findings: Findings) -> bool:
     """Whether a channel of ``findings`` has much of its energy above the band that was looked at."""
-    shares = [record.get("share_above") for record in findings.get("levels") or []]
+    shares = [record.share_above for record in findings.levels]
     return any(is_number(share) and share > _MUCH_UNKNOWN for share in shares)
 
 
-def has_lines(findings: dict[str, Any]) -> bool:
+def has_lines(findings: Findings) -> bool:
     """Whether ``findings`` hold an order or a tone."""
-    return bool(findings.get("orders")) or any(is_tone(mode) for mode in findings.get("modes", []))
+    return bool(findings.orders) or any(is_tone(mode) for mode in findings.modes)
 
 
-def _quality_sentences(findings: dict[str, Any]) -> list[str]:
+def _quality_sentences(findings: Findings) -> list[str]:
     sentences = []
-    count = Counter(str(flag.get("severity", "info")) for flag in findings.get("quality", []))
+    count = Counter(flag.severity for flag in findings.quality)
     if count["bad"]:
         sentences.append(f"{_remarks(count['bad'])} bad: those data took no part in the averages.")
     if count["suspect"]:
@@ -192,14 +193,14 @@ def _quality_sentences(findings: dict[str, Any]) -> list[str]:
     return sentences
 
 
-def _gain_sentences(findings: dict[str, Any]) -> list[str]:
+def _gain_sentences(findings: Findings) -> list[str]:
     """Which channels of which recordings were left out for a gain that was changed, by whether it is known which."""
-    jumps = [flag for flag in findings.get("quality", []) if flag.get("flag") == "level_jump" and flag.get("left_out")]
+    jumps = [flag for flag in findings.quality if flag.flag == "level_jump" and flag.left_out]
     sentences = []
     for open_, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
-        own = [flag for flag in jumps if (WHICH_IS_RIGHT in str(flag.get("detail"))) == open_]
+        own = [flag for flag in jumps if (WHICH_IS_RIGHT in flag.detail) == open_]
         said = [
-            f"{named(flag['channel'], limit=NAME_CHARACTERS)} of {named(flag['recording'], limit=NAME_CHARACTERS)}"
+            f"{named(flag.channel, limit=NAME_CHARACTERS)} of {named(flag.recording, limit=NAME_CHARACTERS)}"
             for flag in own[:_MANY]
         ]
         if own:
@@ -212,11 +213,11 @@ def _remarks(number: int) -> str:
     return "1 quality remark is" if number == 1 else f"{number} quality remarks are"
 
 
-def _what_to_do(findings: dict[str, Any]) -> list[str]:
+def _what_to_do(findings: Findings) -> list[str]:
     avoid = avoid_sentences(findings)
     sentences = avoid[:_MANY]
     if len(avoid) > _MANY:
-        table = "speeds to avoid" if findings.get("speeds_to_avoid") else "crossings"
+        table = "speeds to avoid" if findings.speeds_to_avoid else "crossings"
         sentences.append(f"The table of {table} names all {len(avoid)} speeds to avoid.")
     asks = [*sentences]
     if any(RE_RUN_RULE in one for one in bearing_sentences(findings)):
@@ -225,26 +226,26 @@ def _what_to_do(findings: dict[str, Any]) -> list[str]:
     asks += _balance_asks(findings)
     if _leads(findings, LIKE_UNBALANCE):
         asks.append(MORE_SPEEDS)
-    fraction = findings.get("unexplained_energy_fraction")
+    fraction = findings.unexplained_energy_fraction
     if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
         asks.append("Look for the cause of the lines that the tables call unexplained.")
     asks += _repeat_sentences(findings)
     if not asks and nothing_proven(findings):
         asks = [TOO_SHORT]
     if not asks and all_judged(findings):
-        sought = findings.get("looked_for") or []
+        sought = findings.looked_for
         asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in sought else ALL_CLEAR]
     return [*asks[: len(sentences)], *free_sentences(findings), *asks[len(sentences) :]]
 
 
-def _has_unexplained(findings: dict[str, Any]) -> bool:
+def _has_unexplained(findings: Findings) -> bool:
     """Whether any line of ``findings`` is called unexplained."""
-    return any(record.get("explained_by") == "unexplained" for record in findings.get("lines", []))
+    return any(record.explained_by == "unexplained" for record in findings.lines)
 
 
-def _balance_asks(findings: dict[str, Any]) -> list[str]:
+def _balance_asks(findings: Findings) -> list[str]:
     """That an unbalanced mass asks for balancing: in the channels in which its order is the strongest."""
-    leads = {name: record for name, record in _strongest(findings).items() if record.get("explained_by") == "unbalance"}
+    leads = {name: record for name, record in _strongest(findings).items() if record.explained_by == "unbalance"}
     if not leads or not _leads(findings, "unbalance"):
         return []
     if len(leads) == len(_strongest(findings)):
@@ -252,26 +253,24 @@ def _balance_asks(findings: dict[str, Any]) -> list[str]:
     return [BALANCE_IN.format(channels=listed([named(name, limit=NAME_CHARACTERS) for name in sorted(leads)]))]
 
 
-def _strongest(findings: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _strongest(findings: Findings) -> dict[str, OrderFinding]:
     """The strongest order of each channel that has one."""
-    strongest: dict[str, dict[str, Any]] = {}
-    for record in findings.get("orders", []):
-        name = str(record.get("channel"))
-        if is_number(record.get("amplitude")) and float(record["amplitude"]) > float(
-            strongest.get(name, {}).get("amplitude", -1.0)
-        ):
+    strongest: dict[str, OrderFinding] = {}
+    for record in findings.orders:
+        name = record.channel
+        if name not in strongest or record.amplitude > strongest[name].amplitude:
             strongest[name] = record
     return strongest
 
 
-def _leads(findings: dict[str, Any], cause: str) -> bool:
+def _leads(findings: Findings, cause: str) -> bool:
     """Whether the strongest order of any channel of ``findings`` has that ``cause``, or may for want of speeds."""
-    if findings.get("speed_doubt") or lies_above(findings):
+    if findings.speed_doubt or lies_above(findings):
         return False
-    told = [record for record in _strongest(findings).values() if record.get("explained_by") == cause]
-    return any(cause != LIKE_UNBALANCE or ONE_SPEED in str(record.get("evidence")) for record in told)
+    told = [record for record in _strongest(findings).values() if record.explained_by == cause]
+    return any(cause != LIKE_UNBALANCE or ONE_SPEED in record.evidence for record in told)
 
 
-def _repeat_sentences(findings: dict[str, Any]) -> list[str]:
-    bad = any(flag.get("severity") == "bad" for flag in findings.get("quality", []))
+def _repeat_sentences(findings: Findings) -> list[str]:
+    bad = any(flag.severity == "bad" for flag in findings.quality)
     return ["Repeat the recordings that are marked bad."] if bad else []

@@ -1,0 +1,154 @@
+"""What an order's response is made of beside modes: its force, a smooth part, its scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_terms"):
+    least_scatter: float
+    enough_degrees_of_freedom: int
+    least_noise_share: float
+
+
+NUMBERS = _Numbers.load()
+
+Array = NDArray[np.float64]
+
+Complex = NDArray[np.complexfloating]
+
+
+def smooth_shapes(speed_rpm: Array, span_rpm: tuple[float, float], degree: int) -> Array:
+    """Legendre polynomials (K, degree + 1) of ln ``speed_rpm`` (K,), which runs from -1 to 1 over ``span_rpm``.
+
+    ``degree``: the highest, 0 or more.
+    """
+    low, high = np.log(span_rpm[0]), np.log(span_rpm[1])
+    x = 2.0 * (np.log(speed_rpm) - low) / max(float(high - low), 1e-12) - 1.0
+    return np.asarray(np.polynomial.legendre.legvander(x, degree))
+
+
+def force(
+    speed_rpm: Array, span_rpm: tuple[float, float], reference_rpm: float, exponent: float, law: tuple[complex, ...]
+) -> Complex:
+    """Force (K,) at ``speed_rpm`` (K,) by the law of a block: 1 at ``reference_rpm`` where ``law`` is empty.
+
+    ``span_rpm``, ``exponent`` and ``law`` are those of :class:`Block`.
+    """
+    return grown_by(speed_rpm / reference_rpm, smooth_shapes(speed_rpm, span_rpm, len(law)), exponent, law)
+
+
+def grown_by(ratio: Array, shapes: Array, exponent: float, law: tuple[complex, ...]) -> Complex:
+    """Force (K,) by ``exponent`` and ``law`` at speeds ``ratio`` (K,) times that of reference.
+
+    ``shapes`` (K, law + 1): the polynomials of these speeds.
+    """
+    grown: Complex = np.asarray(ratio**exponent, dtype=np.complex128)
+    if law:
+        grown *= np.exp(shapes[:, 1:] @ np.array(law))
+    return grown
+
+
+def resonance_slopes(frequency_hz: Array, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
+    """Derivatives of h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, by ln f_j and by ln ζ_j.
+
+    ``frequency_hz``: in Hz; ``natural_hz``: of the modes in Hz; ``damping``: their ratios.
+    """
+    x = frequency_hz[:, None] / natural_hz
+    over = 1.0 / (1.0 - x**2 + 2j * damping * x)
+    by_x = -2.0 * x * over + x**2 * (-2.0 * x + 2j * damping) * over**2
+    return np.asarray(-x * by_x, dtype=np.complex128), np.asarray(2j * damping * x**3 * over**2, dtype=np.complex128)
+
+
+def of_squares(columns: Complex, ratio: Array) -> Complex:
+    """Real part and imaginary part over ``ratio`` (K, 2 M) of ``columns`` (K, M), in turn.
+
+    They span the square of any response with real residues, beside a constant.
+    """
+    made = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
+    made[:, ::2], made[:, 1::2] = columns.real, columns.imag / ratio
+    return made
+
+
+def orthonormal(columns: Complex) -> tuple[Complex, Complex]:
+    """QR of each channel's ``columns`` (C, K, terms): bases (C, K, terms) and triangles (C, terms, terms).
+
+    As :func:`numpy.linalg.qr` does it, whose stacking takes longer than the factors of matrices as small as these. What
+    is below the diagonal of a triangle counts for nothing.
+    """
+    from scipy.linalg import lapack
+
+    count, rows, terms = columns.shape
+    if rows < terms:
+        basis, triangle = np.linalg.qr(columns)
+        return np.asarray(basis, dtype=np.complex128), np.asarray(triangle, dtype=np.complex128)
+    turned = np.empty((count, terms, rows), dtype=np.complex128)
+    triangle = np.empty((count, terms, terms), dtype=np.complex128)
+    for number, one in enumerate(columns):
+        reflected, factor, _, _ = lapack.zgeqrf(one)
+        triangle[number] = reflected[:terms]
+        turned[number] = lapack.zungqr(reflected, factor, overwrite_a=True)[0].T
+    return np.swapaxes(turned, 1, 2), triangle
+
+
+def beyond(basis: Complex, values: Complex) -> Complex:
+    """``values`` (C, K, M) less what lies along ``basis`` (C, K, terms)."""
+    return np.asarray(values - basis @ (np.swapaxes(basis, 1, 2).conj() @ values))
+
+
+def beyond_law(values: Complex, bent: Complex, *, power: bool) -> Complex:
+    """``values`` (C, K, M) less what a step of a law common to the channels makes up for.
+
+    ``bent`` (C, K, degree) are the derivatives by its numbers. These are complex, and real behind squares (``power``),
+    of which the real parts alone count.
+    """
+    flat, moved = values.reshape(-1, values.shape[2]), bent.reshape(-1, bent.shape[2])
+    if power:
+        flat, moved = flat.real + 0j, moved.real + 0j
+    unit = np.linalg.qr(moved / np.maximum(np.linalg.norm(moved, axis=0), 1e-300))[0]
+    return np.asarray(beyond(unit[None], flat[None])[0].reshape(values.shape))
+
+
+CUTS = 16
+"""Parts into which a range is cut at once: as many as four halvings make."""
+
+FRACTIONS = np.arange(CUTS + 1) / CUTS
+"""Where those cuts lie, as shares of the range."""
+
+
+def scatter_of(squared: Array, error: Array, size: Array, degrees_of_freedom: int) -> tuple[float, float]:
+    """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is as expected.
+
+    That is the ``degrees_of_freedom``. n is one as long as s is more than the least.
+    """
+    known = np.isfinite(error)
+    squared, error, size = squared[known], error[known], size[known]
+
+    def above(scatter: Array, noise: Array) -> NDArray[np.bool_]:
+        sizes = np.square(noise)[:, None] * error + np.square(scatter)[:, None] * size
+        return np.asarray(np.sum(squared / sizes, axis=1) > degrees_of_freedom)
+
+    least, whole = np.array([NUMBERS.least_scatter]), np.ones(1)
+    if above(least, whole)[0]:
+        return _halved(lambda scatter: above(scatter, whole), NUMBERS.least_scatter, 1e3), 1.0
+    if degrees_of_freedom < NUMBERS.enough_degrees_of_freedom:
+        return NUMBERS.least_scatter, 1.0
+    return NUMBERS.least_scatter, _halved(lambda noise: above(least, noise), NUMBERS.least_noise_share, 1.0)
+
+
+def _halved(is_below: Callable[[Array], NDArray[np.bool_]], low: float, high: float) -> float:
+    """Where ``is_below`` turns false between ``low`` and ``high``, by halving the logarithm twenty times.
+
+    Four halvings are one: all places that they could ask at are asked at once.
+    """
+    first, last = float(np.log(low)), float(np.log(high))
+    for _ in range(5):
+        cuts = first + (last - first) * FRACTIONS
+        part = int(np.count_nonzero(is_below(np.exp(cuts[1:-1]))))
+        first, last = float(cuts[part]), float(cuts[part + 1])
+    return float(np.exp(0.5 * (first + last)))

@@ -1,0 +1,352 @@
+"""Means of frames at like speed: the noise of one, what the frames are worth for their memory, and tracks of means.
+
+Order map, operating shapes and followed tracks average here. The noise is that of the frames' own scatter; where they
+are too few the bins beside a line help out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
+from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, noise_correlation
+from crankorder.quantities import Bools, Complexes, Floats, Ints
+
+LARGEST_SHARE = 6
+"""Slow waves over the frames, of each sign, whose power is the noise: 24 degrees of freedom, near enough to the line
+that a resonance does not change over them."""
+
+CHANCE_MEMORY = 3.0
+"""Frames resemble each other by more than chance where the squared correlation passes this over their number."""
+
+FEW_CONTRASTS = 1.5
+"""With fewer contrasts of the frames' own, as of one or two frames, the bins beside help out as if level."""
+
+BESIDE_BINS = 10
+"""Bins beside a line that hold neither its main lobe nor that of the next half order, in frames of sixteen
+revolutions."""
+
+NEAREST_BINS = 4
+"""Of them those that help out where frames are few: two on each side, so that a resonance beside is seen as it is."""
+
+SLOPE_RATIO = 3.0
+"""Where one side holds so many times the noise of the other the noise slopes, and that of the larger side is taken."""
+
+NOISE_RATIO = 8.0
+"""A bin that holds so many times the median of those beside is a line's, not noise: one in 250 of noise does."""
+
+POLES = 2
+"""Of the Vold–Kalman filter that follows orders: 24 dB per octave beyond the band."""
+
+
+@dataclass(frozen=True)
+class Contrasts:
+    """Sums over frames in which a line of steady amplitude cancels, and what is known of them beforehand.
+
+    ``rows`` (contrasts, frames) are scaled such that the mean of their squares is the noise power of the mean of the
+    frames; ``mean_variance`` is that power over the noise power of one frame, in noise whose spectrum is level over
+    the bin; ``independent_powers`` how many independent power spectra the frames are worth, ``dof`` the degrees of
+    freedom of the mean of squares.
+    """
+
+    rows: Floats
+    mean_variance: float
+    independent_powers: float
+    dof: float
+
+
+def frame_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
+    """Correlation (frames, frames) of white noise in frames that overlap.
+
+    Parameters
+    ----------
+    begin_rev : (frames,), rev, crank angle at which each frame begins
+    recording : (frames,), number of the recording of each; frames of different ones do not correlate
+    revs_per_frame : length of a frame, rev
+    window : "hann"; any other is taken for rectangular, which correlates more
+    """
+    lag = np.minimum(np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame, 1.0)
+    if window == "hann":
+        turn = 2.0 * np.pi * lag
+        both = ((1.0 - lag) * (2.0 + np.cos(turn)) + 1.5 / np.pi * np.sin(turn)) / 3.0
+    else:
+        both = 1.0 - lag
+    return np.asarray(np.where(recording[:, None] == recording, both, 0.0))
+
+
+def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
+    """Slow waves over frames: what they show of a line's bin is the spectrum of the noise right beside the line.
+
+    The mean of the frames is a spectrum of all of them at the line, far finer than that of one; a wave of j cycles
+    over the frames is that spectrum j of its bins away, where a steady line shows nothing.
+
+    Parameters
+    ----------
+    correlation : (frames, frames), of white noise in the frames
+    trend : (frames,), speed of the frames, whose linear influence is no noise; None where all are alike
+    """
+    n = len(correlation)
+    given = [np.ones(n)] if trend is None else [np.ones(n), trend - trend.mean()]
+    waves = min(LARGEST_SHARE, max(2, n // 8))
+    turns = 2.0 * np.pi * np.outer(np.arange(1, min(waves, n // 2) + 1), np.arange(n) + 0.5) / n
+    rows = np.stack([np.cos(turns), np.sin(turns)], axis=1).reshape(-1, n)
+    rows = rows[np.abs(rows).max(axis=1) > 1e-6]
+    if trend is not None:
+        unit, triangle = np.linalg.qr(np.concatenate([given, rows]).T)
+        adds = np.abs(np.diag(triangle)) > 1e-6 * np.sqrt(n)
+        rows = unit.T[len(given) :][adds[len(given) :]]
+    expected = rows @ correlation @ rows.T
+    mean_variance = float(correlation.sum()) / n**2
+    powers = n**2 / float(np.square(correlation).sum())
+    if len(rows) == 0:
+        return Contrasts(rows, mean_variance, powers, 0.0)
+    scale = np.sqrt(mean_variance / np.diag(expected))
+    expected = expected * np.outer(scale, scale)
+    dof = 2.0 * float(np.trace(expected)) ** 2 / float(np.square(expected).sum())
+    return Contrasts(rows * scale[:, None], mean_variance, powers, dof)
+
+
+def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
+    """Noise power (channels, orders) of the mean over the frames of ``spectrum`` (channels, frames, orders).
+
+    ``shape`` says how the frames overlap. NaN where there are no contrasts.
+    """
+    if len(shape.rows) == 0:
+        return np.full((len(spectrum), spectrum.shape[2]), np.nan)
+    parts = np.ascontiguousarray(spectrum, dtype=np.complex128).view(np.float64)
+    seen = np.matmul(shape.rows, parts)
+    power = np.einsum("cko,cko->co", seen, seen).reshape(len(spectrum), -1, 2).sum(axis=-1)
+    return np.asarray(power / len(shape.rows))
+
+
+def independent_by_memory(
+    scatter: Complexes, owner: Ints, count: Ints, *, chance: Literal["taken off", "passed"]
+) -> Floats:
+    """Independent complex spectra (channels, orders) that frames are worth, for their memory of one another.
+
+    The scatter of a frame correlates with the next one's by their overlap and, where noise excites a resonance, by its
+    decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r.
+
+    Parameters
+    ----------
+    scatter : (channels, frames, orders), frames less their mean; 0 where one takes no part
+    owner : (frames,), the number of the recording of each: frames of different ones are no neighbours
+    count : (channels, orders), frames that take part
+    chance : what becomes of the 1 / count that chance adds to r². "taken off": that much is taken off r². "passed": r²
+        counts whole where it passes three times that, else not at all. Both stay until a test of coverage has chosen
+    """
+    n = np.maximum(count, 1)
+    first, second = scatter[:, :-1], scatter[:, 1:]
+    if owner[0] != owner[-1]:
+        next_to = owner[1:] == owner[:-1]
+        first, second = first[:, next_to], second[:, next_to]
+    product = np.einsum("cko,cko->co", second, first.conj())
+    parts = np.ascontiguousarray(scatter).view(np.float64)
+    total = np.einsum("cko,cko->co", parts, parts).reshape(*product.shape, 2).sum(axis=-1)
+    squared = (np.square(product.real) + np.square(product.imag)) / np.maximum(total**2, np.finfo(np.float64).tiny)
+    squared = squared - 1.0 / n if chance == "taken off" else np.where(squared > CHANCE_MEMORY / n, squared, 0.0)
+    memory = np.where(n < 3, 0.0, np.sqrt(np.clip(squared, 0.0, 1.0)))
+    return np.asarray(count * (1.0 - memory) / (1.0 + memory))
+
+
+def beside_bins(order: Floats, *, line_step: float, count: int = BESIDE_BINS) -> tuple[Ints, Floats]:
+    """Indices (orders, ``count``) of the nearest bins that hold noise, and how many independent ones they are worth.
+
+    ``order`` (orders,) is the axis; bins within one of a multiple of ``line_step`` may hold lines and are left out
+    where enough others are left, those within one of the bin itself and of zero always.
+    """
+    n = len(order)
+    distance = np.abs(np.arange(n)[:, None] - np.arange(n))
+    off = np.abs(order / line_step - np.round(order / line_step)) * line_step / (order[1] - order[0])
+    cost = distance + np.where(off > 1.5, 0, 3 * n) + np.where(distance < 2, 9 * n, 0)
+    cost[:, :2] += 9 * n
+    bins = np.sort(np.argpartition(cost, min(count, n) - 1, axis=1)[:, :count], axis=1)
+    apart = np.abs(bins[:, :, None] - bins[:, None])
+    alike = np.where(apart == 0, 1.0, np.where(apart == 1, 4.0 / 9.0, np.where(apart == 2, 1.0 / 36.0, 0.0)))
+    return bins, bins.shape[1] ** 2 / alike.sum(axis=(1, 2))
+
+
+def noise_beside(energy: Floats, bins: Ints) -> Floats:
+    """Noise power (…, orders) of a frame from ``energy`` (…, orders) in ``bins`` (orders, several), lines left out."""
+    beside, noise = _noise_bins(energy, bins)
+    return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
+
+
+def steepest_noise_beside(energy: Floats, bins: Ints) -> Floats:
+    """Noise power (…, orders) as of :func:`noise_beside`, of the larger side alone where the noise slopes.
+
+    ``energy`` (…, orders) of a frame in ``bins`` (orders, several) that grow. A line on the flank of a resonance lies
+    in more noise than the mean of both sides.
+    """
+    beside, noise = _noise_bins(energy, bins)
+    half = bins.shape[1] // 2
+    held = beside * noise
+    sides = [held[..., part].sum(axis=-1) / np.maximum(noise[..., part].sum(axis=-1), 1)
+             for part in (slice(half), slice(half, None))]  # fmt: skip
+    larger = np.maximum(*sides)
+    level = held.sum(axis=-1) / noise.sum(axis=-1)
+    return np.asarray(np.where(larger > SLOPE_RATIO * np.minimum(*sides), larger, level))
+
+
+def _noise_bins(energy: Floats, bins: Ints) -> tuple[Floats, Bools]:
+    """Energies (…, orders, several) of ``bins``, and which of them are noise and no line."""
+    beside = energy[..., bins]
+    middle = np.partition(beside, beside.shape[-1] // 2, axis=-1)[..., beside.shape[-1] // 2, None]
+    return beside, (beside <= NOISE_RATIO * middle) | ~np.isfinite(beside)
+
+
+def pooled(power: Floats, dof: Floats, other: Floats, other_dof: Floats, *, where: Bools) -> tuple[Floats, Floats]:
+    """Noise power and its degrees of freedom of two estimates together ``where`` one alone says too little.
+
+    ``power`` with ``dof`` and ``other`` with ``other_dof`` are (…, orders); elsewhere the first stays alone.
+    """
+    total = dof + other_dof
+    mean = (dof * np.nan_to_num(power) + other_dof * np.nan_to_num(other)) / np.maximum(total, 1e-9)
+    return np.where(where, mean, power), np.where(where, total, dof)
+
+
+def helped_by_beside(
+    noise: Floats, own: Floats, *, energy: Floats, powers: Floats, bins: Ints, worth: Floats
+) -> tuple[Floats, Floats]:
+    """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
+
+    Parameters
+    ----------
+    noise : (…, orders), by the frames' own scatter
+    own : (…, orders), its complex degrees of freedom
+    energy : (…, orders), mean power of the frames
+    powers : (…, orders), independent power spectra behind ``energy``
+    bins : (orders, several), as of :func:`beside_bins`
+    worth : (orders,), how many independent bins these are
+    """
+    few = own < FEW_CONTRASTS
+    if not few.any():
+        return noise, own
+    beside = steepest_noise_beside(energy, bins)
+    return pooled(noise, own, beside, np.where(np.isfinite(beside), worth * powers, 0.0), where=few)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Frames of all recordings of one order: values and errors (channels, frames), and what each frame is (frames,).
+
+    ``per_rev`` is the bandwidth of the filter in cycles per revolution, NaN for frames that were fitted.
+    """
+
+    values: Complexes
+    errors: Floats
+    dof: Floats
+    revs: Floats
+    owner: Ints
+    begin_rev: Floats
+    per_rev: Floats
+
+    def of(self, which: Ints) -> Readings:
+        """Those of the frames that ``which`` picks."""
+        frames = (self.revs[which], self.owner[which], self.begin_rev[which], self.per_rev[which])
+        return Readings(self.values[:, which], self.errors[:, which], self.dof[:, which], *frames)
+
+    def channels(self, which: Ints) -> Readings:
+        """Those of the channels that ``which`` picks."""
+        frames = (self.revs, self.owner, self.begin_rev, self.per_rev)
+        return Readings(self.values[which], self.errors[which], self.dof[which], *frames)
+
+    def summed(self, weights: Floats, *, of_noise: bool) -> Floats:
+        """Sum (channels,) of weight · weight · correlation over all pairs of frames, ``weights`` (channels, frames).
+
+        The correlation is that of the errors, or (``of_noise``) that of what is known of the noise.
+        """
+        total = np.asarray(np.square(weights).sum(axis=1))
+        for lag in range(1, len(self.revs)):
+            alike = self._alike(lag, of_noise=of_noise)
+            if not alike.any():
+                break
+            total += 2.0 * (weights[:, lag:] * weights[:, :-lag] * alike).sum(axis=1)
+        return total
+
+    def _alike(self, lag: int, *, of_noise: bool) -> Floats:
+        """Correlation (frames - lag,) of each frame with the one ``lag`` further on."""
+        first, second = slice(None, -lag), slice(lag, None)
+        same = self.owner[first] == self.owner[second]
+        if np.isnan(self.per_rev).any():
+            common = self.begin_rev[first] + self.revs[first] - self.begin_rev[second]
+            share = np.clip(common / np.maximum(self.revs[first], self.revs[second]), 0.0, 1.0)
+            return np.asarray(same * (share**2 if of_noise else share))
+        middle = self.begin_rev + 0.5 * self.revs
+        apart = (middle[second] - middle[first]) * np.sqrt(self.per_rev[first] * self.per_rev[second])
+        if of_noise:
+            return np.asarray(same * np.clip(1.0 - apart / FRAME_BANDWIDTHS, 0.0, 1.0))
+        return np.asarray(same * noise_correlation(apart, POLES))
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Coherent mean (channels,) of frames, the standard error of its parts, what is known of that, and its length."""
+
+    value: Complexes
+    error: Floats
+    dof: Floats
+    revs: float
+
+
+def coherent_mean(part: Readings) -> Mean:
+    """Coherent mean of the frames of ``part``.
+
+    Frames weigh by their length; those with more noise power than most, by more than chance, less in proportion.
+    """
+    power = np.square(part.errors)
+    chance = 1.0 + 3.0 * np.sqrt(2.0 / np.maximum(np.median(part.dof, axis=1, keepdims=True), 1.0))
+    limit = chance * np.median(power, axis=1, keepdims=True)
+    weight = part.revs * np.divide(limit, power, out=np.ones_like(power), where=power > limit)
+    weight /= weight.sum(axis=1, keepdims=True)
+    dof = (weight * part.dof).sum(axis=1) / part.summed(weight, of_noise=True)
+    error = np.sqrt(np.maximum(part.summed(weight * part.errors, of_noise=False), 0.0))
+    return Mean((weight * part.values).sum(axis=1), error, np.floor(dof + 0.5), float(part.revs.sum()))
+
+
+def by_phase(mean: Mean, *, with_phase: bool) -> dict[str, Floats]:
+    """What a track says of the coherent ``mean``; of its phase only ``with_phase``."""
+    amplitude, power = np.abs(mean.value), 2.0 * mean.error**2
+    low, high = amplitude_interval(amplitude, power, mean.dof)
+    nothing = np.full(amplitude.shape, np.nan)
+    return {
+        "amplitude": amplitude,
+        "phase": np.degrees(np.angle(mean.value)) if with_phase else nothing,
+        "standard_error": mean.error,
+        "degrees_of_freedom": mean.dof,
+        "amplitude_low": low,
+        "amplitude_high": high,
+        "phase_ci95": phase_interval_deg(amplitude, power, mean.dof) if with_phase else nothing,
+    }
+
+
+def by_energy(means: list[Mean]) -> dict[str, Floats]:
+    """What a track says of the ``means`` of recordings whose phases say nothing of each other.
+
+    The noise is taken off their power, which the 95 % interval is of as well.
+    """
+    share = np.array([mean.revs for mean in means])[:, None] / sum(mean.revs for mean in means)
+    noise = 2.0 * np.array([mean.error for mean in means]) ** 2
+    power = (share * np.abs([mean.value for mean in means]) ** 2).sum(axis=0)
+    bias, beat, variance = (
+        (share * noise).sum(axis=0),
+        (share**2 * noise).sum(axis=0),
+        ((share * noise) ** 2).sum(axis=0),
+    )
+    dof = np.sum([mean.dof for mean in means], axis=0)
+    low, high = energy_interval(power, noise=beat, bias=bias, noise_variance=variance, dof=dof)
+    line = np.maximum(power - bias, 0.0)
+    error = np.sqrt(2.0 * line * beat + variance) / (2.0 * np.sqrt(np.maximum(power, np.finfo(np.float64).tiny)))
+    nothing = np.full(line.shape, np.nan)
+    return {
+        "amplitude": np.sqrt(line),
+        "phase": nothing,
+        "standard_error": error,
+        "degrees_of_freedom": dof,
+        "amplitude_low": low,
+        "amplitude_high": high,
+        "phase_ci95": nothing,
+    }

@@ -1,0 +1,261 @@
+"""Frozen records that say what each field is: JSON in and out, and the JSON Schema that their types give."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cache
+from math import isfinite
+from typing import (
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from crankorder.errors import InputError
+
+R = TypeVar("R")
+
+Document = dict[str, Any]
+"""A JSON object, at the edge of the program alone."""
+
+Interval = tuple[float | None, float | None]
+"""95 % interval: low and high end; an end that is None is not known or has no bound."""
+
+Ends = tuple[float, float]
+"""Low and high end, both known."""
+
+
+def known(interval: Interval | None) -> Ends | None:
+    """``interval`` where both of its ends are known, as finite numbers, else None."""
+    low, high = interval or (None, None)
+    if low is None or high is None or not isfinite(low) or not isfinite(high):
+        return None
+    return low, high
+
+
+_LIMITS = {"minimum": "≥", "maximum": "≤", "exclusiveMinimum": ">", "exclusiveMaximum": "<"}
+_PLAIN: dict[object, tuple[str, str]] = {
+    float: ("number", "a number"),
+    int: ("integer", "a whole number"),
+    str: ("string", "a text"),
+    bool: ("boolean", "true or false"),
+}
+"""Type of JSON, and what an error calls it."""
+
+
+def said(
+    text: str = "",
+    *,
+    default: Any = MISSING,
+    key: str = "",
+    left_out: bool = False,
+    least: float | None = None,
+    above: float | None = None,
+    most: float | None = None,
+    below: float | None = None,
+) -> Any:
+    """A field of a record, with what it is in words: ``text``; empty for a 95 % interval, which its name tells.
+
+    Without ``default`` the field must be given, and its key must stand in JSON. ``key`` is its name there, where that
+    is another; a field that is ``left_out`` has no key where it is None. A number is ``least`` (≥), ``above`` (>),
+    ``most`` (≤) or ``below`` (<).
+    """
+    bounds = {"minimum": least, "maximum": most, "exclusiveMinimum": above, "exclusiveMaximum": below}
+    limits = {name: bound for name, bound in bounds.items() if bound is not None}
+    metadata = {"text": text, "key": key, "left_out": left_out, "limits": limits}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(said,))
+def record(kind: type[R]) -> type[R]:
+    """The class ``kind`` as a frozen dataclass with slots, whose fields are made by :func:`said`."""
+    return dataclass(frozen=True, slots=True, kw_only=True)(kind)
+
+
+class Record:
+    """Base of the records: their way from and to JSON."""
+
+    __slots__ = ()
+    ALSO: ClassVar[Document] = {}
+    """What their schema holds beside the fields."""
+
+    def omitted(self) -> Collection[str]:
+        """Fields whose keys do not stand in JSON, beside those that are left out where they are None."""
+        return ()
+
+    @classmethod
+    def _said(cls) -> tuple[Field[Any], ...]:
+        kind: Any = cls
+        return fields(kind)
+
+    @classmethod
+    def _types(cls) -> dict[str, Any]:
+        kind: Any = cls
+        return _hints(kind)
+
+    def as_dict(self) -> Document:
+        """The record as JSON has it: a dict of numbers, texts, lists and dicts."""
+        omitted = self.omitted()
+        made = {}
+        for one in self._said():
+            value = getattr(self, one.name)
+            if one.name in omitted or (value is None and one.metadata["left_out"]):
+                continue
+            made[_key(one)] = _as_json(value)
+        return made
+
+    @classmethod
+    def from_dict(cls, document: object, *, file: object = "", place: str = "") -> Self:
+        """The record that ``document``, a JSON object, holds; keys that it does not know are passed over.
+
+        Raises InputError that names ``file``, the place from ``place`` on, the value found and what is allowed.
+        """
+        if not isinstance(document, Mapping):
+            raise InputError("this is no record", file=file, place=place, found=document, allowed="an object")
+        given: dict[str, object] = {}
+        for one in cls._said():
+            there = f"{place}.{_key(one)}" if place else _key(one)
+            if _key(one) in document:
+                given[one.name] = _read(cls._types()[one.name], document[_key(one)], one, file=file, place=there)
+            elif one.default is MISSING:
+                raise InputError("is missing", file=file, place=there, allowed=one.metadata["text"])
+        return cls(**given)
+
+    @classmethod
+    def tables(cls) -> dict[str, type[Record]]:
+        """Fields that hold any number of records, with the type of these."""
+        made = {}
+        for name, kind in cls._types().items():
+            inner, _ = _without_none(kind)
+            each = get_args(inner) if get_origin(inner) is tuple else ()
+            if each and isinstance(each[0], type) and issubclass(each[0], Record):
+                made[name] = each[0]
+        return made
+
+    @classmethod
+    def json_schema(cls) -> Document:
+        """The JSON Schema of such a record."""
+        named = {_key(one): _schema(cls._types()[one.name], one) for one in cls._said()}
+        required = [_key(one) for one in cls._said() if one.default is MISSING]
+        return {"type": "object", "properties": named, "required": required, **cls.ALSO}
+
+
+@cache
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _key(one: Field[Any]) -> str:
+    return one.metadata["key"] or one.name
+
+
+def _as_json(value: object) -> object:
+    if isinstance(value, Record):
+        return value.as_dict()
+    if isinstance(value, tuple):
+        return [_as_json(item) for item in value]
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+def _without_none(kind: Any) -> tuple[Any, bool]:
+    """``kind`` without None, and whether it may be None."""
+    if get_origin(kind) not in (Union, types.UnionType):
+        return kind, False
+    kinds = [one for one in get_args(kind) if one is not type(None)]
+    return kinds[0], len(kinds) < len(get_args(kind))
+
+
+def _read(kind: Any, value: object, one: Field[Any], *, file: object, place: str) -> object:
+    """``value`` of JSON as the type ``kind`` of the field ``one`` has it."""
+    inner, optional = _without_none(kind)
+    if value is None and optional:
+        return None
+    if isinstance(inner, type) and issubclass(inner, Record):
+        return inner.from_dict(value, file=file, place=place)
+    if get_origin(inner) is tuple and isinstance(value, list | tuple):
+        each = get_args(inner)
+        each = each[:1] * len(value) if each[-1] is ... else each
+        if len(each) == len(value):
+            parts = enumerate(zip(each, value, strict=True))
+            return tuple(_read(part, item, one, file=file, place=f"{place}[{at}]") for at, (part, item) in parts)
+    if get_origin(inner) is dict and isinstance(value, Mapping) and all(isinstance(v, str) for v in value.values()):
+        return dict(value)
+    if get_origin(inner) is Literal and value in get_args(inner):
+        return value
+    if inner in _PLAIN and _is_plain(inner, value) and _is_within(value, one):
+        return inner(value)
+    allowed = _allowed(inner, one) + " or null" * optional
+    problem = f"is not {one.metadata['text']}" if one.metadata["text"] else "is no interval"
+    raise InputError(problem, file=file, place=place, found=value, allowed=allowed)
+
+
+def _is_plain(kind: type, value: object) -> bool:
+    if kind is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if kind is int and isinstance(value, float):
+        return value.is_integer()
+    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+
+
+def _is_within(value: Any, one: Field[Any]) -> bool:
+    limits = one.metadata["limits"]
+    return (
+        value >= limits.get("minimum", value)
+        and value <= limits.get("maximum", value)
+        and ("exclusiveMinimum" not in limits or value > limits["exclusiveMinimum"])
+        and ("exclusiveMaximum" not in limits or value < limits["exclusiveMaximum"])
+    )
+
+
+def _allowed(kind: Any, one: Field[Any]) -> str:
+    """What a field ``one`` of the type ``kind`` allows, in words."""
+    if get_origin(kind) is Literal:
+        return ", ".join(str(value) for value in get_args(kind))
+    if get_origin(kind) is tuple:
+        each = get_args(kind)
+        return "a list" if each[-1] is ... else f"a list of {len(each)}"
+    if kind not in _PLAIN:
+        return "an object of texts"
+    limits = [f"{_LIMITS[name]} {bound:g}" for name, bound in one.metadata["limits"].items()]
+    return " ".join([_PLAIN[kind][1], *limits])
+
+
+def _schema(kind: Any, one: Field[Any]) -> Document:
+    """Schema of the field ``one`` of the type ``kind``."""
+    inner, optional = _without_none(kind)
+    text = one.metadata["text"] or f"95 % interval of {one.name.removesuffix('_ci95')}: low, high"
+    made = _schema_of_type(inner) | one.metadata["limits"]
+    if optional and not one.metadata["left_out"]:
+        if "enum" in made:
+            made["enum"] = [*made["enum"], None]
+        else:
+            made["type"] = [made["type"], "null"]
+    return {"description": text, **made}
+
+
+def _schema_of_type(kind: Any) -> Document:
+    inner, optional = _without_none(kind)
+    if optional:
+        made = _schema_of_type(inner)
+        return made | {"type": [made["type"], "null"]}
+    if kind in _PLAIN:
+        return {"type": _PLAIN[kind][0]}
+    if get_origin(kind) is Literal:
+        return {"enum": list(get_args(kind))}
+    if get_origin(kind) is tuple:
+        each = get_args(kind)
+        ends = {} if each[-1] is ... else {"minItems": len(each), "maxItems": len(each)}
+        return {"type": "array", "items": _schema_of_type(each[0]), **ends}
+    if get_origin(kind) is dict:
+        return {"type": "object", "additionalProperties": {"type": "string"}}
+    schema: Document = kind.json_schema()
+    return schema

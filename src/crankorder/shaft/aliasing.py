@@ -1,0 +1,294 @@
+"""What is aliased where in a recording sampled by crank angle, and which of its lines are aliases of something else.
+
+Sampled samples_per_rev times a revolution, whatever lies above half of that order shows at |order - n samples_per_rev|,
+unless a filter stopped it. A line of fixed frequency f is at order 60 f / speed, so its alias runs through the orders
+with speed far faster than any true line; an order's alias is an order, where its place alone does not betray it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from crankorder.errors import RequestError
+from crankorder.shaft.pulses import FloatArray, Remark
+
+IntArray = npt.NDArray[np.int64]
+
+# A fold is taken for found where chance would make so few of it in a test.
+FALSE_FOLDS = 0.01
+# An order is a line of the shaft where it shows at this share of the speeds.
+ORDER_SHARE = 0.6
+# Frequencies without a name that are looked at closely: those on which most lines agree.
+MOST_PROPOSED = 400
+
+
+@dataclass(frozen=True)
+class FoldedLine:
+    """Where a line shows at each of ``speed_rpm`` (speeds,), and whether it ``folds`` (speeds,) there.
+
+    ``kind``: "frequency" (``value`` in Hz) or "order". ``true_order``, ``shown_order``: (speeds,).
+    """
+
+    kind: str
+    value: float
+    speed_rpm: FloatArray
+    true_order: FloatArray
+    shown_order: FloatArray
+    folds: npt.NDArray[np.bool_]
+
+    def __str__(self) -> str:
+        """The line and where it shows, in words."""
+        name = f"{self.value:g} Hz" if self.kind == "frequency" else f"order {self.value:g}"
+        if self.kind == "order" and self.folds.all():
+            return f"{name} shows at order {self.shown_order[0]:.4g}"
+        at = zip(self.shown_order[self.folds], self.speed_rpm[self.folds], strict=True)
+        return f"{name} shows at order " + ", ".join(f"{order:.4g} ({speed:g} rpm)" for order, speed in at)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Found lines that are, or may be, a fold: of a fixed frequency (Hz) or of an order (``kind`` and ``value``).
+
+    ``points``: which of the found lines; ``false_folds``: how many such would be found by chance (NaN where chance does
+    not enter); ``sure``: whether that is few and nothing else explains them; ``evidence``: in words.
+    """
+
+    kind: str
+    value: float
+    points: IntArray
+    false_folds: float
+    sure: bool
+    evidence: str
+
+    @property
+    def remark(self) -> Remark:
+        """The fold as (flag, severity, detail)."""
+        return (f"folded_{self.kind}", "suspect" if self.sure else "info", self.evidence)
+
+
+def folded_order(order: npt.ArrayLike, samples_per_rev: float) -> FloatArray:
+    """Orders at which lines at ``order`` (any shape) show when sampled ``samples_per_rev`` times a revolution."""
+    true = np.asarray(order, dtype=np.float64)
+    return np.asarray(np.abs(true - samples_per_rev * np.rint(true / samples_per_rev)))
+
+
+def folded_lines(
+    samples_per_rev: float,
+    speeds_rpm: Sequence[float] | FloatArray,
+    *,
+    frequencies_hz: Sequence[float] = (),
+    orders: Sequence[float] = (),
+    shown_to_order: float = math.inf,
+) -> list[FoldedLine]:
+    """Lines that fold at one speed or more to an order that is looked at, with their place at every speed.
+
+    Parameters
+    ----------
+    samples_per_rev : samples per crank revolution, above 0
+    speeds_rpm : (speeds,), rpm, above 0
+    frequencies_hz : fixed frequencies, Hz: mains and its harmonics, natural frequencies, switched supplies
+    orders : orders of gear meshes, blades and whatever else may lie above samples_per_rev / 2
+    shown_to_order : highest order that is looked at; a fold beyond it disturbs nobody
+    """
+    speed = np.asarray(speeds_rpm, dtype=np.float64)
+    if not samples_per_rev > 0.0 or not np.all(speed > 0.0):
+        raise RequestError("no such sampling", place="folding", allowed="samples per revolution and speeds above 0")
+    lines = [("frequency", f, 60.0 * f / speed) for f in frequencies_hz]
+    lines += [("order", order, np.full(speed.shape, float(order))) for order in orders]
+    found = []
+    for kind, value, true in lines:
+        shown = folded_order(true, samples_per_rev)
+        folds = (true > 0.5 * samples_per_rev) & (shown <= shown_to_order)
+        if folds.any():
+            found.append(FoldedLine(kind, float(value), speed, true, shown, folds))
+    return found
+
+
+def find_folds(
+    speed_rpm: FloatArray,
+    order: FloatArray,
+    *,
+    samples_per_rev: float,
+    order_error: float,
+    shown_to_order: float,
+    highest_hz: float,
+    speed_error: float = 0.0,
+    frequencies_hz: Sequence[float] = (),
+    orders: Sequence[float] = (),
+) -> list[Fold]:
+    """Which found lines are folds of fixed frequencies, and which may be folds of ``orders``; the surest first.
+
+    A frequency is believed where chance would put so many lines on its track in fewer than one test of a hundred,
+    counted over all frequencies tried; a line takes part in one fold. A line that stays at its order is a line of the
+    shaft; that it lies where one of ``orders`` folds is told, and cannot be told from a true line there by its place:
+    another samples_per_rev, or sampling by time, decides.
+
+    Parameters
+    ----------
+    speed_rpm : (points,), rpm, speed at which each line was found
+    order : (points,), its order there, 0 to ``shown_to_order``; lines of the shaft among them
+    samples_per_rev : samples per crank revolution
+    order_error : how well an order is known, above 0; more finds more and proves less
+    shown_to_order : highest order in which lines were sought, up to samples_per_rev / 2
+    highest_hz : highest frequency that the sensors let pass, up to which unnamed frequencies are sought
+    speed_error : share of its value by which a speed may be wrong, 0 or more; it moves far folds most
+    frequencies_hz : frequencies that the test is known to have; looked for first, as few they prove more
+    orders : orders above samples_per_rev / 2 that the machine is known to have
+
+    Raises
+    ------
+    RequestError where the points do not fit each other.
+    """
+    if speed_rpm.shape != order.shape or not order_error > 0.0 or not np.all(speed_rpm > 0.0):
+        raise RequestError(
+            "no such lines", place="folding", allowed="a speed above 0 for every order, an error above 0"
+        )
+    track = _Track(
+        speed_rpm, order, samples_per_rev, order_error, min(shown_to_order, 0.5 * samples_per_rev), speed_error
+    )
+    staying = _staying(speed_rpm, order, order_error)
+    free = np.ones(order.size, dtype=np.bool_)
+    free[[point for points in staying for point in points]] = False
+    folds = []
+    for f in frequencies_hz:
+        fold = track.fold(float(f), free, tried=max(1, len(frequencies_hz)))
+        if fold is not None:
+            folds.append(fold)
+            free[fold.points] = False
+    folds += _unnamed(track, free, highest_hz)
+    for points in staying:
+        folds += _fold_of_order(float(np.median(order[points])), points, samples_per_rev, order_error, orders)
+    return sorted(folds, key=lambda fold: (not fold.sure, fold.kind, fold.value))
+
+
+@dataclass(frozen=True)
+class _Track:
+    """The lines of a test and what a fixed frequency would look like among them."""
+
+    speed_rpm: FloatArray
+    order: FloatArray
+    samples_per_rev: float
+    order_error: float
+    shown_to_order: float
+    speed_error: float
+
+    def fold(self, frequency_hz: float, free: npt.NDArray[np.bool_], *, tried: int) -> Fold | None:
+        """The Fold of ``frequency_hz`` among the ``free`` points where it is sure after ``tried`` frequencies."""
+        speeds = np.unique(self.speed_rpm)
+        true = 60.0 * frequency_hz / speeds
+        shown = folded_order(true, self.samples_per_rev)
+        error = np.hypot(self.order_error, self.speed_error * true)
+        looked = (shown < self.shown_to_order) & (true > 0.5 * self.samples_per_rev)
+        hits, log_chance = [], 0.0
+        for speed, place, width in zip(speeds[looked], shown[looked], error[looked], strict=True):
+            at = np.flatnonzero(free & (self.speed_rpm == speed))
+            chance = 1.0 - (1.0 - min(1.0, 2.0 * width / self.shown_to_order)) ** at.size
+            near = at[np.abs(self.order[at] - place) <= width]
+            if near.size:
+                hits.append(int(near[np.argmin(np.abs(self.order[near] - place))]))
+                log_chance += math.log(chance)
+        n_looked = int(looked.sum())
+        if len(hits) < 2 or 2 * len(hits) < n_looked:
+            return None
+        false_folds = tried * math.comb(n_looked, len(hits)) * math.exp(log_chance)
+        if false_folds > FALSE_FOLDS:
+            return None
+        points = np.array(hits)
+        at_speeds = ", ".join(f"{self.order[k]:.4g} ({self.speed_rpm[k]:g} rpm)" for k in hits[:4])
+        more = f" and {len(hits) - 4} more" if len(hits) > 4 else ""
+        evidence = (
+            f"lines at order {at_speeds}{more} are one of {frequency_hz:.6g} Hz folded at {self.samples_per_rev:g} "
+            f"samples per revolution: at {len(hits)} of {n_looked} speeds where it would show, "
+            f"{false_folds:.1g} by chance"
+        )
+        return Fold("frequency", frequency_hz, points, false_folds, True, evidence)
+
+    def refined_hz(self, frequency_hz: float, points: IntArray) -> float:
+        """Frequency that fits the ``points`` of a fold near ``frequency_hz`` best."""
+        true = 60.0 * frequency_hz / self.speed_rpm[points]
+        turns = np.rint(true / self.samples_per_rev)
+        sign = np.where(true >= turns * self.samples_per_rev, 1.0, -1.0)
+        each = (turns * self.samples_per_rev + sign * self.order[points]) * self.speed_rpm[points] / 60.0
+        width = self.speed_rpm[points] / 60.0 * np.hypot(self.order_error, self.speed_error * true)
+        return float(np.average(each, weights=width**-2.0))
+
+
+def _unnamed(track: _Track, free: npt.NDArray[np.bool_], highest_hz: float) -> list[Fold]:
+    """Folds of frequencies that nobody named, among the ``free`` points; the least likely by chance is taken first."""
+    folds: list[Fold] = []
+    lowest_hz = 0.5 * track.samples_per_rev * float(track.speed_rpm.min(initial=np.inf)) / 60.0
+    while np.unique(track.speed_rpm[free]).size >= 2 and highest_hz > lowest_hz:
+        step_hz = 2.0 * track.order_error * float(track.speed_rpm.min()) / 60.0
+        tried = max(1.0, (highest_hz - lowest_hz) / step_hz)
+        proposed = _proposed(track, free, lowest_hz, highest_hz)
+        sure = [fold for f in proposed if (fold := track.fold(float(f), free, tried=math.ceil(tried))) is not None]
+        if not sure:
+            break
+        best = min(sure, key=lambda fold: fold.false_folds)
+        exact = track.refined_hz(best.value, best.points)
+        # where speeds are in simple ratios, several frequencies fold alike at all of them
+        near_hz = 1e-3 * best.value
+        alike = [f.value for f in sure if np.array_equal(f.points, best.points) and abs(f.value - exact) > near_hz]
+        best = track.fold(exact, free, tried=math.ceil(tried)) or best
+        if alike:
+            best = replace(best, evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
+        folds.append(best)
+        free[best.points] = False
+    return folds
+
+
+def _proposed(track: _Track, free: npt.NDArray[np.bool_], lowest_hz: float, highest_hz: float) -> FloatArray:
+    """Frequencies on which most free lines agree, whatever of their folds they are: those worth a closer look."""
+    turn_hz, order = track.speed_rpm[free] / 60.0, track.order[free]
+    turns = np.arange(1, int(highest_hz / (track.samples_per_rev * turn_hz.min())) + 2)[:, None]
+    every = np.concatenate([(turns * track.samples_per_rev + sign * order) * turn_hz for sign in (1.0, -1.0)]).ravel()
+    every = np.sort(every[(every >= lowest_hz) & (every <= highest_hz)])
+    width = 1.5 * (float(turn_hz.max()) * track.order_error + track.speed_error * every)
+    last = np.searchsorted(every, every + width, side="right")
+    votes = last - np.arange(every.size)
+    best = np.sort(np.argsort(-votes, kind="stable")[:MOST_PROPOSED])
+    total = np.append(0.0, np.cumsum(every))
+    return np.asarray((total[last[best]] - total[best]) / votes[best])[votes[best] > 1]
+
+
+def _staying(speed_rpm: FloatArray, order: FloatArray, order_error: float) -> list[list[int]]:
+    """Points that stay at one order over most speeds: lines of the shaft."""
+    n_speeds, groups = np.unique(speed_rpm).size, []
+    sequence = np.argsort(order, kind="stable")
+    first = 0
+    while first < order.size and n_speeds > 1:
+        limit = order[sequence[first]] + 2.0 * order_error
+        last = first + int(np.searchsorted(order[sequence[first:]], limit, side="right"))
+        group = [int(point) for point in sequence[first:last]]
+        seen = np.unique(speed_rpm[group]).size
+        if seen > max(1.0, ORDER_SHARE * n_speeds):
+            groups.append(group)
+            first = last
+        else:
+            first += 1
+    return groups
+
+
+def _fold_of_order(
+    shown: float, points: list[int], samples_per_rev: float, order_error: float, orders: Sequence[float]
+) -> list[Fold]:
+    """Of the ``orders`` of the machine those that would show where a line of the shaft is ``shown``."""
+    high = [float(order) for order in orders if order > 0.5 * samples_per_rev]
+    return [
+        Fold(
+            "order",
+            order,
+            np.array(points),
+            math.nan,
+            False,
+            f"the line at order {shown:.4g} lies where order {order:g} folds at {samples_per_rev:g} samples per "
+            f"revolution: it may be either; another number of samples per revolution decides",
+        )
+        for order in high
+        if abs(float(folded_order(order, samples_per_rev)) - shown) <= order_error
+    ]

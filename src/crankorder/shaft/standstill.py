@@ -1,0 +1,208 @@
+"""Where the shaft may have stood: pulses that begin late or end early, and runs with a standstill between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from crankorder.shaft.angle import AngleKnots, angle_at
+from crankorder.shaft.pulses import FloatArray, Remark
+
+LEAST_REVS = 2.0
+"""Turns, at the speed beside it, that a stretch without pulses must last to be worth a remark …"""
+
+LEAST_INTERVALS = 4.0
+"""… and so many times as long as the intervals between the pulses beside."""
+
+BESIDE_SHARE = 0.1
+"""Share of the time with pulses in which the speed beside the silence, and its change, are looked at."""
+
+GOES_ON = 0.5
+"""Vibration that keeps this share of its amplitude when the pulses stop is that of a machine that runs on."""
+
+LOOK_S = 1.0
+"""Length of the silence, from where the pulses are, whose vibration is looked at."""
+
+
+class Silence(NamedTuple):
+    """A stretch without pulses, s, the ``speed_rpm`` beside it, and the share of the ``vibration`` that goes on in it.
+
+    ``may_stand`` where the speed beside falls so fast towards it that the shaft may have come to rest within it.
+    """
+
+    from_s: float
+    to_s: float
+    at_end: bool
+    speed_rpm: float
+    may_stand: bool
+    vibration: float
+
+
+def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
+    """Remarks on the ends of ``recording`` (a Recording by time) that its pulses leave out of ``shaft`` (its angle)."""
+    if "pulse_time" not in recording or recording.attrs.get("domain") != "time":
+        return []
+    remarks: list[Remark] = []
+    for at_end in (False, True):
+        found = _silence(recording, shaft, at_end=at_end)
+        if found is not None:
+            remarks.append(_said(found))
+    return remarks
+
+
+def _silence(recording: xr.Dataset, shaft: xr.Dataset, *, at_end: bool) -> Silence | None:
+    pulse_s = recording["pulse_time"].values
+    rate_hz = float(recording.attrs["rate_hz"])
+    length_s = recording["signal"].shape[1] / rate_hz
+    if pulse_s.size < 4 or not 0.0 <= pulse_s[0] < pulse_s[-1] <= length_s + 1.0 / rate_hz:
+        return None
+    edge_s = float(pulse_s[-1] if at_end else pulse_s[0])
+    gap_s = length_s - edge_s if at_end else edge_s
+    near = max(3, round(BESIDE_SHARE * pulse_s.size))
+    interval_s = float(np.median(np.diff(pulse_s[-4:] if at_end else pulse_s[:4])))
+    if gap_s <= LEAST_INTERVALS * interval_s:
+        return None
+    reach_s = abs(edge_s - float(pulse_s[-near] if at_end else pulse_s[near - 1]))
+    speed_rpm, may_stand = _beside(shaft, edge_s, reach_s, gap_s, at_end=at_end)
+    if not gap_s * speed_rpm / 60.0 > LEAST_REVS:
+        return None
+    span = (edge_s, length_s) if at_end else (0.0, edge_s)
+    share = _vibration_share(recording["signal"].values, rate_hz, edge_s, gap_s, at_end=at_end)
+    return Silence(*span, at_end, speed_rpm, may_stand, share)
+
+
+def _beside(shaft: xr.Dataset, edge_s: float, reach_s: float, gap_s: float, *, at_end: bool) -> tuple[float, bool]:
+    """Speed beside the silence, rpm, and whether its slope brings it to rest within ``gap_s``."""
+    time_s, speed = shaft["time"].values, shaft["speed"].values
+    close = (np.abs(time_s - edge_s) <= reach_s) & ((time_s <= edge_s) if at_end else (time_s >= edge_s))
+    close &= np.isfinite(speed)
+    if np.count_nonzero(close) < 2:
+        return float(np.nan_to_num(np.abs(speed[-1 if at_end else 0]))), False
+    away, beside = np.abs(time_s[close] - edge_s), np.abs(speed[close])
+    slope, at_edge = np.polyfit(away, beside, 1)
+    speed_rpm = max(float(at_edge), float(beside[np.argmin(away)]), 0.0)
+    return speed_rpm, bool(slope * gap_s > max(float(at_edge), 0.0))
+
+
+def _vibration_share(signal: FloatArray, rate_hz: float, edge_s: float, gap_s: float, *, at_end: bool) -> float:
+    """Amplitude beside the pulses' end within the silence over that of all before, where a channel falls least.
+
+    Over all before: of a shaft that comes to rest the last turns are as quiet as a sensor's noise.
+    """
+    count, edge = int(min(LOOK_S, gap_s) * rate_hz), round(edge_s * rate_hz)
+    inside = signal[:, edge : edge + count] if at_end else signal[:, max(0, edge - count) : edge]
+    running = signal[:, :edge] if at_end else signal[:, edge:]
+    if min(inside.shape[1], running.shape[1]) < 2:
+        return float("nan")
+    known = np.isfinite(inside).any(axis=1) & np.isfinite(running).any(axis=1)
+    spread = [np.nanstd(part[known].astype(np.float64), axis=1) for part in (inside, running)]
+    moves = spread[1] > 0.0
+    return float((spread[0][moves] / spread[1][moves]).max()) if moves.any() else float("nan")
+
+
+def _said(found: Silence) -> Remark:
+    when = f"no pulses from {found.from_s:.3g} s to {'the end at ' if found.at_end else ''}{found.to_s:.3g} s"
+    length = f"{found.to_s - found.from_s:.3g} s are left out of all that follows the shaft"
+    beside = f"the speed {'before' if found.at_end else 'after'} was {found.speed_rpm:.4g} rpm"
+    goes_on = found.vibration >= GOES_ON
+    level = f"the vibration goes on at {100.0 * found.vibration:.0f} % of its amplitude" if goes_on else ""
+    if found.may_stand and not goes_on:
+        return ("no_pulses", "info", f"{when}: standstill or encoder lost; {beside}; {length}")
+    told = "encoder lost while the machine ran" if goes_on and not found.may_stand else "encoder lost or standstill"
+    reasons = "; ".join(part for part in (beside, level, length) if part)
+    return ("no_pulses", "suspect", f"{when}: {told}; {reasons}")
+
+
+STEP_SHARE = 1e-3
+"""Share of a knot interval over which the speed at a pulse is differenced."""
+
+
+@dataclass(frozen=True)
+class ShaftRun:
+    """Knots of one run between standstills, the times of its first and last pulse, and how its angle is known.
+
+    ``first`` and ``last`` number these pulses among all of the recording; ``period_rev`` are the turns after which its
+    mark comes again, 0 where it has none.
+    """
+
+    knots: AngleKnots
+    ends_s: tuple[float, float]
+    first: int
+    last: int
+    period_rev: float
+
+
+def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
+    """Knots of all ``runs`` in turn, on the angle of the first.
+
+    Between two of them the shaft turns by the pulses between, of which ``teeth_per_rev`` make a revolution, to the
+    nearest angle at which the mark, where there is one, stands right; it slows down evenly, stands and speeds up.
+    """
+    made = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
+    for before, run in pairwise(runs):
+        last = run is runs[-1]
+        own = _within(run.knots, run.ends_s[0], np.inf if last else run.ends_s[1])
+        turned = (run.first - before.last) / teeth_per_rev
+        shift = made.angle_rev[-1] + turned - own.angle_rev[0]
+        period = run.period_rev
+        if period > 0.0:
+            shift = period * np.round(shift / period)
+        laid = _shifted(own, float(shift))
+        # a tooth too many counted at rest would let the angle go back
+        behind = laid.angle_rev > made.angle_rev[-1]
+        laid = _of(laid, [column[behind] for column in _columns(laid)])
+        made = _stopped_between(made, laid)
+    return made
+
+
+def _shifted(knots: AngleKnots, shift_rev: float) -> AngleKnots:
+    return replace(knots, angle_rev=knots.angle_rev + shift_rev)
+
+
+def _within(knots: AngleKnots, first_s: float, last_s: float) -> AngleKnots:
+    """``knots`` that end at ``first_s`` and ``last_s`` where these lie inside: no tooth is counted on beyond."""
+    inside = (knots.time_s > first_s) & (knots.time_s < last_s)
+    kept = [column[inside] for column in _columns(knots)]
+    for at_s, front in ((first_s, True), (last_s, False)):
+        if not knots.time_s[0] <= at_s <= knots.time_s[-1]:
+            continue
+        known = (knots.time_s, knots.angle_rev, knots.speed_rpm)
+        step = STEP_SHARE * float(np.diff(knots.time_s).min())
+        near = np.clip([at_s - step, at_s + step], knots.time_s[0], knots.time_s[-1])
+        turned = angle_at(near, *known)
+        here = [at_s, angle_at([at_s], *known)[0], 60.0 * np.diff(turned)[0] / np.diff(near)[0]]
+        here.append(np.interp(at_s, knots.time_s, knots.standard_error_rev))
+        kept = [np.insert(column, 0 if front else len(column), value) for column, value in zip(kept, here, strict=True)]
+    return _of(knots, kept)
+
+
+def _stopped_between(one: AngleKnots, two: AngleKnots) -> AngleKnots:
+    """Knots of both and two in the hole between, where the shaft has slowed down and where it starts."""
+    hole_s, turned = two.time_s[0] - one.time_s[-1], two.angle_rev[0] - one.angle_rev[-1]
+    fast = np.array([one.speed_rpm[-1], two.speed_rpm[0]]) / 60.0
+    slowing = min(hole_s / 3.0, turned / max(float(fast.sum()), 1e-12))
+    slow = (turned - 0.5 * slowing * float(fast.sum())) / (hole_s - slowing)
+    covered = 0.5 * (fast + slow) * slowing
+    error = np.full(2, max(one.standard_error_rev[-1], two.standard_error_rev[0], turned / np.sqrt(12.0)))
+    between = [
+        np.array([one.time_s[-1] + slowing, two.time_s[0] - slowing]),
+        np.array([one.angle_rev[-1] + covered[0], two.angle_rev[0] - covered[1]]),
+        np.full(2, 60.0 * slow),
+        error,
+    ]
+    columns = [np.concatenate(parts) for parts in zip(_columns(one), between, _columns(two), strict=True)]
+    both = replace(one, cut_off_order=min(one.cut_off_order, two.cut_off_order), noise_s=max(one.noise_s, two.noise_s))
+    return _of(both, columns)
+
+
+def _columns(knots: AngleKnots) -> list[FloatArray]:
+    return [knots.time_s, knots.angle_rev, knots.speed_rpm, knots.standard_error_rev]
+
+
+def _of(knots: AngleKnots, columns: list[FloatArray]) -> AngleKnots:
+    time_s, angle_rev, speed_rpm, error_rev = columns
+    return replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)

@@ -1,0 +1,88 @@
+"""Findings are types: JSON goes in and out of them unchanged, and a wrong file is refused by file, place and value."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.findings import Findings, LineFinding, Motor
+
+
+def test_findings_go_to_json_and_back_unchanged(full: dict[str, Any]) -> None:
+    findings = Findings.from_dict(full)
+    assert Findings.from_dict(findings.as_dict()) == findings
+    assert findings.orders[0].amplitude == full["orders"][0]["amplitude"]
+
+
+def test_keys_of_a_later_version_are_passed_over_and_those_of_an_older_one_are_empty(campaign: Any) -> None:
+    later = {**campaign.findings, "later": {"a": 1}}
+    assert Findings.from_dict(later) == Findings.from_dict(campaign.findings)
+    assert Findings.from_dict(campaign.findings).free_bands == ()
+    assert Findings.from_dict(campaign.findings).motor is None
+
+
+def test_a_key_that_python_keeps_for_itself_has_another_name_in_the_type() -> None:
+    line = {
+        "name": "n", "side": "", "channel": "Z", "frequency_hz": 50.0, "order": 2.0, "speed_rpm": 1500.0,
+        "amplitude": 1.0, "amplitude_ci95": [0.5, 1.5], "or": ["mains"], "n_recordings": 1,
+    }  # fmt: skip
+    motor = {
+        "supply_hz": 50.0, "supply_hz_ci95": None, "supply_measured": False, "poles": 4, "rotor_bars": None,
+        "misfit": "", "speed_doubt": "", "bars_doubt": "", "speeds": [], "lines": [line], "not_seen": [],
+    }  # fmt: skip
+    assert Motor.from_dict(motor).lines[0].others == ("mains",)
+    assert Motor.from_dict(motor).as_dict() == motor
+
+
+def test_what_a_record_leaves_out_has_no_key() -> None:
+    line = LineFinding(
+        channel="Z", frequency_hz=50.0, frequency_hz_ci95=(49.9, None), explained_by=None, amplitude=None
+    )
+    assert line.as_dict() == {
+        "channel": "Z", "frequency_hz": 50.0, "frequency_hz_ci95": [49.9, None], "explained_by": None,
+        "amplitude": None,
+    }  # fmt: skip
+
+
+def test_findings_that_nobody_asked_for_leave_out_what_was_not_sought(campaign: Any) -> None:
+    empty = {table: [] for table in ("orders", "modes", "crossings", "bearings", "lines")}
+    document = {
+        **campaign.findings,
+        **empty,
+        "balance": None,
+        "balance_reason": "maps only",
+        "not_asked_for": "maps only",
+    }
+    assert "free_bands" in Findings.from_dict(campaign.findings).as_dict()
+    assert "free_bands" not in Findings.from_dict(document).as_dict()
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "told"),
+    [
+        ("orders", "amplitude", "much", "orders[0].amplitude: .*found much; allowed: a number ≥ 0"),
+        ("orders", "amplitude", -1.0, "orders[0].amplitude: .*found -1.0; allowed: a number ≥ 0"),
+        ("orders", "order", True, "orders[0].order: .*allowed: a number > 0"),
+        ("orders", "lock", "perhaps", "orders[0].lock: .*allowed: locked, slips, undecided or null"),
+        ("orders", "amplitude_ci95", [1.0], "orders[0].amplitude_ci95: .*allowed: a list of 2 or null"),
+        ("modes", "channels", "X", "modes[0].channels: .*allowed: a list"),
+        ("quality", "severity", None, "quality[0].severity: .*allowed: info, suspect, bad"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(
+    table: str, key: str, value: object, told: str, campaign: Any
+) -> None:
+    wrong = copy.deepcopy(campaign.findings)
+    wrong[table][0][key] = value
+    with pytest.raises(InputError, match="old.json: " + told.replace("[", r"\[", 1).replace("]", r"\]", 1)):
+        Findings.from_dict(wrong, file="old.json")
+
+
+def test_a_missing_key_is_refused_by_its_place(campaign: Any) -> None:
+    wrong = copy.deepcopy(campaign.findings)
+    del wrong["orders"][0]["unit"]
+    with pytest.raises(InputError, match=r"old.json: orders\[0\].unit: is missing; allowed: unit of amplitude"):
+        Findings.from_dict(wrong, file="old.json")
