@@ -11,6 +11,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from crankorder.cli import main
+from crankorder.findings import Findings
 from crankorder.identify.found import SpeedBand, SpeedVerdicts
 from crankorder.identify.speed_doubt import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.quantities import QualityFlag
@@ -75,7 +76,8 @@ def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path: P
     findings = analysed(tmp_path, {2.0: 1.0, 4.0: 0.6, 6.0: 0.4})
     assert findings["speed_doubt"] and not findings["free_bands"]
     assert {record["lock"] for record in findings["orders"]} <= {"undecided"}
-    said = [*headline(findings), *(one for part in story_of(findings).values() for one in part)]
+    typed = Findings.from_dict(findings)
+    said = [*headline(typed), *(one for part in story_of(typed).values() for one in part)]
     assert "is in doubt" in said[0]
     for sure in ("does not follow the shaft", "Balance it", "Free of resonances", " slips", "Cause: "):
         assert not any(sure in one for one in said), sure

@@ -17,6 +17,7 @@ from machines.folder import Take
 from machines.machine import FloatArray, Machine
 from machines.tracks import judged_rows
 from machines.truth import dangerous_speeds, recorded_maximum, steady_maximum
+from made.typed import findings_of
 
 NEAR_MODE = 0.01
 """A record within this share of a true frequency, or within its own interval, is of that mode."""
@@ -69,7 +70,7 @@ def judged(machine: Machine, takes: tuple[Take, ...], bound: Bound, said: Said) 
 
 def _contradictions(findings: dict[str, Any]) -> list[Judgement]:
     """A wrong statement for each pair of sentences or fields that exclude each other; else one right one."""
-    words = contradictions(findings)
+    words = contradictions(findings_of(findings))
     return [Judgement("consistent", 0.0, 1.0, one) for one in words] or [Judgement("consistent", 1.0)]
 
 

@@ -53,10 +53,10 @@ class Judged:
 def judged(rig: EncoderRig, place: Path) -> Judged:
     result = said(rig, place)
     assert result.findings is not None
-    records, true = result.findings["orders"], np.array(sorted(rig.lines()))
+    records, true = result.findings.orders, np.array(sorted(rig.lines()))
     made_up, false_lines, kept = [], [], set()
     for record in records:
-        words, order = str(record["explained_by"]), float(record["order"])
+        words, order = record.explained_by, record.order
         nearest = float(true[np.argmin(np.abs(true - order))])
         is_true = abs(nearest - order) < NEAR
         own_mesh = rig.mesh is not None and is_true and nearest == rig.mesh[0]
@@ -68,7 +68,7 @@ def judged(rig: EncoderRig, place: Path) -> Judged:
             kept.add(nearest)
     sides = [] if rig.mesh is None else [rig.mesh[0] - 1.0, rig.mesh[0] + 1.0]
     clear = [side for side in sides if all(_over_noise(rig, side) > 30.0)]
-    flags = {flag["flag"] for flag in result.findings["quality"]}
+    flags = {remark.flag for remark in result.findings.quality}
     covered, intervals, width = _coverage(rig, result)
     return Judged(
         rig,
