@@ -247,14 +247,15 @@ def _analyse(
     knowledge, flags = knowledge_of(plan, _engine(plan), wanted, options.jobs)
     outcome.flags += copies + flags
     store = FrameStore.of(plan.out)
-    keys = [text_sha256(made_by, *_recording_parts(plan, path, hashes[path], knowledge)) for path in wanted]
+    hashed = {path: {file: hashes[file] for file in plan.files_of(path)} for path in wanted}
+    keys = [text_sha256(made_by, *_recording_parts(plan, path, hashed[path], knowledge)) for path in wanted]
 
     def analyse(number: int) -> tuple[RecordingResult, bool]:
         kept = None if options.fresh else store.load(keys[number])
         if kept is not None:
             return kept, True
         made = analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
-        _check_unchanged(wanted[number], hashes[wanted[number]])
+        _check_unchanged(hashed[wanted[number]])
         store.save(keys[number], made)
         return made, False
 
@@ -262,7 +263,7 @@ def _analyse(
     first = _load_kernels()
     made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
     for count, (number, made) in enumerate(made_in_turn, start=1):
-        _collect(made, wanted[number], hashes[wanted[number]], results, outcome)
+        _collect(made, wanted[number], hashed[wanted[number]], results, outcome)
         if progress is not None:
             progress(plan.name, count, len(wanted))
     if not options.keep_only:
@@ -275,7 +276,12 @@ def _analyse(
 def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list[Path], list[QualityFlag]]:
     """The recordings of ``plan`` of which none is a copy of another, and flags that name the copies."""
     # what cannot be read, and empty files, are no copies of each other: each gets its own error
-    alike = {path: found.sha256 for path, found in hashes.items() if found.state is not None and found.state.size}
+    found = {path: [hashes[file] for file in plan.files_of(path)] for path in plan.recordings}
+    alike = {
+        path: " ".join(str(one.sha256) for one in files)
+        for path, files in found.items()
+        if all(one.state is not None and one.state.size for one in files)
+    }
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
     flags: list[QualityFlag] = [
@@ -291,14 +297,16 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
     return wanted, flags
 
 
-def _recording_parts(plan: CampaignPlan, path: Path, hashed: HashedFile, knowledge: ShaftKnowledge) -> list[str]:
+def _recording_parts(
+    plan: CampaignPlan, path: Path, hashed: dict[Path, HashedFile], knowledge: ShaftKnowledge
+) -> list[str]:
     """All that the result of the recording at ``path`` depends on beside the program."""
     stated = plan.manifest.model_dump(mode="json", exclude={"recordings": True, "test": {"name"}})
     asked = settings_of_recordings(plan.settings)
     known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
     exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
-    return [str(hashed.sha256), path.name, *exact]
+    return [*(str(one.sha256) for one in hashed.values()), path.name, *exact]
 
 
 def _listed(value: Any) -> Any:
@@ -308,22 +316,23 @@ def _listed(value: Any) -> Any:
     return value.model_dump(mode="json") if hasattr(value, "model_dump") else repr(value)
 
 
-def _check_unchanged(path: Path, hashed: HashedFile) -> None:
-    """Refuse what was read of the file at ``path`` where it is not that which was ``hashed``. Raises InputError."""
-    if hashed.fault == CHANGED or (hashed.state is not None and not hashed.is_still_at(path)):
-        remedy = "Wait until it is written whole, then run again: nothing of it was kept"
-        raise InputError(CHANGED, file=path.name, remedy=remedy)
+def _check_unchanged(files: dict[Path, HashedFile]) -> None:
+    """Refuse what was read of ``files`` where one is not that which was hashed. Raises InputError that names it."""
+    for path, hashed in files.items():
+        if hashed.fault == CHANGED or (hashed.state is not None and not hashed.is_still_at(path)):
+            remedy = "Wait until it is written whole, then run again: nothing of it was kept"
+            raise InputError(CHANGED, file=path.name, remedy=remedy)
 
 
 def _collect(
     made: Callable[[], tuple[RecordingResult, bool]],
     path: Path,
-    hashed: HashedFile,
+    hashed: dict[Path, HashedFile],
     results: dict[Path, RecordingResult],
     outcome: Outcome,
 ) -> None:
     try:
-        _check_unchanged(path, hashed)
+        _check_unchanged(hashed)
         results[path], reused = made()
         outcome.reused += reused
     except EnvironmentFailure:
@@ -465,7 +474,7 @@ def _provenance(
                 "sha256": hashes[path].sha256,
                 "bytes": _size(path, hashes[path]),
             }
-            for path in plan.recordings
+            for path in plan.files
         ],
         "manifest": plan.manifest.model_dump(mode="json"),
         "engine": engine,

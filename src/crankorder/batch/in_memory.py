@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.batch.changed_gains import without_changed_gains
 from crankorder.batch.execute import left_out_of, results_of_test, sources_of
-from crankorder.batch.plan import up_to_stated
+from crankorder.batch.plan import settings_for
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
 from crankorder.findings import Findings
@@ -48,7 +48,7 @@ def analysed(
     """
     given = _each(recordings)
     manifest = _machine(given, tables, test)
-    settings, known = up_to_stated(settings, manifest), engine_of(engine)
+    settings, known = settings_for(manifest, settings), engine_of(engine)
     faults: list[CrankorderError] = []
     results: dict[Path, RecordingResult] = {}
     for name, one in given.items():

@@ -40,6 +40,16 @@ class CampaignPlan:
     owner: Owner
     faults: list[CrankorderError] = field(default_factory=list)
 
+    def files_of(self, recording: Path) -> list[Path]:
+        """Files that make up the ``recording``: its own, and that of its pulses where it is another."""
+        pulses = self.manifest.encoder.beside(recording)
+        return [recording] if pulses is None else [recording, pulses]
+
+    @property
+    def files(self) -> list[Path]:
+        """Files of all recordings, each once."""
+        return list(dict.fromkeys(file for path in self.recordings for file in self.files_of(path)))
+
 
 @dataclass(frozen=True)
 class Shard:
@@ -187,7 +197,7 @@ def _plan(
     stated = load_manifest(folder, manifest)
     chosen = recipe if recipe is not None else stated.test.recipe
     beside = manifest.parent if manifest is not None else folder
-    settings = up_to_stated(load_settings(chosen, beside=beside if recipe is None else None, asked=asked), stated)
+    settings = settings_for(stated, load_settings(chosen, beside=beside if recipe is None else None, asked=asked))
     found = recordings_of(folder, stated)
     name = name or stated.test.name or folder.resolve().name
     content = text_sha256(json.dumps(stated.model_dump(mode="json"), sort_keys=True))
@@ -204,9 +214,14 @@ def _plan(
     )
 
 
-def up_to_stated(settings: Settings, stated: Manifest) -> Settings:
-    """``settings`` whose highest order holds the gears and the motor that ``stated`` names: what they excite is to be
-    judged."""
+def settings_for(stated: Manifest, settings: Settings) -> Settings:
+    """What of ``settings`` can be asked of a test as its manifest ``stated`` it.
+
+    The highest order holds its gears and its motor: what they excite is to be judged. Of a shaft alone there is no
+    vibration to ask for.
+    """
+    if stated.of_shaft_alone:
+        return settings.model_copy(update={"report": settings.report.model_copy(update={"results": ()})})
     meshes = [gear.mesh_order for gear in stated.gears]
     if stated.motor is not None:
         meshes.append(stated.motor.highest_order)

@@ -74,7 +74,7 @@ class ReportingProcess:
     def _do(self, request: tuple[str, tuple[Any, ...]]) -> Any:
         name, given = request
         if name == "hash":
-            paths = [path for plan in self._plans for path in plan.recordings]
+            paths = [path for plan in self._plans for path in plan.files]
             with ThreadPoolExecutor(max_workers=self._jobs) as pool:
                 hashed = dict(zip(paths, pool.map(HashedFile.of, paths), strict=True))
             return (code_sha256(), library_versions()), hashed
@@ -95,9 +95,9 @@ class ReportingProcess:
         return self._program
 
     def hashes(self, plan: CampaignPlan) -> dict[Path, HashedFile]:
-        """Every recording of ``plan`` as it was hashed, or why it could not be."""
+        """Every file of ``plan`` as it was hashed, or why it could not be."""
         self.program()
-        return {path: self._hashes[path] for path in plan.recordings}
+        return {path: self._hashes[path] for path in plan.files}
 
     def files_of_test(
         self,

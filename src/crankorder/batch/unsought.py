@@ -10,6 +10,7 @@ from crankorder.quantities import QualityFlag, flags_of
 from crankorder.settings import Settings
 
 NOT_ASKED_FOR = "not asked for: the recipe wants {results} only"
+OF_SHAFT_ALONE = "not sought: no vibration was recorded, the shaft alone"
 
 
 def unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: Settings) -> Findings:
@@ -20,11 +21,14 @@ def unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: S
     flags: list[QualityFlag] = []
     for dataset in datasets.values():
         flags += [flag for flag in flags_of(dataset) if flag not in flags]
-    first = next(iter(datasets.values()))
-    columns = (first[name].values.tolist() for name in ("channel", "unit", "quantity"))
-    speeds = np.concatenate([dataset["speed"].values for dataset in datasets.values() if "speed" in dataset.variables])
+    maps = [dataset for dataset in datasets.values() if "channel" in dataset.variables]
+    columns = (maps[0][name].values.tolist() if maps else [] for name in ("channel", "unit", "quantity"))
+    of_shaft = [datasets["shaft"][name].values for name in ("speed_min", "speed_max")]
+    of_maps = [dataset["speed"].values for dataset in maps if "speed" in dataset.variables]
+    speeds = np.concatenate(of_maps if maps else of_shaft)
     known = speeds[np.isfinite(speeds)]
-    reason = NOT_ASKED_FOR.format(results=", ".join(name.replace("_", " ") for name in settings.report.results))
+    wanted = ", ".join(name.replace("_", " ") for name in settings.report.results)
+    reason = NOT_ASKED_FOR.format(results=wanted) if wanted else OF_SHAFT_ALONE
     made = tuple(
         Channel(name=name, unit=unit, quantity=quantity) for name, unit, quantity in zip(*columns, strict=True)
     )

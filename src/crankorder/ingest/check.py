@@ -61,7 +61,7 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
         contents: Contents = contents_of(path, settings=settings)
     except CrankorderError as error:
         return [error]
-    faults: list[CrankorderError] = []
+    faults = _pulse_file_faults(path, manifest, settings=settings)
     names: dict[str, str] = {}
     for number, (role, source) in enumerate(roles := _roles(manifest).items()):
         if len(faults) >= MOST_TOLD:
@@ -76,7 +76,7 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     faults += _length_faults(
         path, {role: contents.samples[name] for role, name in sampled.items() if name in contents.samples}
     )
-    if manifest.sampling.domain == "time" and manifest.sampling.time_source is None:
+    if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
         try:
             rates = {name: contents.rates_hz[name] for name in sampled.values() if name in contents.rates_hz}
             tolerance = settings.rate_tolerance + 2.0 * contents.rate_uncertainty
@@ -94,11 +94,35 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     return faults
 
 
+def _pulse_file_faults(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:
+    """Faults of the file that lists the pulses of the recording at ``path``, where it has one of its own."""
+    from crankorder.ingest.folder import check_regular
+    from crankorder.ingest.formats import contents_of
+    from crankorder.ingest.rawfile import named
+
+    encoder, pulses = manifest.encoder, manifest.encoder.beside(path)
+    if pulses is None:
+        return []
+    try:
+        check_regular(pulses, path.parent)
+        names = contents_of(pulses, settings=settings).names
+    except CrankorderError as error:
+        return [error]
+    faults: list[CrankorderError] = []
+    for source in (encoder.source, encoder.index, encoder.cam, encoder.time_source):
+        try:
+            if source is not None:
+                named(source, names, pulses)
+        except CrankorderError as error:
+            faults.append(error)
+    return faults
+
+
 def _roles(manifest: Manifest) -> dict[str, str | int]:
     """Sources that the manifest asks for, by what they are for."""
     roles: dict[str, str | int | None] = {channel.name: channel.file_source for channel in manifest.channels}
     encoder = manifest.encoder
-    if encoder.kind not in SOURCELESS_KINDS:
+    if encoder.kind not in SOURCELESS_KINDS and encoder.file is None:
         roles |= {"the encoder": encoder.source, "the index": encoder.index, "the cam mark": encoder.cam}
     elif encoder.kind == "constant":
         roles["the speed"] = encoder.source

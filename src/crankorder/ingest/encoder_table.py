@@ -5,6 +5,8 @@ Imports nothing heavy, as all that a manifest is checked with.
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
@@ -52,6 +54,9 @@ class Encoder(Table):
 
     kind: EncoderKind = "none"
     source: Source | None = None
+    file: Name | None = None
+    time_source: Source | None = None
+    offset_s: float = 0.0
     pulses_per_rev: Count | None = None
     missing_teeth: Annotated[int, Field(ge=0)] = 0
     pattern: Name | None = None
@@ -85,6 +90,17 @@ class Encoder(Table):
             raise ValueError(fault)
         return angles
 
+    @field_check("file")
+    @classmethod
+    def _file_lies_beside(cls, name: str | None) -> str | None:
+        if name is not None and (re.search(r"[/\\\0]", name) or name in (".", "..")):
+            raise ValueError("file must be the name of a file beside the recording; * stands for the recording's own")
+        return name
+
+    def beside(self, recording: Path) -> Path | None:
+        """The file that lists the pulses of ``recording``, where it is one of its own; None where it is not."""
+        return None if self.file is None else recording.with_name(self.file.replace("*", recording.stem))
+
     @property
     def wheel(self) -> dict[str, Any]:
         """Attributes of a recording that say what wheel it is; none where the pulses themselves must tell."""
@@ -116,6 +132,14 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
                 RequestError(
                     f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
                 )
+            )
+    if encoder.file is not None and encoder.kind not in TIME_KINDS:
+        problem = "a file of its own holds times of pulses: samples lie in the recording"
+        faults.append(RequestError(problem, place="encoder.file", allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
+    for key in ("time_source", "offset_s"):
+        if key in encoder.model_fields_set and encoder.file is None:
+            faults.append(
+                RequestError(f"{key} is that of the file of pulses", place=f"encoder.{key}", remedy="Add file")
             )
     if encoder.expected_rpm is not None and encoder.kind != "vibration":
         faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))

@@ -70,6 +70,9 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
                     chosen[path] = None
             except CrankorderError as error:
                 faults.append(error)
+    listed = {manifest.encoder.beside(path) for path in chosen}
+    for path in [path for path in chosen if path in listed and manifest.encoder.beside(path) != path]:
+        del chosen[path]  # the pulses of another recording are none of their own
     if untold:
         faults.append(InputError(f"and {untold} more files that are not there", file=folder, remedy="Mend these first"))
     if not chosen and not faults:

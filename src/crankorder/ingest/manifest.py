@@ -21,8 +21,17 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
 from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
+from crankorder.ingest.encoder_table import (
+    TIME_KINDS,
+    Count,
+    Encoder,
+    Name,
+    Positive,
+    Source,
+    Table,
+    encoder_faults,
+)
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
-from crankorder.ingest.encoder_table import Count, Encoder, Name, Positive, Source, Table, encoder_faults
 from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, parse_sensitivity, unit_of
 
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
@@ -271,7 +280,7 @@ class Manifest(Table):
     schema_version: Literal[1]
     test: Test
     recordings: Recordings
-    channels: Annotated[tuple[Channel, ...], Field(strict=False)]
+    channels: Annotated[tuple[Channel, ...], Field(strict=False)] = ()
     sampling: Sampling = Sampling()
     encoder: Encoder = Encoder()
     bearings: Annotated[tuple[Bearing, ...], Field(strict=False)] = ()
@@ -279,6 +288,16 @@ class Manifest(Table):
     added_masses: Annotated[tuple[AddedMass, ...], Field(strict=False)] = ()
     gears: Annotated[tuple[Gear, ...], Field(strict=False)] = ()
     motor: Motor | None = None
+
+    @property
+    def of_shaft_alone(self) -> bool:
+        """Whether no signal was recorded beside the pulses of the shaft."""
+        return not self.channels
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether anything was sampled at a rate: not where times of pulses are all there is."""
+        return not (self.of_shaft_alone and self.encoder.kind in TIME_KINDS)
 
     @property
     def revs_per_cycle(self) -> int:
@@ -444,9 +463,11 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
             )
         )
     # checked here and not by the model, which would count a channel with a fault as none
-    for place, entries in (("recordings.files", manifest.recordings.files), ("channels", manifest.channels)):
-        if not entries:
-            faults.append(RequestError("the list is empty", place=place, allowed="1 or more"))
+    if not manifest.recordings.files:
+        faults.append(RequestError("the list is empty", place="recordings.files", allowed="1 or more"))
+    if not manifest.channels and manifest.encoder.kind not in (*TRACE_KINDS, *TIME_KINDS):
+        allowed = f"1 or more; none only beside an encoder of kind {', '.join((*TRACE_KINDS, *TIME_KINDS))}"
+        faults.append(RequestError("no channel is named", place="channels", allowed=allowed, remedy="Add [[channels]]"))
     seen: dict[str, int] = {}
     for number, channel in enumerate(manifest.channels):
         if channel.name in seen:

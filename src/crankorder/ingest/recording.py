@@ -12,6 +12,7 @@ import xarray as xr
 
 from crankorder.errors import CrankorderError, InputError, RequestError
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
+from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.manifest import Channel, Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
@@ -84,21 +85,37 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     Raises InputError where the file is damaged, lacks a channel, contradicts the manifest, or has samples missing;
     what can be mended is mended and flagged in ``attrs["quality"]``.
     """
-    raw = read_file(path, sources=_wanted(manifest), settings=settings)
-    return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
+    pulses = manifest.encoder.beside(path)
+    if pulses is None:
+        raw = read_file(path, sources=_wanted(manifest), settings=settings)
+        return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
+    check_regular(pulses, path.parent)
+    listed = read_file(pulses, sources=_of_encoder(manifest), settings=settings)
+    raw = read_file(path, sources=_of_samples(manifest), settings=settings)
+    return recording_of(raw, path, manifest, settings=settings, shaft=shaft, listed=listed)
 
 
 def recording_of(
-    raw: RawFile, path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings
+    raw: RawFile,
+    path: Path,
+    manifest: Manifest,
+    *,
+    settings: IngestSettings,
+    shaft: ShaftSettings,
+    listed: RawFile | None = None,
 ) -> Recording:
     """The Recording of the columns of ``raw``, called ``path``, as :func:`read_recording` makes it of a file.
 
     ``manifest``, ``settings`` and ``shaft`` are those of :func:`read_recording`; columns are changed in place.
+    ``listed``: columns of the file of the pulses, where they have one of their own.
     """
-    flags = list(raw.flags)
+    flags = [*raw.flags, *(listed.flags if listed is not None else ())]
     recording, rate_hz, start_s = _axis(raw, manifest, path, settings, flags)
     _check_lengths(raw, manifest, path)
-    _add_encoder(recording, raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
+    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
+    if manifest.of_shaft_alone:
+        _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
+        return Recording(with_flags(recording, flags))
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     faults = []
     for channel, row in zip(manifest.channels, signals, strict=True):
@@ -142,14 +159,28 @@ def _mean_speed_hz(recording: xr.Dataset) -> float:
 
 def _wanted(manifest: Manifest) -> list[Source]:
     """Sources to read, each once: channels first, so that they are neighbours in memory."""
-    encoder = manifest.encoder
+    channels = [channel.file_source for channel in manifest.channels]
+    return list(dict.fromkeys([*channels, *_of_encoder(manifest), *_of_samples(manifest)]))
+
+
+def _of_samples(manifest: Manifest) -> list[Source]:
+    """Sources of the channels and of their times."""
     sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
+    if manifest.sampling.domain == "time":
+        sources.append(manifest.sampling.time_source)
+    return list(dict.fromkeys(source for source in sources if source is not None))
+
+
+def _of_encoder(manifest: Manifest) -> list[Source]:
+    """Sources of the encoder and its marks; of a file of its own its times too."""
+    encoder = manifest.encoder
+    sources: list[Source | None] = []
     if encoder.kind not in SOURCELESS_KINDS:
         sources += [encoder.source, encoder.index, encoder.cam]
     elif encoder.kind == "constant":
         sources.append(encoder.source)
-    if manifest.sampling.domain == "time":
-        sources.append(manifest.sampling.time_source)
+    if encoder.file is not None:
+        sources.append(encoder.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
 
 
@@ -164,6 +195,8 @@ def _axis(
         attrs["has_shaft"] = 0
     if sampling.domain == "crank_angle":
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
+        return xr.Dataset(attrs=attrs), math.nan, 0.0
+    if not manifest.has_samples:
         return xr.Dataset(attrs=attrs), math.nan, 0.0
     edge_rows = manifest.encoder.kind == "edge_list"
     times = None
@@ -216,6 +249,8 @@ def _check_lengths(raw: RawFile, manifest: Manifest, path: Path) -> None:
     if encoder.kind in TRACE_KINDS and encoder.cam is not None:
         sampled["the cam mark"] = encoder.cam
     lengths = {name: raw.columns[source].size for name, source in sampled.items()}
+    if not lengths:
+        return
     first, n_samples = next(iter(lengths.items()))
     for name, length in lengths.items():
         if length != n_samples:
@@ -231,6 +266,12 @@ def _check_lengths(raw: RawFile, manifest: Manifest, path: Path) -> None:
             allowed=f"{_MIN_SAMPLES} samples or more",
             remedy="Leave the recording out",
         )
+
+
+def _trace_length(raw: RawFile, manifest: Manifest) -> int:
+    """Samples of the encoder's trace, 0 where the file lists times."""
+    source = manifest.encoder.source
+    return raw.columns[source].size if manifest.has_samples and source is not None else 0
 
 
 def _add_encoder(
@@ -340,15 +381,16 @@ def _pulses_of_times(
 ) -> tuple[Floats, float]:
     """Pulse times that the file lists; of an edge list with a level column only the edges of the wanted direction."""
     assert source is not None  # the manifest was checked for it
-    time_source = manifest.sampling.time_source
-    if manifest.encoder.kind == "edge_list" and time_source is not None and time_source != source:
+    encoder = manifest.encoder
+    time_source = manifest.sampling.time_source if encoder.file is None else encoder.time_source
+    if encoder.kind == "edge_list" and time_source is not None and time_source != source:
         level, stamps = raw.columns[source], _in_seconds(raw, time_source)
         high = level > 0.5 * (float(level.min()) + float(level.max()))
-        turned = high[1:] & ~high[:-1] if manifest.encoder.edge == "rising" else ~high[1:] & high[:-1]
+        turned = high[1:] & ~high[:-1] if encoder.edge == "rising" else ~high[1:] & high[:-1]
         stamps = stamps[1:][turned]
     else:
         stamps = _in_seconds(raw, source)
-    times = stamps.astype(np.float64)
+    times = stamps.astype(np.float64) + encoder.offset_s
     if not np.isfinite(times).all() or (times.size > 1 and float(np.diff(times).min()) < 0):
         raise InputError(
             "pulse times must be finite and must not go back",

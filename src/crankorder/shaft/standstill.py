@@ -44,7 +44,7 @@ class Silence(NamedTuple):
 
 def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
     """Remarks on the ends of ``recording`` (a Recording by time) that its pulses leave out of ``shaft`` (its angle)."""
-    if "pulse_time" not in recording or recording.attrs.get("domain") != "time":
+    if "pulse_time" not in recording or "rate_hz" not in recording.attrs:
         return []
     remarks: list[Remark] = []
     for at_end in (False, True):

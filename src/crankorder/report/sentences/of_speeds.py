@@ -160,6 +160,15 @@ def doubt_sentences(findings: Findings) -> list[str]:
     return [f"The speed, read from the vibration, is in doubt, and with it every order, cause and crossing: {reason}."]
 
 
+def shaft_sentences(findings: Findings) -> list[str]:
+    """Of ``findings`` of a shaft alone: at which speeds it turned, and how unevenly; else nothing."""
+    low, high = (findings.speed_range_rpm if not findings.channels else None) or (None, None)
+    if low is None or high is None:
+        return []
+    speeds = f"{low:.0f} rpm" if round(low) == round(high) else f"{low:.0f} to {high:.0f} rpm"
+    return [f"The shaft turned at {speeds}.", *swing_sentences(findings)]
+
+
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]

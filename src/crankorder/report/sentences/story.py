@@ -28,6 +28,7 @@ from crankorder.report.sentences.of_speeds import (
     avoid_sentences,
     doubt_sentences,
     free_sentences,
+    shaft_sentences,
     swing_sentences,
 )
 
@@ -77,7 +78,7 @@ def headline(findings: Findings) -> list[str]:
     natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
     if findings.not_asked_for:
-        return [f"Findings were {named(findings.not_asked_for, limit=400)}."]
+        return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
     energy = energy_sentence(findings)
     if stands_still(findings):
         return [*mode_sentences(findings)[:1], *([energy] if energy else [])]
@@ -95,7 +96,8 @@ def headline(findings: Findings) -> list[str]:
 def story_of(findings: Findings) -> Story:
     """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
     if findings.not_asked_for:
-        return Story(what=[], why=[], how_sure=_quality_sentences(findings), what_to_do=_repeat_sentences(findings))
+        what, doubts = shaft_sentences(findings), _quality_sentences(findings)
+        return Story(what=what, why=[], how_sure=doubts, what_to_do=_repeat_sentences(findings))
     energy = energy_sentence(findings)
     if stands_still(findings):
         return Story(

@@ -1,0 +1,191 @@
+"""Times of edges are a test of the shaft by themselves, and give the angle of signals that another file holds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from crankorder.cli import main
+
+TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
+RATE_HZ = 5000
+
+HEAD = """schema_version = 1
+[test]
+name = "{name}"
+cycle = "four-stroke"
+[recordings]
+files = ["{files}"]
+"""
+WHEEL = f"pulses_per_rev = {TEETH}\nmissing_teeth = {MISSING}\n"
+
+
+def angle_of(time_s: np.ndarray) -> np.ndarray:
+    """Turns of a shaft of MEAN_RPM whose speed swings by SWING_RPM twice per revolution, to first order."""
+    hertz = MEAN_RPM / 60.0
+    turns = hertz * time_s
+    return turns - SWING_RPM / MEAN_RPM / (4.0 * np.pi) * np.cos(4.0 * np.pi * turns)
+
+
+def edges_of(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the rising and falling edges of the wheel, with 2 µs of jitter."""
+    rng = np.random.default_rng(seed)
+    fine_s = np.linspace(0.0, LENGTH_S, 2_000_001)
+    turns = angle_of(fine_s)
+    tooth = np.arange(int(turns[-1] * TEETH) - 1)
+    tooth = tooth[tooth % TEETH < TEETH - MISSING] + 0.25
+    rising, falling = (np.interp((tooth + part) / TEETH, turns, fine_s) for part in (0.0, 0.45))
+    return rising + 2e-6 * rng.standard_normal(rising.size), falling + 2e-6 * rng.standard_normal(falling.size)
+
+
+def write_edges(path: Path, seed: int, *, offset_s: float = 0.0) -> None:
+    """Edge list of a logic analyser: one line for each change of level."""
+    rising, falling = edges_of(seed)
+    rows = sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])
+    lines = ["Time [s],crank"] + [f"{at - offset_s:.9f},{level}" for at, level in rows]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_signal(path: Path, *, pulses: np.ndarray | None = None) -> None:
+    """Acceleration of order 2, peak 3 m/s2, that follows the shaft, and noise."""
+    time_s = np.arange(int(LENGTH_S * RATE_HZ)) / RATE_HZ
+    noise = 0.05 * np.random.default_rng(5).standard_normal(time_s.size)
+    with h5py.File(path, "w") as file:
+        made = file.create_dataset("a", data=3.0 * np.cos(4.0 * np.pi * angle_of(time_s)) + noise)
+        made.attrs["rate_hz"] = RATE_HZ
+        if pulses is not None:
+            file["pulses"] = pulses
+
+
+def run(folder: Path, out: Path) -> tuple[int, str]:
+    done = CliRunner().invoke(main, ["run", str(folder), "--out", str(out)])
+    return done.exit_code, done.output
+
+
+def findings_in(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(next(out.glob("*/findings.json")).read_bytes())
+    return found
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path, seed: int) -> None:
+    folder = tmp_path / "edges"
+    folder.mkdir()
+    write_edges(folder / "a.csv", seed)
+    table = f'[sampling]\ntime_source = "Time [s]"\n[encoder]\nkind = "edge_list"\nsource = "crank"\n{WHEEL}'
+    (folder / "run.toml").write_text(HEAD.format(name="edges", files="a.csv") + table, encoding="utf-8")
+    assert CliRunner().invoke(main, ["check", str(folder)]).exit_code == 0
+    code, said = run(folder, tmp_path / "out")
+    assert code == 0, said
+    assert "The shaft turned at 13" in said
+    found = findings_in(tmp_path / "out")
+    assert found["orders"] == [] and found["channels"] == [] and "shaft alone" in found["not_asked_for"]
+    assert found["speed_range_rpm"] == pytest.approx([MEAN_RPM - SWING_RPM, MEAN_RPM + SWING_RPM], abs=6.0)  # of single teeth
+    (swing,) = [one for one in found["speed_swing"] if one["order"] == 2.0]
+    assert swing["amplitude_rpm"] == pytest.approx(SWING_RPM, rel=0.03)
+    others = [one["amplitude_rpm"] for one in found["speed_swing"] if one["order"] != 2.0]
+    assert max(others, default=0.0) < 0.05 * SWING_RPM
+    with xr.open_dataset(tmp_path / "out" / "edges" / "results.nc", group="shaft", engine="h5netcdf") as shaft:
+        assert float(shaft["speed_mean"][0]) == pytest.approx(MEAN_RPM, rel=1e-3)
+    assert (tmp_path / "out" / "edges" / "speed.png").is_file()
+
+
+def test_times_of_pulses_alone_are_a_test_too(tmp_path: Path) -> None:
+    folder = tmp_path / "pulses"
+    folder.mkdir()
+    with h5py.File(folder / "a.h5", "w") as file:
+        file["crank"] = edges_of(3)[0]
+    table = f'[encoder]\nkind = "pulse_times"\nsource = "crank"\n{WHEEL}'
+    (folder / "run.toml").write_text(HEAD.format(name="pulses", files="a.h5") + table, encoding="utf-8")
+    code, said = run(folder, tmp_path / "out")
+    assert code == 0, said
+    assert findings_in(tmp_path / "out")["speed_swing"][0]["order"] == 2.0
+
+
+def test_a_test_without_channels_needs_pulses(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
+    (tmp_path / "run.toml").write_text(HEAD.format(name="none", files="a.csv"), encoding="utf-8")
+    done = CliRunner().invoke(main, ["check", str(tmp_path)])
+    assert done.exit_code != 0
+    assert "no channel is named" in done.output and "edge_list" in done.output
+
+
+def joined(folder: Path, *, offset_s: float = 0.0, names: tuple[str, ...] = ("a",), files: str = "*.h5") -> Path:
+    """A folder with signals and, beside each, the edges of its crank on a clock that starts ``offset_s`` later."""
+    folder.mkdir()
+    for seed, name in enumerate(names):
+        write_signal(folder / f"{name}.h5")
+        write_edges(folder / f"{name}.edges.csv", seed, offset_s=offset_s)
+    table = f"""[[channels]]
+name = "A"
+source = "a"
+unit = "m/s2"
+[encoder]
+file = "*.edges.csv"
+kind = "edge_list"
+source = "crank"
+time_source = "Time [s]"
+offset_s = {offset_s}
+{WHEEL}"""
+    (folder / "run.toml").write_text(HEAD.format(name="joined", files=files) + table, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 2.5])
+def test_edges_in_a_file_of_their_own_read_as_pulses_in_the_recording(tmp_path: Path, offset_s: float) -> None:
+    folder = joined(tmp_path / "joined", offset_s=offset_s)
+    assert CliRunner().invoke(main, ["check", str(folder)]).exit_code == 0
+    code, said = run(folder, tmp_path / "out")
+    assert code == 0, said
+    (order,) = findings_in(tmp_path / "out")["orders"]
+    assert order["order"] == 2.0 and order["lock"] == "locked"
+    assert order["amplitude"] == pytest.approx(3.0, rel=0.003)
+    stated = json.loads((tmp_path / "out" / "joined" / "run.json").read_bytes())
+    assert [one["name"] for one in stated["inputs"]] == ["a.h5", "a.edges.csv"]
+
+
+def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path: Path) -> None:
+    code, said = run(joined(tmp_path / "joined", files="*"), tmp_path / "out")
+    assert code == 0, said
+    assert "edges.csv" not in said
+
+
+def test_a_missing_list_takes_its_own_recording_alone(tmp_path: Path) -> None:
+    folder = joined(tmp_path / "joined", names=("a", "b"))
+    (folder / "b.edges.csv").unlink()
+    checked = CliRunner().invoke(main, ["check", str(folder)])
+    assert checked.exit_code != 0 and "b.edges.csv: no such file" in checked.output
+    code, said = run(folder, tmp_path / "out")
+    assert code == 3 and "b.edges.csv: no such file" in said
+    assert findings_in(tmp_path / "out")["orders"]
+
+
+def test_other_edges_are_another_result(tmp_path: Path) -> None:
+    folder = joined(tmp_path / "joined")
+    run(folder, tmp_path / "out")
+    first = (tmp_path / "out" / "joined" / "results.nc").read_bytes()
+    write_edges(folder / "a.edges.csv", 17)
+    assert "unchanged" not in run(folder, tmp_path / "out")[1]
+    assert (tmp_path / "out" / "joined" / "results.nc").read_bytes() != first
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ('file = "../a.csv"\nkind = "edge_list"\nsource = 0\n', "beside the recording"),
+        ('file = "a.csv"\nkind = "square"\nsource = 0\n', "a file of its own holds times"),
+        ('kind = "edge_list"\nsource = 0\noffset_s = 1.0\n', "offset_s is that of the file of pulses"),
+    ],
+)
+def test_keys_that_do_not_fit_are_refused(tmp_path: Path, keys: str, words: str) -> None:
+    text = HEAD.format(name="x", files="a.h5") + '[[channels]]\nname = "A"\nunit = "V"\n[encoder]\n' + keys
+    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
+    done = CliRunner().invoke(main, ["check", str(tmp_path)])
+    assert done.exit_code != 0 and words in done.output
