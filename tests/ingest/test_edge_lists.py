@@ -87,7 +87,7 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path, seed: int) -> None:
     assert "The shaft turned at 13" in said
     found = findings_in(tmp_path / "out")
     assert found["orders"] == [] and found["channels"] == [] and "shaft alone" in found["not_asked_for"]
-    assert found["speed_range_rpm"] == pytest.approx([MEAN_RPM - SWING_RPM, MEAN_RPM + SWING_RPM], abs=6.0)  # of single teeth
+    assert found["speed_range_rpm"] == pytest.approx([MEAN_RPM - SWING_RPM, MEAN_RPM + SWING_RPM], abs=6.0)
     (swing,) = [one for one in found["speed_swing"] if one["order"] == 2.0]
     assert swing["amplitude_rpm"] == pytest.approx(SWING_RPM, rel=0.03)
     others = [one["amplitude_rpm"] for one in found["speed_swing"] if one["order"] != 2.0]
