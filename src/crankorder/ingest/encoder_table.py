@@ -133,14 +133,6 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
                     f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
                 )
             )
-    if encoder.file is not None and encoder.kind not in TIME_KINDS:
-        problem = "a file of its own holds times of pulses: samples lie in the recording"
-        faults.append(RequestError(problem, place="encoder.file", allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
-    for key in ("time_source", "offset_s"):
-        if key in encoder.model_fields_set and encoder.file is None:
-            faults.append(
-                RequestError(f"{key} is that of the file of pulses", place=f"encoder.{key}", remedy="Add file")
-            )
     if encoder.expected_rpm is not None and encoder.kind != "vibration":
         faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))
     if cycle == "none" and (encoder.kind != "none" or domain == "crank_angle"):
@@ -162,7 +154,20 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
                 remedy='Remove [encoder], or state domain = "time"',
             )
         )
-    return faults + _wheel_faults(encoder, cycle)
+    return faults + _file_faults(encoder) + _wheel_faults(encoder, cycle)
+
+
+def _file_faults(encoder: Encoder) -> list[RequestError]:
+    faults: list[RequestError] = []
+    if encoder.file is not None and encoder.kind not in TIME_KINDS:
+        problem = "a file of its own holds times of pulses: samples lie in the recording"
+        faults.append(RequestError(problem, place="encoder.file", allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
+    for key in ("time_source", "offset_s"):
+        if key in encoder.model_fields_set and encoder.file is None:
+            faults.append(
+                RequestError(f"{key} is that of the file of pulses", place=f"encoder.{key}", remedy="Add file")
+            )
+    return faults
 
 
 def _wheel_faults(encoder: Encoder, cycle: str) -> list[RequestError]:
