@@ -401,6 +401,11 @@ class RecordingResult:
     frames: dict[Any, xr.Dataset]
 
     @property
+    def name(self) -> str:
+        """Name of the recording: its path inside the folder of the test."""
+        return str(self.shaft.attrs["recording"])
+
+    @property
     def flags(self) -> list[QualityFlag]:
         """Quality flags of shaft and frames, each once, in the order in which they were raised."""
         seen: list[QualityFlag] = []

@@ -36,8 +36,8 @@ def without_changed_gains(
     ratios = settings.level_jump_ratio, settings.gain_step_ratio
     flags = level_jumps(_levels(sound), ratio=ratios[0], proven_ratio=ratios[1])
     made = dict(results)
-    for path in sound:
-        own = [flag for flag in flags if flag["recording"] == path.name]
+    for path, result in sound.items():
+        own = [flag for flag in flags if flag["recording"] == result.name]
         if own:
             made[path] = _without(made[path], own)
     return made
@@ -68,7 +68,7 @@ def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
     """Speed and level of every recording whose level was looked at."""
     made: list[RecordedLevel] = []
     places: NDArray[np.float64] | None = None
-    for path, result in results.items():
+    for result in results.values():
         levels = result.frames.get(RecordingLevels)
         speed = result.shaft["speed"].values
         if levels is not None and np.isfinite(speed).any():
@@ -82,5 +82,5 @@ def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
             alike = np.array_equal(here, places)
             blocks = dict(zip(names, levels["block_floor"].values, strict=True)) if alike else {}
             lines = line_sizes(result.frames.get(OrderFrames), names)
-            made.append(RecordedLevel(path.name, (min(means), max(means)), rms, floor, blocks, lines))
+            made.append(RecordedLevel(result.name, (min(means), max(means)), rms, floor, blocks, lines))
     return made

@@ -167,7 +167,13 @@ def _finish(
     """Maps, findings, files and their publication."""
     sources = sources_of(plan.manifest, _engine(plan), plan.settings)
     groups, findings, left_out = results_of_test(
-        results, test=plan.name, sources=sources, settings=plan.settings, flags=outcome.flags, faults=outcome.faults
+        results,
+        test=plan.name,
+        sources=sources,
+        settings=plan.settings,
+        flags=outcome.flags,
+        faults=outcome.faults,
+        name_of=plan.name_of,
     )
     outcome.faults += left_out
     clock.lap("test")
@@ -197,11 +203,12 @@ def results_of_test(
     settings: Settings,
     flags: list[QualityFlag],
     faults: list[CrankorderError],
+    name_of: Callable[[Path], str] = Path.as_posix,
 ) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
     """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
 
     ``results`` of its recordings by file; ``sources``: what the machine is made of; ``settings`` of all stages;
-    ``flags`` and ``faults`` of the test so far, which the findings tell too.
+    ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``: the recording of a file.
     """
     made = analyse_test(list(results.values()), test=test, sources=sources, settings=settings)
     findings = made.findings or unsought_findings(made.datasets, test=test, settings=settings)
@@ -211,7 +218,7 @@ def results_of_test(
         if flag.flag == "frame_length_differs"
     ]
     told = [flag for flag in quality_of(_flags_of(results)) if flag not in findings.quality]
-    quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out])))
+    quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out], name_of)))
     most_deg = settings.orders.largest_eccentricity_deg
     findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
     findings = replace(findings, quality=(*quality, *contradiction_flags(findings)))
@@ -263,13 +270,14 @@ def _analyse(
     first = _load_kernels()
     made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
     for count, (number, made) in enumerate(made_in_turn, start=1):
-        _collect(made, wanted[number], hashed[wanted[number]], results, outcome)
+        path = wanted[number]
+        _collect(made, path, plan.name_of(path), hashed[path], results, outcome)
         if progress is not None:
             progress(plan.name, count, len(wanted))
     if not options.keep_only:
         store.keep_only(keys)
-    place = {path.name: number for number, path in enumerate(plan.recordings)}
-    outcome.faults.sort(key=lambda fault: place.get(Path(fault.file).name, -1))
+    place = {plan.name_of(path): number for number, path in enumerate(plan.recordings)}
+    outcome.faults.sort(key=lambda fault: place.get(plan.name_of(Path(fault.file)), -1))
     return {path: results[path] for path in wanted if path in results}
 
 
@@ -286,10 +294,10 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
     flags: list[QualityFlag] = [
         {
-            "recording": path.name,
+            "recording": plan.name_of(path),
             "flag": "duplicate_of",
             "severity": "info",
-            "detail": f"the same bytes as {first_of[alike[path] or ''].name}: counted once",
+            "detail": f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once",
         }
         for path in plan.recordings
         if path not in set(wanted)
@@ -306,7 +314,7 @@ def _recording_parts(
     known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
     exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
-    return [*(str(one.sha256) for one in hashed.values()), path.name, *exact]
+    return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
 
 
 def _listed(value: Any) -> Any:
@@ -321,12 +329,13 @@ def _check_unchanged(files: dict[Path, HashedFile]) -> None:
     for path, hashed in files.items():
         if hashed.fault == CHANGED or (hashed.state is not None and not hashed.is_still_at(path)):
             remedy = "Wait until it is written whole, then run again: nothing of it was kept"
-            raise InputError(CHANGED, file=path.name, remedy=remedy)
+            raise InputError(CHANGED, file=path, remedy=remedy)
 
 
 def _collect(
     made: Callable[[], tuple[RecordingResult, bool]],
     path: Path,
+    name: str,
     hashed: dict[Path, HashedFile],
     results: dict[Path, RecordingResult],
     outcome: Outcome,
@@ -341,14 +350,14 @@ def _collect(
         outcome.faults.append(error)
     except TooLateError as error:
         remedy = "Leave it out, or give it more time with --timeout"
-        outcome.faults.append(InputError("could not be analysed", file=path.name, found=error, remedy=remedy))
+        outcome.faults.append(InputError("could not be analysed", file=name, found=error, remedy=remedy))
     except WorkerDiedError as error:
         remedy = "Leave it out; if it is sound, too little memory is the likely cause: try --jobs 1"
-        outcome.faults.append(InputError("could not be analysed", file=path.name, found=error, remedy=remedy))
+        outcome.faults.append(InputError("could not be analysed", file=name, found=error, remedy=remedy))
     except MemoryError:
-        outcome.faults.append(InputError("not enough memory for this recording", file=path.name))
+        outcome.faults.append(InputError("not enough memory for this recording", file=name))
     except Exception as error:
-        error.add_note(f"while analysing {printable(path.name)}")
+        error.add_note(f"while analysing {printable(name)}")
         outcome.internal.append(error)
 
 
@@ -406,10 +415,10 @@ def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity
             del results[path]
             found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
             problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
-            faults.append(InputError(problem, file=path.name, found=found))
+            faults.append(InputError(problem, file=result.name, found=found))
             continue
         faults += [
-            InputError("one channel left out of all averages", file=path.name, place=place, found=found)
+            InputError("one channel left out of all averages", file=result.name, place=place, found=found)
             for place, found in _channels_left_out(result.flags).items()
         ]
     return faults
@@ -518,7 +527,7 @@ def _swing_records(
     """
     of_encoder = {order for order, name in NAMES.items() if any(flag.flag == f"encoder_{name}" for flag in flags)}
     records = []
-    for path, result in results.items():
+    for result in results.values():
         swing = speed_swing(result.shaft)
         if swing is None:
             continue
@@ -528,7 +537,7 @@ def _swing_records(
             off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
             records.append(
                 SpeedSwing(
-                    recording=printable(path.name),
+                    recording=printable(result.name),
                     speed_rpm=swing.speed_rpm,
                     order=order,
                     amplitude_rpm=amplitude_rpm,
@@ -539,8 +548,8 @@ def _swing_records(
     return tuple(records)
 
 
-def _fault_flags(faults: list[CrankorderError]) -> list[QualityFlag]:
+def _fault_flags(faults: list[CrankorderError], name_of: Callable[[Path], str]) -> list[QualityFlag]:
     return [
-        {"recording": Path(fault.file).name, "flag": "not_used", "severity": "bad", "detail": str(fault)}
+        {"recording": name_of(Path(fault.file)), "flag": "not_used", "severity": "bad", "detail": str(fault)}
         for fault in faults
     ]

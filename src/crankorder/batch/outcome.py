@@ -43,7 +43,7 @@ class Outcome:
     def record(self) -> dict[str, Any]:
         """What an index says of it: name, status, folder, headline and failed recordings."""
         folder = self.plan.out.name
-        failed = [{"recording": Path(fault.file).name, "error": str(fault)} for fault in self.faults]
+        failed = [{"recording": self.plan.name_of(Path(fault.file)), "error": str(fault)} for fault in self.faults]
         failed += [
             {"recording": "", "error": f"internal fault: {type(error).__name__}: {printable(error)}"}
             for error in self.internal

@@ -45,6 +45,12 @@ class CampaignPlan:
         pulses = self.manifest.encoder.beside(recording)
         return [recording] if pulses is None else [recording, pulses]
 
+    def name_of(self, path: Path) -> str:
+        """Name of the recording at ``path``: its path inside the folder, else the name of its file."""
+        if path.is_relative_to(self.folder):
+            return path.relative_to(self.folder).as_posix()
+        return path.name if path.is_absolute() else path.as_posix()
+
     @property
     def files(self) -> list[Path]:
         """Files of all recordings, each once."""

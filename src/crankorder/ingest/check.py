@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
 from crankorder.errors import MOST_TOLD, CrankorderError, InputError, ManyErrors, RequestError
@@ -31,7 +30,7 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
         found = recordings_of(folder, manifest)
     except CrankorderError as error:
         return [error]
-    faults = [*found.faults, *_unused_speeds(manifest, found.paths, folder)]
+    faults = list(found.faults)
     if manifest.sampling.domain == "time" and manifest.encoder.kind == "none" and manifest.test.cycle != "none":
         faults.append(
             RequestError(
@@ -159,17 +158,4 @@ def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: d
                 file_to_analysed(channel, units.get(names[channel.name], ""), path)
             except CrankorderError as error:
                 faults.append(error)
-    return faults
-
-
-def _unused_speeds(manifest: Manifest, paths: list[Path], folder: Path) -> list[CrankorderError]:
-    """Speeds that the manifest states for files that are not there: likely a misspelt name."""
-    known = {path.relative_to(folder).as_posix() for path in paths} | {path.name for path in paths}
-    faults: list[CrankorderError] = []
-    for name in manifest.recordings.speed_rpm:
-        if name not in known:
-            close = difflib.get_close_matches(name, sorted(known), n=1)
-            remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
-            place = f"recordings.speed_rpm.{name}"
-            faults.append(RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy))
     return faults

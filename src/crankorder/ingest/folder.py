@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
 import glob
 import os
 import re
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from crankorder.errors import MOST_TOLD, CrankorderError, InputError, NoUsableRecordingError, UnsafeInputError
+from crankorder.errors import (
+    MOST_TOLD,
+    CrankorderError,
+    InputError,
+    NoUsableRecordingError,
+    RequestError,
+    UnsafeInputError,
+)
 from crankorder.ingest.manifest import MANIFEST_NAME, Manifest
 
 _LEFTOVER = re.compile(
@@ -82,7 +90,21 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
             found=_listing(folder),
             remedy="Mend [recordings] files, or give the right folder",
         )
+    faults += _unused_speeds(manifest, chosen, folder)
     return Folder(sorted(chosen, key=natural_key), faults, sorted(set(ignored)))
+
+
+def _unused_speeds(manifest: Manifest, paths: Iterable[Path], folder: Path) -> list[CrankorderError]:
+    """Speeds that the manifest states for files that are not there: likely a misspelt name."""
+    known = {manifest.name_of(path) for path in paths}
+    faults: list[CrankorderError] = []
+    for name in manifest.recordings.speed_rpm:
+        if name not in known:
+            close = difflib.get_close_matches(name, sorted(known), n=1)
+            remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
+            place = f"recordings.speed_rpm.{name}"
+            faults.append(RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy))
+    return faults
 
 
 def check_regular(path: Path, folder: Path | None = None) -> None:

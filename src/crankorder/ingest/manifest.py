@@ -11,10 +11,10 @@ import re
 import stat
 import tomllib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 from pydantic import field_validator as field_check
 
 from crankorder.engine.bearings import Bearing, bearing_orders
@@ -204,6 +204,17 @@ class Recordings(Table):
     files: Annotated[tuple[Name, ...], Field(strict=False)]
     speed_rpm: dict[str, Positive] = Field(default={})
 
+    @field_check("speed_rpm")
+    @classmethod
+    def _names_are_paths(cls, stated: dict[str, float]) -> dict[str, float]:
+        named: dict[str, float] = {}
+        for name, speed_rpm in stated.items():
+            path = PurePosixPath(name.replace("\\", "/")).as_posix()
+            if path in named:
+                raise ValueError(f"two speeds are stated for {path}")
+            named[path] = speed_rpm
+        return named
+
 
 class Sampling(Table):
     """``[sampling]``: the axis of the samples."""
@@ -288,6 +299,18 @@ class Manifest(Table):
     added_masses: Annotated[tuple[AddedMass, ...], Field(strict=False)] = ()
     gears: Annotated[tuple[Gear, ...], Field(strict=False)] = ()
     motor: Motor | None = None
+    _folder: Path | None = PrivateAttr(default=None)
+
+    def of_folder(self, folder: Path) -> Manifest:
+        """This manifest for the recordings in ``folder``."""
+        made = self.model_copy()
+        made._folder = folder
+        return made
+
+    def name_of(self, path: Path) -> str:
+        """Name of the recording at ``path``: its path inside the folder of the test, else the name of its file."""
+        inside = self._folder is not None and path.is_relative_to(self._folder)
+        return path.relative_to(self._folder).as_posix() if inside and self._folder is not None else path.name
 
     @property
     def of_shaft_alone(self) -> bool:
@@ -306,11 +329,7 @@ class Manifest(Table):
 
     def speed_of(self, path: Path) -> float | None:
         """Speed in rpm that the manifest states for the recording at ``path``, or None."""
-        posix = path.as_posix()
-        for name, speed_rpm in self.recordings.speed_rpm.items():
-            if posix == name or posix.endswith(f"/{name}"):
-                return speed_rpm
-        return self.encoder.speed_rpm
+        return self.recordings.speed_rpm.get(self.name_of(path), self.encoder.speed_rpm)
 
 
 def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
@@ -347,7 +366,7 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     if unread:
         lines = key_lines(text)
         raise ManyErrors([_located(fault, path, lines) for fault in unread])
-    return found.model_copy(update={"transfer_paths": paths})
+    return found.model_copy(update={"transfer_paths": paths}).of_folder(folder)
 
 
 def manifest_of(table: dict[str, Any], path: Path, text: str = "") -> Manifest:

@@ -115,7 +115,7 @@ def recording_of(
     _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
     if manifest.of_shaft_alone:
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
-        return Recording(with_flags(recording, flags))
+        return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     faults = []
     for channel, row in zip(manifest.channels, signals, strict=True):
@@ -123,7 +123,14 @@ def recording_of(
         _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
     flags += judged(signals, faults, _sampled(recording, manifest), path, settings=settings)
     _add_signals(recording, signals, manifest)
-    return Recording(with_flags(recording, flags))
+    return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
+
+
+def _named(flags: list[QualityFlag], recording: str) -> list[QualityFlag]:
+    """``flags`` of a file under the name of its ``recording``: files of one name may lie in several folders."""
+    for one in flags:
+        one["recording"] = recording
+    return flags
 
 
 def _sampled(recording: xr.Dataset, manifest: Manifest) -> Sampled:
@@ -189,7 +196,7 @@ def _axis(
 ) -> tuple[xr.Dataset, float, float]:
     """An empty dataset with the attributes of the sampling, its rate in Hz (NaN by crank angle), and its start."""
     sampling = manifest.sampling
-    attrs: dict[str, object] = {"recording": path.name, "domain": sampling.domain}
+    attrs: dict[str, object] = {"recording": manifest.name_of(path), "domain": sampling.domain}
     attrs["revs_per_cycle"] = manifest.revs_per_cycle
     if manifest.test.cycle == "none":
         attrs["has_shaft"] = 0

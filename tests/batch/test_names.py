@@ -1,0 +1,86 @@
+"""Recordings are called by their paths inside the folder: files of one name in several folders stay apart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import xarray as xr
+from click.testing import CliRunner, Result
+
+from crankorder.cli import main
+
+HEAD = """schema_version = 1
+[test]
+name = "names"
+cycle = "rotor"
+[recordings]
+files = ["**/*.h5"]
+[recordings.speed_rpm]
+{speeds}
+[[channels]]
+name = "A"
+source = "a"
+unit = "m/s2"
+[encoder]
+kind = "constant"
+"""
+SPEEDS = {"a/x.h5": 1500.0, "b/x.h5": 2100.0, "x.h5": 1800.0}
+
+
+def crankorder(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def campaign(folder: Path, speeds: dict[str, float]) -> Path:
+    """Three recordings called ``x.h5``, each of order 1 at its own speed; the manifest states ``speeds``."""
+    for name, rpm in SPEEDS.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        time_s = np.arange(12_000) / 2000.0
+        signal = 2.0 * np.cos(2.0 * np.pi * rpm / 60.0 * time_s)
+        with h5py.File(path, "w") as file:
+            made = file.create_dataset("a", data=signal + 0.05 * np.random.default_rng(3).standard_normal(time_s.size))
+            made.attrs["rate_hz"] = 2000.0
+    stated = "\n".join(f"{json.dumps(name)} = {rpm}" for name, rpm in speeds.items())
+    (folder / "run.toml").write_text(HEAD.format(speeds=stated), encoding="utf-8")
+    return folder
+
+
+def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path: Path) -> None:
+    done = crankorder("run", campaign(tmp_path / "in", SPEEDS), "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    with xr.open_dataset(tmp_path / "out" / "names" / "results.nc", group="shaft", engine="h5netcdf") as shaft:
+        assert dict(zip(shaft["recording"].values.tolist(), shaft["speed_mean"].values.tolist(), strict=True)) == SPEEDS
+    with xr.open_dataset(tmp_path / "out" / "names" / "results.nc", group="order_map", engine="h5netcdf") as orders:
+        np.testing.assert_allclose(orders["speed"].values, [1500.0, 1800.0, 2100.0])
+
+
+def test_faults_tell_which_of_them(tmp_path: Path) -> None:
+    folder = campaign(tmp_path / "in", SPEEDS)
+    (folder / "b" / "x.h5").write_bytes(b"")
+    done = crankorder("run", folder, "--out", tmp_path / "out")
+    assert done.exit_code == 3
+    (failed,) = json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["failed"]
+    assert failed["recording"] == "b/x.h5"
+    found = json.loads((tmp_path / "out" / "names" / "findings.json").read_bytes())
+    assert [one["recording"] for one in found["quality"] if one["flag"] == "not_used"] == ["b/x.h5"]
+
+
+def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
+    folder = campaign(tmp_path / "in", {"a/x.h5": 1500.0, "x.h5": 1800.0})
+    done = crankorder("run", folder, "--out", tmp_path / "out")
+    assert done.exit_code == 3
+    assert f"{folder / 'b' / 'x.h5'}: recordings.speed_rpm: the manifest states no speed" in done.output
+    misspelt = campaign(tmp_path / "other", {**SPEEDS, "c/x.h5": 900.0})
+    for command in (("check", misspelt), ("run", misspelt, "--out", tmp_path / "out2")):
+        told = crankorder(*command)
+        assert told.exit_code != 0
+        assert "a speed is stated for no recording" in told.output and "c/x.h5" in told.output
+
+
+def test_two_speeds_for_one_path_are_refused(tmp_path: Path) -> None:
+    told = crankorder("check", campaign(tmp_path / "in", {**SPEEDS, "b\\x.h5": 900.0}))
+    assert told.exit_code != 0 and "two speeds are stated for b/x.h5" in told.output
