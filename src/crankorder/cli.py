@@ -216,9 +216,10 @@ def run(
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
     asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name}
-    plans = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
-    if shard is not None:
-        plans = [Shard.parse(shard).of(plan) for plan in plans]
+    planned = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
+    plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
+    for fault in planned.refused:
+        click.echo(f"crankorder: not analysed: {fault}", err=True)
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
@@ -226,11 +227,12 @@ def run(
             click.echo(f"{printable(plan.name)}: {shown}")
             for fault in plan.faults:
                 click.echo(f"  {fault}", err=True)
-        return
+        sys.exit(3 if planned.refused else 0)
     options = RunOptions(
         jobs=jobs, fresh=fresh and not reduce, strict=strict, timeout_s=timeout_s, keep_only=shard is not None
     )
-    sys.exit(_run_plans(plans, out, options, as_json, quiet, verbose))
+    status = _run_plans(plans, out, options, as_json, quiet, verbose)
+    sys.exit(status or (3 if planned.refused else 0))
 
 
 def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, quiet: bool, verbose: bool) -> int:
@@ -290,6 +292,8 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     name = printable(outcome.plan.name)
     for fault in outcome.faults:
         click.echo(f"crankorder: {name}: {fault}", err=True)
+    for note in outcome.notes:
+        click.echo(f"crankorder: {name}: {note}", err=True)
     alike: dict[str, list[BaseException]] = {}
     for error in outcome.internal:
         alike.setdefault(f"{type(error).__name__}: {error}", []).append(error)
@@ -480,7 +484,7 @@ def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose:
     if not quiet:
         click.echo(f"synthesising the campaign into {recordings} …", err=True)
     _synthesise(DEMO_SCENE, recordings, quick, quiet)
-    plans = plan_tests([recordings], out / "results")
+    plans = plan_tests([recordings], out / "results").tests
     status = _run_plans(plans, out / "results", RunOptions(jobs=jobs), as_json, quiet, verbose)
     if status == 0 and not as_json:
         for picture in sorted(plans[0].out.glob("*.png")):

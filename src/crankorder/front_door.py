@@ -352,8 +352,9 @@ def run(
             raise RequestError(problem, file="crankorder.run", place="engine, bearings, gears, motor")
         folders = [Path(os.fspath(path)) for path in paths if isinstance(path, str | os.PathLike)]
         elsewhere = None if manifest is None else Path(manifest)
-        plans = plan_tests(folders, Path(out), manifest=elsewhere, recipe=recipe, tolerance=tol)
-        _run_folders(plans, Path(out), RunOptions(jobs=jobs or os.cpu_count() or 1, fresh=fresh, strict=strict))
+        planned = plan_tests(folders, Path(out), manifest=elsewhere, recipe=recipe, tolerance=tol)
+        _warn(planned.refused)
+        _run_folders(planned.tests, Path(out), RunOptions(jobs=jobs or os.cpu_count() or 1, fresh=fresh, strict=strict))
         return open(out)
     if out is not None or manifest is not None:
         problem = "recordings in memory have no manifest and write no file"
@@ -530,7 +531,7 @@ def _run_folders(plans: list[CampaignPlan], out: Path, options: RunOptions) -> N
 
 
 def _warn_of(outcome: Outcome) -> None:
-    _warn([*outcome.faults, *outcome.internal])
+    _warn([*outcome.faults, *outcome.notes, *outcome.internal])
 
 
 def _warn(faults: Sequence[BaseException | str]) -> None:

@@ -60,7 +60,7 @@ def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
 
 
 def test_every_frame_of_a_recording_comes_back_to_the_last_bit(three, tmp_path):
-    plan = plan_tests([three], tmp_path / "out")[0]
+    plan = plan_tests([three], tmp_path / "out").tests[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
     store = FrameStore(tmp_path / "store")
     store.save("a", made)

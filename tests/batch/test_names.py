@@ -84,3 +84,14 @@ def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
 def test_two_speeds_for_one_path_are_refused(tmp_path: Path) -> None:
     told = crankorder("check", campaign(tmp_path / "in", {**SPEEDS, "b\\x.h5": 900.0}))
     assert told.exit_code != 0 and "two speeds are stated for b/x.h5" in told.output
+
+
+def test_a_folder_without_a_manifest_stops_no_other(tmp_path: Path) -> None:
+    sound, other = campaign(tmp_path / "in", SPEEDS), tmp_path / "notes"
+    other.mkdir()
+    done = crankorder("run", other, sound, "--out", tmp_path / "out")
+    assert done.exit_code == 3
+    assert f"not analysed: {other / 'run.toml'}: there is no manifest" in done.output
+    assert (tmp_path / "out" / "names" / "findings.json").is_file()
+    assert crankorder("run", other, "--out", tmp_path / "out2").exit_code == 2
+    assert not (tmp_path / "out2").exists()

@@ -34,7 +34,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignResult:
-    plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb)[0]
+    plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb).tests[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
     return analyse_test([made], test="long", sources=Sources(revs_per_cycle=2), settings=plan.settings)
 
@@ -103,7 +103,7 @@ def test_the_memory_asked_for_is_said_in_the_results(tmp_path: Path) -> None:
 
 def peak_of_reading(folder: Path) -> int:
     """Bytes that reading a recording and limiting its band hold at most."""
-    plan = plan_tests([folder], folder.parent / "out", max_memory_mb=0)[0]
+    plan = plan_tests([folder], folder.parent / "out", max_memory_mb=0).tests[0]
     gc.collect()
     tracemalloc.start()
     try:

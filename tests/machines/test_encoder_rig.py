@@ -31,7 +31,7 @@ ECCENTRICITIES = (0.02, 0.05, 0.1, 0.2, 0.5)
 def said(rig: EncoderRig, place: Path) -> CampaignResult:
     """Results of the test of ``rig``, written to the new folder ``place``."""
     write_rig(rig, place)
-    plan = plan_tests([place], place.with_suffix(".out"))[0]
+    plan = plan_tests([place], place.with_suffix(".out")).tests[0]
     results = [analyse_recording(path, plan.manifest, plan.settings) for path in plan.recordings]
     return analyse_test(results, test=plan.name, sources=Sources(1), settings=plan.settings)
 

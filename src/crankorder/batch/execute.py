@@ -114,6 +114,7 @@ def run_test(
         results = without_changed_gains(results, settings=plan.settings.ingest)
         clock.lap("recordings")
         outcome.faults += left_out_of(results, ("bad", "suspect") if options.strict else ("bad",))
+        outcome.notes += channels_left_out(results)
         if not results:
             raise NoUsableRecordingError(
                 "no recording could be used",
@@ -416,22 +417,20 @@ def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity
             found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
             problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
             faults.append(InputError(problem, file=result.name, found=found))
-            continue
-        faults += [
-            InputError("one channel left out of all averages", file=result.name, place=place, found=found)
-            for place, found in _channels_left_out(result.flags).items()
-        ]
     return faults
 
 
-def _channels_left_out(flags: list[QualityFlag]) -> dict[str, str]:
-    """Why each channel was left out that was."""
-    found: dict[str, str] = {}
-    for flag in flags:
-        if flag.get("left_out") == "channel" and flag["severity"] == "bad":
-            name, said = flag["channel"], f"{flag['flag']} ({flag['detail']})"
-            found[name] = f"{found[name]}; {said}" if name in found else said
-    return found
+def channels_left_out(results: dict[Path, RecordingResult]) -> list[str]:
+    """Which channels of the recordings in ``results`` take no part in averages, and why, a sentence each."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for result in results.values():
+        for flag in result.flags:
+            if flag.get("left_out") == "channel" and flag["severity"] == "bad":
+                said.setdefault((result.name, flag["channel"]), []).append(f"{flag['flag']} ({flag['detail']})")
+    return [
+        f"{printable(name)}: channel {printable(channel)} left out of all averages: {'; '.join(why)}"
+        for (name, channel), why in said.items()
+    ]
 
 
 KINEMATIC_SHARE = 1e-3

@@ -9,7 +9,7 @@ from typing import Any
 import xarray as xr
 
 from crankorder.batch.changed_gains import without_changed_gains
-from crankorder.batch.execute import left_out_of, results_of_test, sources_of
+from crankorder.batch.execute import channels_left_out, left_out_of, results_of_test, sources_of
 from crankorder.batch.plan import settings_for
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
@@ -39,8 +39,8 @@ def analysed(
     engine: str | None = None,
     test: str = "test",
     strict: bool = False,
-) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
-    """Groups and findings of ``recordings``, as a run makes them of files, and the faults of what it left out.
+) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError | str]]:
+    """Groups and findings of ``recordings``, as a run makes them of files, and what was left out and why.
 
     ``settings`` of all stages; ``tables`` of the manifest that say what the machine is made of; ``engine``: its name or
     path; ``test``: the name of the test; ``strict`` leaves out what is "suspect" too.
@@ -64,7 +64,7 @@ def analysed(
     groups, findings, left_out = results_of_test(
         results, test=test, sources=sources, settings=settings, flags=[], faults=faults
     )
-    return groups, findings, [*faults, *left_out]
+    return groups, findings, [*faults, *left_out, *channels_left_out(results)]
 
 
 def _each(recordings: Recordings) -> dict[str, xr.Dataset]:

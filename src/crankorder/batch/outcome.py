@@ -22,6 +22,8 @@ class Outcome:
     faults: list[CrankorderError] = field(default_factory=list)
     internal: list[BaseException] = field(default_factory=list)
     flags: list[QualityFlag] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What was left out of recordings that are used for the rest."""
     findings: Findings | None = None
     accuracy: str = ""
     seconds: dict[str, float] = field(default_factory=dict)

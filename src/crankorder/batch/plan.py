@@ -58,6 +58,14 @@ class CampaignPlan:
 
 
 @dataclass(frozen=True)
+class Planned:
+    """What a call asks for: the ``tests`` that can be run, and the faults of folders that are ``refused``."""
+
+    tests: list[CampaignPlan]
+    refused: list[CrankorderError]
+
+
+@dataclass(frozen=True)
 class Shard:
     """A share of the recordings of each test: every ``count``-th, from the ``number``-th on (1 to ``count``)."""
 
@@ -105,13 +113,14 @@ def plan_tests(
     tolerance: float | None = None,
     max_memory_mb: int | None = None,
     name: str | None = None,
-) -> list[CampaignPlan]:
-    """Plans of the tests in ``folders``, whose results go below ``out``.
+) -> Planned:
+    """Plans of the tests in ``folders``, whose results go below ``out``, and what is wrong with other folders.
 
     ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
     the manifest names; ``tolerance`` (relative amplitude error) and ``max_memory_mb`` (megabytes of samples of one
     recording in memory) go before those of the recipe; ``name`` of the one test before that of its manifest.
-    Raises ManyErrors with the faults of all folders; nothing has been written then.
+    Raises ManyErrors with the faults of all folders where none can be run, or results would lie where they must not;
+    nothing has been written then.
     """
     asked: dict[str, dict[str, Any]] = {
         "orders": {} if tolerance is None else {"tolerance": tolerance},
@@ -120,12 +129,9 @@ def plan_tests(
     folders = list({folder.resolve(): folder for folder in folders}.values())
     if name is not None and len(folders) > 1:
         raise RequestError("one name for several tests", file="--name", found=name, remedy="Run each test by itself")
+    refuse_foreign_index(out)
     plans: list[CampaignPlan] = []
     faults: list[CrankorderError] = []
-    try:
-        refuse_foreign_index(out)
-    except RequestError as error:
-        faults.append(error)
     places = _Places(out, folders)
     # a test's place must not depend on the order of the folders in the call
     for folder in sorted(folders, key=lambda folder: natural_key(folder.resolve())):
@@ -135,11 +141,9 @@ def plan_tests(
             faults += error.faults
         except CrankorderError as error:
             faults.append(error)
-    if len(faults) == 1:
-        raise faults[0]
-    if faults:
-        raise ManyErrors(faults)
-    return sorted(plans, key=lambda plan: folders.index(plan.folder))
+    if not plans or places.refuse:
+        raise faults[0] if len(faults) == 1 else ManyErrors(faults)
+    return Planned(sorted(plans, key=lambda plan: folders.index(plan.folder)), faults)
 
 
 class _Places:
@@ -148,6 +152,8 @@ class _Places:
     def __init__(self, out: Path, folders: list[Path]) -> None:
         self._out, self._folders = out, folders
         self._taken = {BATCH, INDEX}
+        self.refuse = False
+        """Whether a place was refused: then nothing of the call is written."""
         self._of_call = {_relative(folder, out) for folder in folders}
         found = finished_tests(out) if out.is_dir() else ()
         self._owners = {folder.name: owner_recorded(folder) for folder, _ in found}
@@ -165,10 +171,14 @@ class _Places:
         chosen = min(own, key=len, default="") or self._free(first)
         self._taken.add(chosen.lower())
         place = self._out / chosen
-        for folder in self._folders:
-            _refuse_inside(folder, place)
-        refuse_foreign(place)
-        refuse_others(place, owner)
+        try:
+            for folder in self._folders:
+                _refuse_inside(folder, place)
+            refuse_foreign(place)
+            refuse_others(place, owner)
+        except RequestError:
+            self.refuse = True
+            raise
         return place
 
     def _free(self, first: str) -> str:
