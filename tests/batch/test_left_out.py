@@ -101,3 +101,16 @@ def test_an_overload_is_left_out_with_its_way_back(tmp_path: Path) -> None:
     assert flag["left_out"] == "stretch"
     assert flag["begin"] == pytest.approx(3.0, abs=0.05) and 3.8 < flag["end"] < 6.0
     assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_channel_of_which_too_much_is_missing_is_left_out_alone(tmp_path: Path) -> None:
+    holed = signals(1500.0, 1)[0]
+    holed[10_000:30_000] = np.nan
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": holed})
+    assert status == 0
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "gap"]
+    assert (flag["channel"], flag["severity"], flag["left_out"]) == ("X", "bad", "channel")
+    assert np.isnan(amplitude(order_map, 1500.0, "X"))
+    assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
+    status, findings, order_map = run(tmp_path / "in2", tmp_path / "out2", {"X": holed, "Y": holed})
+    assert status == 3 and order_map["speed"].values.min() > 1700.0

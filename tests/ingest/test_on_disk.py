@@ -118,7 +118,7 @@ def test_a_recording_on_disk_is_the_one_in_memory(tmp_path, manifest_of, setting
 
 
 def faults_of(signal: np.ndarray, limits: IngestSettings) -> list[tuple[str, str]]:
-    return [(fault.flag, fault.detail) for fault in mend_signal(signal, "Z", Path("a.h5"), settings=limits)]
+    return [(fault.flag, fault.detail) for fault in mend_signal(signal, settings=limits)]
 
 
 @pytest.mark.parametrize("shift", [-150, -3, -1, 0, 1, 2])

@@ -36,7 +36,7 @@ def flags_of(drawn: Drawn) -> list[QualityFlag]:
     """What the program says of ``drawn``, that is stored as float32 as a logger does."""
     signals = drawn.signals.astype(np.float32)
     names = [f"c{number}" for number in range(len(signals))]
-    known = [mend_signal(row, name, Path("a.h5"), settings=SETTINGS) for row, name in zip(signals, names, strict=True)]
+    known = [mend_signal(row, settings=SETTINGS) for row in signals]
     sampled = Sampled(names, drawn.quantities, drawn.quantities, drawn.rate_hz, 0.0, "s", drawn.rate_hz, drawn.shaft_hz)
     return judged(signals, known, sampled, Path("a.h5"), settings=SETTINGS)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from crankorder.ingest.formats import read_file
 from crankorder.ingest.manifest import Channel, Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
 from crankorder.ingest.record_faults import Sampled, judged
-from crankorder.ingest.sampling import agreed_rate, read_time_column
+from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import base_unit, conversion_factor, known_unit, parse_quantity, parse_sensitivity, unit_of
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
@@ -110,7 +110,12 @@ def recording_of(
     ``listed``: columns of the file of the pulses, where they have one of their own.
     """
     flags = [*raw.flags, *(listed.flags if listed is not None else ())]
-    recording, rate_hz, start_s = _axis(raw, manifest, path, settings, flags)
+    times = _times(raw, manifest, path, settings)
+    recording, rate_hz, start_s = _axis(raw, times, manifest, path, settings, flags)
+    if times is not None:
+        n_rows = raw.columns[_time_source(manifest)].size
+        on_grid = {name: times.on_grid(row) if row.size == n_rows else row for name, row in raw.columns.items()}
+        raw = replace(raw, columns=on_grid)
     _check_lengths(raw, manifest, path)
     _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
     if manifest.of_shaft_alone:
@@ -119,7 +124,7 @@ def recording_of(
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     faults = []
     for channel, row in zip(manifest.channels, signals, strict=True):
-        faults.append(mend_signal(row, channel.name, path, settings=settings))  # sentinels: in the file's own unit
+        faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
         _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
     flags += judged(signals, faults, _sampled(recording, manifest), path, settings=settings)
     _add_signals(recording, signals, manifest)
@@ -191,8 +196,28 @@ def _of_encoder(manifest: Manifest) -> list[Source]:
     return list(dict.fromkeys(source for source in sources if source is not None))
 
 
+def _time_source(manifest: Manifest) -> Source:
+    assert manifest.sampling.time_source is not None  # asked for only where there is one
+    return manifest.sampling.time_source
+
+
+def _times(raw: RawFile, manifest: Manifest, path: Path, settings: IngestSettings) -> TimeColumn | None:
+    """What the column of the samples' times says, None where there is none."""
+    sampling = manifest.sampling
+    # the times of an edge list are those of its edges, unless it is a file of its own
+    of_edges = manifest.encoder.kind == "edge_list" and manifest.encoder.file is None
+    if sampling.time_source is None or sampling.domain == "crank_angle" or of_edges or not manifest.has_samples:
+        return None
+    return read_time_column(_in_seconds(raw, sampling.time_source), path, settings=settings)
+
+
 def _axis(
-    raw: RawFile, manifest: Manifest, path: Path, settings: IngestSettings, flags: list[QualityFlag]
+    raw: RawFile,
+    times: TimeColumn | None,
+    manifest: Manifest,
+    path: Path,
+    settings: IngestSettings,
+    flags: list[QualityFlag],
 ) -> tuple[xr.Dataset, float, float]:
     """An empty dataset with the attributes of the sampling, its rate in Hz (NaN by crank angle), and its start."""
     sampling = manifest.sampling
@@ -205,10 +230,7 @@ def _axis(
         return xr.Dataset(attrs=attrs), math.nan, 0.0
     if not manifest.has_samples:
         return xr.Dataset(attrs=attrs), math.nan, 0.0
-    edge_rows = manifest.encoder.kind == "edge_list"
-    times = None
-    if sampling.time_source is not None and not edge_rows:
-        times = read_time_column(_in_seconds(raw, sampling.time_source), path, settings=settings)
+    if times is not None:
         flags += times.flags
     rate_hz = agreed_rate(
         file_hz=raw.rate_hz,

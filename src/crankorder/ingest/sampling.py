@@ -10,7 +10,7 @@ import numpy as np
 
 from crankorder.errors import InputError
 from crankorder.ingest.rawfile import FloatArray, flag
-from crankorder.quantities import Floats, QualityFlag
+from crankorder.quantities import Floats, Ints, QualityFlag
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -20,26 +20,49 @@ SOME_TIMES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class TimeColumn:
-    """What a column of times says: samples per second, its relative uncertainty, and the first time."""
+    """What a column of times says: samples per second, its relative uncertainty, and the first time.
+
+    ``n_rows``: rows that count, without zeros at the end; ``places``: of each of them on the uniform grid, where rows
+    are missing in between.
+    """
 
     rate_hz: float
     rate_uncertainty: float
     start_s: float
     flags: list[QualityFlag]
+    n_rows: int
+    places: Ints | None = None
+
+    def on_grid(self, column: FloatArray) -> FloatArray:
+        """``column`` (row,) on the uniform grid, NaN where rows are missing."""
+        kept = column[: self.n_rows]
+        if self.places is None:
+            return kept
+        made = np.full(int(self.places[-1]) + 1, np.nan, dtype=column.dtype)
+        made[self.places] = kept
+        return made
 
 
 def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings) -> TimeColumn:
-    """Rate and start of a column of ``times`` in seconds, shape (sample,), which must be uniform.
+    """Rate and start of a column of ``times`` in seconds, shape (sample,), which must be uniform but for gaps.
 
-    ``path`` names the recording in errors; ``settings`` say how far a time may lie off the uniform grid.
-    Raises InputError naming the sample where times repeat, go back, leave a gap or wander.
+    ``path`` names the recording in errors; ``settings`` say how far a time may lie off the uniform grid, and how much
+    may be missing. Raises InputError naming the sample where times repeat, go back or wander, or too many are missing.
     """
-    _refuse_gaps(times, path)
+    n_rows = _without_zeros(times)
+    flags: list[QualityFlag] = []
+    if n_rows < times.size:
+        detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
+        flags.append(flag(path, "rows_of_zeros", "info", detail))
+        times = times[:n_rows]
+    _refuse_disorder(times, path)
+    places = _places(times, path, settings, flags)
     start = float(times[0])
     span_s = float(times[-1]) - start
-    step_s = span_s / (times.size - 1)
+    last = times.size - 1 if places is None else int(places[-1])
+    step_s = span_s / last
     jitter = max(
-        float(np.abs((_double(times, part) - start) / step_s - np.arange(part.start, part.stop)).max())
+        float(np.abs((_double(times, part) - start) / step_s - _numbers(places, part)).max())
         for part in blocks(times.size)
     )
     if jitter > settings.max_time_jitter_samples:
@@ -49,14 +72,13 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
             allowed=f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)",
             remedy="Resample the recording, or drop time_source and state [sampling] rate_hz",
         )
-    flags = []
     if jitter > settings.time_jitter_samples:
         detail = f"times lie off a uniform grid by up to {jitter:.2g} samples (rounded?); a uniform grid is used"
         flags.append(flag(path, "time_jitter", "info", detail))
     # each end is known to within its own jitter, and a rounding error of the arithmetic
-    uncertainty = 2.0 * max(jitter, 1e-9) / (times.size - 1)
+    uncertainty = 2.0 * max(jitter, 1e-9) / last
     # twelve digits: 100 kHz in a decimal column is 100 kHz, not 100000.00000000001
-    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, start, flags)
+    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, start, flags, n_rows, places)
 
 
 def _double(times: FloatArray, part: slice) -> Floats:
@@ -69,7 +91,18 @@ def _steps(times: FloatArray) -> Iterator[tuple[int, Floats]]:
         yield part.start, np.diff(_double(times, slice(part.start, part.stop + 1)))
 
 
-def _refuse_gaps(times: FloatArray, path: Path) -> None:
+def _numbers(places: Ints | None, part: slice) -> Ints:
+    return np.arange(part.start, part.stop) if places is None else places[part]
+
+
+def _without_zeros(times: FloatArray) -> int:
+    """Rows before those zeros at the end that some loggers write when they stop."""
+    if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
+        return times.size
+    return int(np.flatnonzero(times)[-1]) + 1
+
+
+def _refuse_disorder(times: FloatArray, path: Path) -> None:
     if times.size < 3:
         raise InputError(f"too short: {times.size} samples", file=path, allowed="3 samples or more")
     for part in blocks(times.size):
@@ -86,18 +119,35 @@ def _refuse_gaps(times: FloatArray, path: Path) -> None:
                 found=f"{times[place]:.9g} s after {times[place - 1]:.9g} s",
                 remedy="Mend time_source, or leave the recording out",
             )
-    step_s = float(np.median(np.diff(_double(times, slice(SOME_TIMES)))))
-    for first, steps in _steps(times):
-        if steps.max() > 1.5 * step_s:
-            place = first + int(np.argmax(steps > 1.5 * step_s))
-            lost = round(steps[place - first] / step_s) - 1
-            raise InputError(
-                f"{lost} samples are missing",
-                file=path,
-                place=f"after sample {place} ({times[place]:.9g} s)",
-                found=f"a step of {steps[place - first]:.6g} s among steps of {step_s:.6g} s",
-                remedy="Split the recording there, or record it again",
-            )
+
+
+def _places(times: FloatArray, path: Path, settings: IngestSettings, flags: list[QualityFlag]) -> Ints | None:
+    """Place of each of ``times`` on the uniform grid where some are missing, which joins the ``flags``; else None.
+
+    Raises InputError where more are missing than ``settings`` allow.
+    """
+    usual_s = float(np.median(np.diff(_double(times, slice(SOME_TIMES)))))
+    after = np.concatenate([first + np.flatnonzero(steps > 1.5 * usual_s) for first, steps in _steps(times)])
+    if not after.size:
+        return None
+    wide = np.asarray(times[after + 1] - times[after], dtype=np.float64)
+    # between the gaps steps that were rounded add up to the true one
+    step_s = (float(times[-1]) - float(times[0]) - wide.sum()) / (times.size - 1 - after.size)
+    lost = np.round(wide / step_s).astype(np.int64) - 1
+    place = int(after[np.argmax(lost)])
+    where = f"after sample {place} ({times[place]:.9g} s)"
+    found = f"a step of {wide.max():.6g} s among steps of {step_s:.6g} s"
+    total = int(lost.sum())
+    if total > settings.max_missing_fraction * (times.size + total):
+        raise InputError(
+            f"{total} samples are missing", file=path, place=where, found=found, remedy="Split the recording there"
+        )
+    gaps = f"in {after.size} gaps, the longest" if after.size > 1 else "in one gap"
+    detail = f"{total} samples are missing {gaps} {where}: {found}; what touches a gap is left out"
+    flags.append(flag(path, "time_gap", "suspect", detail))
+    moved = np.zeros(times.size, dtype=np.int64)
+    moved[after + 1] = lost
+    return np.arange(times.size) + np.cumsum(moved)
 
 
 def agreed_rate(

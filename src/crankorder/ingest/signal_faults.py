@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from crankorder.errors import InputError
 from crankorder.ingest.channel_faults import Runs, SignalFault
 from crankorder.ingest.rawfile import FloatArray
 from crankorder.quantities import Bools
@@ -38,12 +36,12 @@ class _Survey:
     has_nan: bool
 
 
-def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSettings) -> list[SignalFault]:
+def mend_signal(signal: FloatArray, *, settings: IngestSettings) -> list[SignalFault]:
     """Faults of ``signal``, shape (sample,), whose missing samples are bridged in place where they are few in a row.
 
-    Samples of a longer gap become NaN, whatever stood there. ``name`` and ``path`` say which channel of which recording
-    it is; ``settings`` say how many missing samples are few and what counts as clipping. Raises InputError where more
-    are bridged than the spectrum bears, or more are missing than leave a recording to speak of.
+    Samples of a longer gap become NaN, whatever stood there. ``settings`` say how many missing samples are few and what
+    counts as clipping. Where more would be bridged
+    than the spectrum bears, or more are missing than leave a channel to speak of, all of it is lost.
     """
     survey = _survey(signal)
     flags: list[SignalFault] = []
@@ -51,7 +49,9 @@ def mend_signal(signal: FloatArray, name: str, path: Path, *, settings: IngestSe
     if not finite or survey.low in _SENTINELS or survey.high in _SENTINELS:
         missing = _runs(signal, _missing(signal))
         if missing.starts.size:
-            flags += _without(signal, missing, name, path, settings)
+            flags += _without(signal, missing, settings)
+            if any(fault.is_lost for fault in flags):
+                return flags
             survey = _survey(signal)
     if survey.low == survey.high:
         return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {survey.low:.6g}", is_lost=True)]
@@ -148,7 +148,7 @@ def _missing(signal: FloatArray) -> Mask:
     return missing
 
 
-def _without(signal: FloatArray, missing: Runs, name: str, path: Path, settings: IngestSettings) -> list[SignalFault]:
+def _without(signal: FloatArray, missing: Runs, settings: IngestSettings) -> list[SignalFault]:
     """Bridge the short of the ``missing`` runs, make the others NaN, and flag both."""
     short = missing.where(missing.lengths <= settings.max_gap_samples)
     gaps = missing.where(missing.lengths > settings.max_gap_samples)
@@ -156,14 +156,14 @@ def _without(signal: FloatArray, missing: Runs, name: str, path: Path, settings:
     limits = ((total, settings.max_missing_fraction, "in all"), (bridged, settings.max_gap_fraction, "to bridge"))
     for count, most, how in limits:
         if count > most * signal.size:
-            raise InputError(
-                f"channel {name} has {total} missing samples (not a number, infinite or a fill value)",
-                file=path,
-                place=f"sample {missing.starts[int(np.argmax(missing.lengths))]}",
-                found=f"{count / signal.size:.3%} {how}",
-                allowed=f"{most:.1%} {how}",
-                remedy="Leave the channel or the recording out, or cut it before the gap",
+            for start, end in zip(missing.starts, missing.ends, strict=True):
+                signal[start:end] = np.nan
+            first = missing.starts[int(np.argmax(missing.lengths))]
+            detail = (
+                f"{total} samples are missing (not a number, infinite or a fill value), most from sample {first}: "
+                f"{count / signal.size:.3%} {how}, allowed {most:.1%}"
             )
+            return [SignalFault("gap", "bad", detail, is_lost=True)]
     flags = []
     for start, end in zip(gaps.starts, gaps.ends, strict=True):
         signal[start:end] = np.nan
