@@ -62,6 +62,27 @@ def test_a_fast_run_up_beside_steady_recordings_loses_no_recording():
     assert made["n_frames"].values[at] > 10
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("revs", [13, 15, 18])
+def test_frames_of_nearly_the_common_length_are_shown_on_its_orders(seed, revs):
+    draw = np.random.default_rng(100 + seed)
+    parts = [
+        (o, draw.uniform(0.1, 3.0), draw.uniform(-3, 3)) for o in draw.choice(np.arange(1, 30), 5, replace=False) * 0.5
+    ]
+    rpm = draw.uniform(600, 3000)
+    rotor = {"speed_rpm": rpm, "duration_s": (revs + 0.6) * 60.0 / rpm, "rate_hz": 4096.0}
+    short = frames_of(steady([total(*(line(*part) for part in parts))] * 2, **rotor), revs_per_frame=revs)
+    assert short.attrs["revs_per_frame"] == revs - revs % 2  # whole cycles
+    long = frames_of(a_steady_one(seed), revs_per_frame=16)
+    used, flags = common_frames([long, long, short])
+    own = used[2] if revs != 16 else short
+    assert own.attrs["revs_per_frame"] == 16 and own.sizes["order"] == used[0].sizes["order"]
+    assert {flag["flag"] for flag in flags} <= {"frames_on_common_orders", "orders_cut"}
+    for order, amplitude, phase in parts:
+        seen = own["spectrum"].sel(order=order).values
+        np.testing.assert_allclose(seen, amplitude * np.exp(1j * phase), atol=0.01 * max(a for _, a, _ in parts))
+
+
 def test_a_gap_in_a_long_frame_is_one_in_all_shorter_ones_that_touch_it():
     band, shaft = a_steady_one(2)
     usable = np.ones(band["signal"].shape, dtype=bool)

@@ -580,3 +580,13 @@ def test_a_flank_is_blamed_only_where_nothing_is_met_within_the_tested_speeds(fu
     assert told(crossings=met) == NOTHING_TOLD
     unknown = {**flank, "remark": "order 4 was not measured there"}
     assert told(crossings=beyond, open_bands=[unknown]) == NOTHING_TOLD
+
+
+def test_at_one_speed_no_table_says_that_a_line_slips_of_which_nothing_tells_whether_it_follows(full: Any) -> None:
+    full["speed_range_rpm"] = [1800.0, 1800.0]
+    for record in full["orders"]:
+        record |= {"order": 5.48, "order_ci95": [5.479, 5.481], "lock": "slips", "explained_by": "unexplained"}
+        record |= {"speed_rpm_at_max": 1800.0, "half_order": False, "evidence": ""}
+    (orders,) = (table for anchor, table in tables_of(full, limit=60) if anchor == "orders")
+    said = " ".join(cell for row in orders["rows"] for cell in row)
+    assert "no exact multiple" in said and "slips" not in said

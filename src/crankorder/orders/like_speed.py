@@ -29,6 +29,9 @@ LEAST_WINDOW = 0.1
 CUT_OVERLAP = 0.5
 """Share of a shorter frame, cut from longer ones, that the next one repeats."""
 
+NEARLY = 0.75
+"""Frames of this share of the common length and more are shown on its orders: their lines are that much wider."""
+
 SHAPE_SAMPLES = 1024
 """Samples on which the shape of the window is evaluated where only its overlap matters."""
 
@@ -44,10 +47,10 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     """Those of ``frames`` (OrderFrames) of one length, on the orders that all hold, and what was left out.
 
     The length is that of most, the longer one where two are as common; where a recording's own sweep asked for shorter
-    frames it is the shortest of these, and longer frames whose length is a multiple are cut into such
-    (:func:`reframed`), which is "info". Those of any other length are left out, which is "bad". Recordings by
-    crank angle of fewer samples per revolution end at a lower order: the others are cut there, and the remark is
-    "info".
+    frames it is the shortest of these. Longer frames are cut into such (:func:`reframed`), those of nearly that length
+    are shown on its orders (:func:`at_orders_of`), both of which is "info". Those of any other length are left out,
+    which is "bad". Recordings by crank angle of fewer samples per revolution end at a lower order: the others are cut
+    there, and the remark is "info".
     """
     lengths = [int(item.attrs["revs_per_frame"]) for item in frames]
     swept = [
@@ -56,14 +59,42 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     common = min(swept) if swept else max(set(lengths), key=lambda length: (lengths.count(length), length))
     used, flags = [], []
     for item, length in zip(frames, lengths, strict=True):
-        cut = reframed(item, common) if swept and length > common and length % common == 0 else None
-        if length == common or cut is not None:
-            used.append(item if cut is None else cut)
-        if length != common:
-            flags.append(_length_flag(item, common) if cut is None else _cut_length_flag(item, common))
+        if length == common:
+            used.append(item)
+            continue
+        made, flag = _at_length(item, common, by_sweep=bool(swept))
+        used += [] if made is None else [made]
+        flags.append(flag)
     fewest = min(item.sizes["order"] for item in used)
     flags += [_cut_flag(item, fewest) for item in used if item.sizes["order"] > fewest]
     return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
+
+
+def _at_length(item: xr.Dataset, revs: int, *, by_sweep: bool) -> tuple[xr.Dataset | None, QualityFlag]:
+    """OrderFrames ``item`` as frames of ``revs`` revolutions, None where it cannot be, and what is told of it."""
+    length = int(item.attrs["revs_per_frame"])
+    if length > revs and length % revs == 0 and (cut := reframed(item, revs)) is not None:
+        return cut, _cut_length_flag(item, revs, by_sweep=by_sweep)
+    if not by_sweep and NEARLY <= length / revs <= 1.0 / NEARLY and item.attrs["window"] == "hann":
+        return at_orders_of(item, revs), _near_length_flag(item, revs)
+    return None, _length_flag(item, revs)
+
+
+def at_orders_of(item: xr.Dataset, revs: int) -> xr.Dataset:
+    """OrderFrames ``item`` at the orders of frames of ``revs`` revolutions, which are nearly as long as its own.
+
+    Each frame is transformed back and evaluated there (the discrete-time Fourier transform of the same windowed
+    samples): what is locked to the shaft keeps its amplitude and phase, and lines are as wide as its own frames make
+    them.
+    """
+    length, begin = int(item.attrs["revs_per_frame"]), item["crank_angle"].values
+    per_rev = 2 * math.ceil((item.sizes["order"] - 1) / length) + 4
+    pieces, window, limit = _pieces(item["spectrum"].values, begin, length, per_rev)
+    order = np.arange((item.sizes["order"] - 1) * revs // length + 1) / revs
+    turn = np.exp(-2j * np.pi * (np.outer(np.arange(pieces.shape[2]) / per_rev, order) % 1.0))
+    made = (pieces @ turn) * (2.0 / window.sum()) * np.exp(-2j * np.pi * (np.outer(begin, order) % 1.0))
+    made[:, order > limit[:, None] + 1e-9] = np.nan
+    return _dataset(item, made, begin, item["speed"].values, revs, overlap=float(item.attrs["overlap"]))
 
 
 def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
@@ -105,16 +136,7 @@ def _regained(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int)
     frames of a channel that a gap touches; the limits (samples,) are the orders up to which a frame there is known.
     """
     n = length * per_rev
-    axis = np.arange(spectrum.shape[2]) / length
-    known = np.isfinite(spectrum.real)
-    whole = known[:, :, 0]
-    turned = np.where(known, spectrum, 0.0) * np.exp(2j * np.pi * (np.outer(begin_rev, axis) % 1.0))
-    window = hann(n).values
-    bins = np.zeros((*spectrum.shape[:2], n // 2 + 1), dtype=np.complex128)
-    bins[..., : spectrum.shape[2]] = turned * (0.5 * window.sum())
-    pieces = np.fft.irfft(bins, n, axis=2)
-    pieces[~whole] = np.nan
-    limit = np.where(known.any(axis=0), axis, 0.0).max(axis=1)
+    pieces, window, limit = _pieces(spectrum, begin_rev, length, per_rev)
     place = np.round((begin_rev - begin_rev[0]) * per_rev).astype(int)
     signal, weight = np.zeros((len(spectrum), place[-1] + n)), np.zeros(place[-1] + n)
     top = np.full(place[-1] + n, np.inf)
@@ -124,6 +146,23 @@ def _regained(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int)
         weight[part] += window
         top[part] = np.minimum(top[part], limit[frame])
     return signal / np.maximum(weight, LEAST_WINDOW), weight, top
+
+
+def _pieces(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int) -> tuple[Floats, Floats, Floats]:
+    """Windowed frames (channels, frames, samples) of ``spectrum``, the window, and the order up to which each is known.
+
+    Arguments as of :func:`_regained`.
+    """
+    n = length * per_rev
+    axis = np.arange(spectrum.shape[2]) / length
+    known = np.isfinite(spectrum.real)
+    turned = np.where(known, spectrum, 0.0) * np.exp(2j * np.pi * (np.outer(begin_rev, axis) % 1.0))
+    window = hann(n).values
+    bins = np.zeros((*spectrum.shape[:2], n // 2 + 1), dtype=np.complex128)
+    bins[..., : spectrum.shape[2]] = turned * (0.5 * window.sum())
+    pieces = np.fft.irfft(bins, n, axis=2)
+    pieces[~known[:, :, 0]] = np.nan
+    return pieces, window, np.where(known.any(axis=0), axis, 0.0).max(axis=1)
 
 
 def _cut(signal: Floats, weight: Floats, revs: int, hop: int, per_rev: int, n_orders: int) -> tuple[Complexes, Ints]:
@@ -156,7 +195,15 @@ def _speeds_at(middle_rev: Floats, known_rev: Floats, speed_rpm: Floats) -> Floa
     return np.asarray(speed_rpm[at - 1] + slope * (middle_rev - known_rev[at - 1]))
 
 
-def _dataset(item: xr.Dataset, spectrum: Complexes, begin_rev: Floats, speed_rpm: Floats, revs: int) -> xr.Dataset:
+def _dataset(
+    item: xr.Dataset,
+    spectrum: Complexes,
+    begin_rev: Floats,
+    speed_rpm: Floats,
+    revs: int,
+    *,
+    overlap: float = CUT_OVERLAP,
+) -> xr.Dataset:
     order = np.arange(spectrum.shape[2]) / revs
     made = xr.Dataset(
         {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)},
@@ -166,7 +213,7 @@ def _dataset(item: xr.Dataset, spectrum: Complexes, begin_rev: Floats, speed_rpm
             "speed": ("frame", speed_rpm, item["speed"].attrs),
             "crank_angle": ("frame", begin_rev, item["crank_angle"].attrs),
         },
-        attrs=item.attrs | {"revs_per_frame": revs, "overlap": CUT_OVERLAP},
+        attrs=item.attrs | {"revs_per_frame": revs, "overlap": overlap},
     )
     return with_flags(made, [])
 
@@ -180,13 +227,23 @@ def _length_flag(item: xr.Dataset, common: int) -> QualityFlag:
     }
 
 
-def _cut_length_flag(item: xr.Dataset, common: int) -> QualityFlag:
+def _near_length_flag(item: xr.Dataset, common: int) -> QualityFlag:
+    return {
+        "recording": item.attrs["recording"],
+        "flag": "frames_on_common_orders",
+        "severity": "info",
+        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions are shown on the orders of {common}, which "
+        "most others have",
+    }
+
+
+def _cut_length_flag(item: xr.Dataset, common: int, *, by_sweep: bool) -> QualityFlag:
+    why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
     return {
         "recording": item.attrs["recording"],
         "flag": "frames_cut",
         "severity": "info",
-        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions are cut into {common}, as the fastest "
-        "sweep of the test asks for",
+        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions are cut into {common}, as {why}",
     }
 
 

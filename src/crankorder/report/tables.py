@@ -16,6 +16,7 @@ from crankorder.findings import (
 from crankorder.identify.said import AMPLIFIED
 from crankorder.records import Interval, Record
 from crankorder.report.energy_shares import energy_table
+from crankorder.report.fixed_lines import hertz_of_order
 from crankorder.report.notation import (
     estimate_text,
     is_number,
@@ -145,7 +146,7 @@ def _order_row(record: OrderFinding, findings: Findings, limit: int) -> list[str
         named(record.channel, limit=limit),
         order_estimate(record, findings),
         named(record.explained_by or "", limit=2 * limit),
-        _lock(record),
+        _lock(record, findings),
         estimate_text(record, "amplitude", unit=unit_of(findings, record)),
         _whole(record.speed_rpm_at_max),
         estimate_text(record, "phase_deg"),
@@ -156,9 +157,14 @@ def _order_row(record: OrderFinding, findings: Findings, limit: int) -> list[str
     ]
 
 
-def _lock(record: OrderFinding) -> str:
-    """``"locked"``, ``"slips"``, ``"undecided: 400 revolutions needed"``; half orders say so."""
+def _lock(record: OrderFinding, findings: Findings) -> str:
+    """``"locked"``, ``"slips"``, ``"undecided: 400 revolutions needed"``; half orders say so.
+
+    Of a line of which nothing tells whether it follows the shaft at all it is only said that it is no multiple.
+    """
     said = str(record.lock or "")
+    if said == "slips" and hertz_of_order(record, findings) is not None:
+        said = "no exact multiple"
     if said == "undecided" and is_number(record.revs_to_decide):
         said = f"undecided: {record.revs_to_decide:.0f} revolutions needed"
     half = "half order" if record.half_order is True else ""

@@ -59,7 +59,10 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
         return ""
     if sides[1] > (1.0 + NUMBERS.changing_ratio) * sides[0]:  # the factor by which recordings differ
         return ""
-    return f"its amplitude changes within the recording, {low:.3g} to {high:.3g}"
+    ends_said = f"{low:.3g}", f"{high:.3g}"
+    return (
+        "" if ends_said[0] == ends_said[1] else f"its amplitude changes within the recording, {' to '.join(ends_said)}"
+    )
 
 
 @dataclass(frozen=True)
