@@ -41,6 +41,7 @@ from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, N
 from crankorder.findings import Findings, Quality, SpeedSwing, quality_of
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
+from crankorder.ingest.recording import read_recording
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
@@ -48,6 +49,7 @@ from crankorder.settings import Settings, toml_table
 from crankorder.shaft.calibration import calibrate, mass_lag
 from crankorder.shaft.decode import PULSE_KINDS, ShaftKnowledge, flags_named
 from crankorder.shaft.line_pattern import LinePattern
+from crankorder.shaft.slip_speed import ReadSpeed, slip_speed, speeds_under_load
 from crankorder.shaft.tooth_errors import speed_swing
 from crankorder.stages import RecordingResult, analyse_encoder, analyse_recording, analyse_test, frames_wanted
 
@@ -314,7 +316,8 @@ def _recording_parts(
     asked = settings_of_recordings(plan.settings)
     known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
-    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
+    speed = knowledge.speeds_rpm.get(plan.name_of(path))
+    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine, speed))
     return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
 
 
@@ -371,6 +374,8 @@ def knowledge_of(
     time for their pulses alone. ``engine``: of the test, or None. A recording that cannot be read is left out here and
     told later, when it is analysed.
     """
+    if plan.manifest.encoder.kind == "constant":
+        return _loads_of(plan, engine, recordings, jobs)
     if not plan.settings.shaft.calibrate_encoder or plan.manifest.encoder.kind not in PULSE_KINDS:
         return ShaftKnowledge(engine), []
 
@@ -393,6 +398,33 @@ def knowledge_of(
     return ShaftKnowledge(engine, calibration if calibration.separated else None), flags_named(
         "all", calibration.remarks
     )
+
+
+def _loads_of(
+    plan: CampaignPlan, engine: Engine | None, recordings: list[Path], jobs: int
+) -> tuple[ShaftKnowledge, list[QualityFlag]]:
+    """What is known of the shaft of a test of stated speeds, and those that its motor's slip tells otherwise."""
+    motor = plan.manifest.motor
+    stated = {plan.name_of(path): plan.manifest.speed_of(path) for path in recordings}
+    known = {name: rpm for name, rpm in stated.items() if rpm is not None}
+    if motor is None or motor.poles is None or len(set(known.values())) == len(known):
+        return ShaftKnowledge(engine), []
+
+    def read(number: int) -> ReadSpeed | None:
+        recording = read_recording(
+            recordings[number], plan.manifest, settings=plan.settings.ingest, shaft=plan.settings.shaft
+        )
+        return slip_speed(recording["signal"].values, float(recording.attrs["rate_hz"]), motor)
+
+    told: dict[str, ReadSpeed] = {}
+    for number, made in each(read, len(recordings), jobs=jobs):
+        with contextlib.suppress(CrankorderError, WorkerDiedError):
+            if (speed := made()) is not None:
+                told[plan.name_of(recordings[number])] = speed
+    speeds, remarks = speeds_under_load(known, told)
+    return ShaftKnowledge(engine, speeds_rpm=speeds), [
+        flag for name, remark in remarks for flag in flags_named(name, [remark])
+    ]
 
 
 def _mass_lag(engine: Engine | None) -> Lag | None:
