@@ -1,5 +1,7 @@
 """One file becomes one Recording: right units, right times, every fault named or flagged."""
 
+import wave
+
 import h5py
 import numpy as np
 import pytest
@@ -436,3 +438,18 @@ def test_a_clock_at_a_billion_seconds_leaves_times_from_the_first_sample_on(writ
     found = [angle_at(at, *(angle[name].values for name in ("time", "crank_angle", "speed"))) for angle in angles]
     # a pulse is rounded by half a spacing, and so is the angle: no more is lost behind it
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1.5 * half_spacing_s * 1000 / 60)
+
+
+def test_a_sensitivity_needs_the_volts_at_full_scale_of_a_wav(tmp_path, read):
+    samples = np.round(8192 * np.sin(2 * np.pi * 5 * TIME)).astype("<i2")
+    with wave.open(str(tmp_path / "a.wav"), "wb") as file:
+        file.setnchannels(1), file.setsampwidth(2), file.setframerate(10_000)
+        file.writeframes(samples.tobytes())
+    table = '[[channels]]\nname = "Z"\nsource = 0\nunit = "m/s2"\nsensitivity = "100 mV/g"\n'
+    with pytest.raises(InputError, match=r"fractions of full scale, for which the sensitivity '100 mV/g' does not do"):
+        read(tmp_path / "a.wav", table)
+    recording = read(tmp_path / "a.wav", table + "full_scale_v = 5.0\n")
+    expected = samples / 32768 * 5.0 / 0.1 * 9.80665
+    np.testing.assert_allclose(recording["signal"].values[0], expected, rtol=1e-6, atol=1e-5)
+    volts = read(tmp_path / "a.wav", '[[channels]]\nname = "Z"\nsource = 0\nunit = "V"\nfull_scale_v = 5.0\n')
+    np.testing.assert_allclose(volts["signal"].values[0], samples / 32768 * 5.0, rtol=1e-6, atol=1e-6)

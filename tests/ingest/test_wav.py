@@ -175,3 +175,53 @@ def test_scipy_agrees_on_real_files_of_all_sample_formats(real_data, limits, nam
     raw = read_file(path, sources=[0], settings=limits)
     assert raw.rate_hz == rate
     np.testing.assert_array_equal(raw.columns[0], (samples.astype(float) - zero) / full_scale)
+
+
+def as_its_makers_write(samples: bytes, odd: bytes, lea: tuple[bytes, bytes], *, beyond: bool) -> bytes:
+    """A file with an odd chunk that nothing fills up, and its calibration behind the samples or behind its own end."""
+    note = b"NOTE" + struct.pack("<I", len(odd)) + odd
+    head, chunk = layout(1, 2, 16)
+    body = b"".join(name + struct.pack("<I", len(data)) + data for name, data in ((head, chunk), (b"data", samples)))
+    tail = note + lea[0] + struct.pack("<I", len(lea[1])) + lea[1]
+    inside = len(body) + (0 if beyond else len(tail))
+    return b"RIFF" + struct.pack("<I", inside + 4) + b"WAVE" + body + tail
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+@pytest.mark.parametrize("odd", [b"", b"abc", b"\0" * 17, b"LIST?" * 5])
+@pytest.mark.parametrize("factor", [1, 2, 8])
+def test_a_calibration_is_read_wherever_its_maker_leaves_it(tmp_path, limits, beyond, odd, factor):
+    lea = calibration((1.0 * factor, "mic", "Pa", 0.0, 0.99655), (4821.43 * factor, "speed", "rpm", 0.0, 1.0))
+    smaller = (STEREO // factor).astype("<i2")
+    (tmp_path / "a.wav").write_bytes(as_its_makers_write(smaller.tobytes(), odd, lea, beyond=beyond))
+    raw = read_file(tmp_path / "a.wav", sources=["mic", "speed"], settings=limits)
+    assert raw.units == {"mic": "Pa", "speed": "rpm"} and not raw.flags
+    np.testing.assert_allclose(raw.columns["mic"], smaller[:, 0] / 32768 * factor * 0.99655, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(raw.columns["speed"], smaller[:, 1] / 32768 * factor * 4821.43, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1000, 1001])
+def test_odd_samples_may_be_filled_up_or_not(tmp_path, limits, n):
+    samples = RNG.integers(0, 255, n).astype("u1").tobytes()
+    lea = calibration((2.0, "mic", "Pa", 0.0, 1.0))
+    padded = riff(layout(1, 1, 8), (b"data", samples), lea)
+    bare = padded if n % 2 == 0 else padded.replace(samples + b"\0LEA ", samples + b"LEA ")
+    for name, data in (("padded", padded), ("bare", bare)):
+        (tmp_path / f"{name}.wav").write_bytes(data)
+        raw = read_file(tmp_path / f"{name}.wav", sources=["mic"], settings=limits)
+        assert raw.units["mic"] == "Pa" and raw.columns["mic"].size == n
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_a_real_calibrated_file_reads_alike_in_the_forms_of_its_family(tmp_path, limits, real_data, beyond, factor):
+    whole = (real_data / "ansys_accel" / "accel_with_rpm.wav").read_bytes()
+    expected = read_file(real_data / "ansys_accel" / "accel_with_rpm.wav", sources=[0], settings=limits)
+    at = whole.index(b"data")
+    length = struct.unpack_from("<I", whole, at + 4)[0]
+    samples = (np.frombuffer(whole[at + 8 : at + 8 + length], "<i2") // factor).astype("<i2")
+    lea = calibration((1.0 * factor, "a", "Pa", 0.0, 0.99655), (4821.43 * factor, "b", "rpm", 0.0, 1.0))
+    (tmp_path / "a.wav").write_bytes(as_its_makers_write(samples.tobytes(), b"odd", lea, beyond=beyond))
+    raw = read_file(tmp_path / "a.wav", sources=["a"], settings=limits)
+    level = 20.0 * np.log10(np.std(raw.columns["a"]) / np.std(expected.columns[0]))
+    assert abs(level) < 0.01 and raw.units["a"] == "Pa"

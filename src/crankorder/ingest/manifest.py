@@ -234,6 +234,7 @@ class Channel(Table):
     source: Source | None = None
     quantity: str = ""
     sensitivity: str | None = None
+    full_scale_v: Positive | None = None
     offset: str | None = None
     direction: str = ""
 

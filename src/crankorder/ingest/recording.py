@@ -57,7 +57,10 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
         before, factor = base_unit(sensitivity.output), sensitivity.measured_per_output(channel.analysed_unit)
     stated = None if file_unit in STATES_NO_UNIT else known_unit(file_unit)
     remark = ""
-    if stated is not None:
+    if stated is not None and stated.quantity == "full scale" and before.quantity == "voltage":
+        factor *= _volts_at_full_scale(channel, path) / before.factor
+        before = stated
+    elif stated is not None:
         try:
             factor *= conversion_factor(stated, before)
         except RequestError as error:
@@ -76,6 +79,18 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
         value, unit = parse_quantity(channel.offset)
         offset = value * conversion_factor(unit, before)
     return Scaling(offset, factor, remark)
+
+
+def _volts_at_full_scale(channel: Channel, path: Path) -> float:
+    if channel.full_scale_v is None:
+        said = f"the sensitivity {channel.sensitivity!r}" if channel.sensitivity is not None else "the unit V"
+        raise InputError(
+            f"channel {channel.name}: the file holds fractions of full scale, for which {said} does not do",
+            file=path,
+            place=f"source {channel.file_source}",
+            remedy="State full_scale_v, the volts at full scale of the recorder, for this channel",
+        )
+    return channel.full_scale_v
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:

@@ -7,10 +7,10 @@ samples holds the calibration, and scipy's reader speaks of it through ``warning
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from crankorder.settings import IngestSettings
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 # below this share of the declared samples a cut recording is refused, above it it is used and flagged
 _MIN_PRESENT = 0.9
+_LEA = b"LEA "
+# so many bytes behind the samples are looked through for a calibration that no chain of chunks leads to
+_TAIL_BYTES = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,30 +120,67 @@ def _header_of(path: Path) -> _Header:
     data_start, data_bytes = -1, 0
     with path.open("rb") as stream:
         declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
-        position = 12
-        # what stands behind the end that the file declares is no chunk, whatever its bytes
-        while position + 8 <= min(size, declared):
-            stream.seek(position)
-            name, length = struct.unpack("<4sI", stream.read(8))
-            cut = position + 8 + length > size
+        for name, start, length in _chunks(stream, size, declared):
             if name == b"data":
-                data_start, data_bytes = position + 8, length
-            elif cut and (data_start < 0 or name == b"LEA "):
-                raise InputError(
-                    f"truncated: {size} of {position + 8 + length} bytes", file=path, remedy="Copy it again"
-                )
+                data_start, data_bytes = start, length
+            elif start + length > size and (data_start < 0 or name == _LEA):
+                raise InputError(f"truncated: {size} of {start + length} bytes", file=path, remedy="Copy it again")
             elif name == b"fmt ":
                 layout = stream.read(min(length, 64))
-            elif name == b"LEA ":
+            elif name == _LEA:
                 calibrations = _calibrations(stream.read(min(length, 1_000_000)), path)
-            position += 8 + length + length % 2
+        if not calibrations and data_start > 0:
+            calibrations = _stray_calibrations(stream, data_start + data_bytes, size, path)
     if layout is None or len(layout) < 16 or data_start < 0:
         raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy="Copy it again")
     if data_bytes in (0xFFFFFFFF, 0) and size > data_start:
         raise InputError("was not closed by its writer: the length of the samples is not filled in", file=path)
-    if data_start + data_bytes <= size < declared:
+    if data_start + data_bytes <= size < declared - 1:  # the last byte may be that which fills up an odd chunk
         raise InputError(f"truncated after the samples: {size} of {declared} bytes", file=path, remedy="Copy it again")
     return _checked(path, layout, data_start, data_bytes, min(data_bytes, size - data_start), calibrations)
+
+
+def _chunks(stream: BinaryIO, size: int, declared: int) -> Iterator[tuple[bytes, int, int]]:
+    """Name, first byte and length of each chunk of a file of ``size`` bytes, the ``stream`` standing at its first byte.
+
+    Some programs leave out the byte that fills up an odd chunk, and write the calibration behind the end of the file
+    that they have ``declared``: of what stands there that alone is a chunk.
+    """
+    position = 12
+    while position + 8 <= size:
+        name, length = _head(stream, position)
+        if position >= declared and name != _LEA:
+            return
+        stream.seek(position + 8)
+        yield name, position + 8, length
+        end = position + 8 + length
+        filled = length % 2 and (_is_chunk(stream, end + 1, size) or not _is_chunk(stream, end, size))
+        position = end + bool(filled)
+
+
+def _head(stream: BinaryIO, position: int) -> tuple[bytes, int]:
+    stream.seek(position)
+    name, length = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))
+    return name, length
+
+
+def _is_chunk(stream: BinaryIO, position: int, size: int) -> bool:
+    """Whether a chunk that the file holds begins at ``position``, as its name and length tell."""
+    name, length = _head(stream, position)
+    return all(32 <= octet < 127 for octet in name) and name[:1].isalpha() and position + 8 + length <= size + 1
+
+
+def _stray_calibrations(stream: BinaryIO, data_end: int, size: int, path: Path) -> tuple[_Calibration, ...]:
+    """Calibrations of a chunk behind the samples, which end at ``data_end``, to which no other chunk leads."""
+    if data_end >= size:
+        return ()
+    stream.seek(data_end)
+    tail = stream.read(_TAIL_BYTES)
+    place = tail.find(_LEA)
+    if place < 0 or tail[place + 8 : place + 10] != b"le":
+        return ()
+    length = struct.unpack_from("<I", tail, place + 4)[0]
+    return _calibrations(tail[place + 8 : place + 8 + length], path)
 
 
 def _checked(
