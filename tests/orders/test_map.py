@@ -93,13 +93,22 @@ def test_half_orders_of_two_recordings_with_unknown_cycle_do_not_cancel():
     assert made["phase"].sel(order=2.0).item() == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_recording_unlike_the_others_is_left_out_and_named_whether_shorter_or_longer():
-    for others, odd in ((10.0, 0.5), (0.72, 10.0)):
-        frames = [frames_of(line(2.0, 1.0), duration_s=others) for _ in range(3)]
-        made = order_map([*frames, frames_of(line(2.0, 9.0), duration_s=odd, name="odd.h5")], settings=SETTINGS)
-        assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx(1.0, rel=1e-5)
-        bad = [flag for flag in flags_of(made) if flag["severity"] == "bad"]
-        assert [flag["recording"] for flag in bad] == ["odd.h5"]
+def test_a_recording_far_shorter_than_the_others_is_left_out_and_named():
+    frames = [frames_of(line(2.0, 1.0), duration_s=10.0) for _ in range(3)]
+    made = order_map([*frames, frames_of(line(2.0, 9.0), duration_s=0.5, name="odd.h5")], settings=SETTINGS)
+    assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx(1.0, rel=1e-5)
+    bad = [flag for flag in flags_of(made) if flag["severity"] == "bad"]
+    assert [flag["recording"] for flag in bad] == ["odd.h5"]
+
+
+def test_a_recording_far_longer_than_the_others_is_cut_to_their_frames_and_every_frame_counts_once():
+    short = [frames_of(line(2.0, 1.0), duration_s=0.72) for _ in range(3)]
+    long = frames_of(line(2.0, 9.0), duration_s=10.0, name="long.h5")
+    made = order_map([*short, long], settings=SETTINGS)
+    count = made["n_frames"].item()
+    assert count > 10  # 10 s hold more than ten frames of 0.72 s
+    assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx((3 * 1.0 + (count - 3) * 9.0) / count)
+    assert not [flag for flag in flags_of(made) if flag["severity"] == "bad"]
 
 
 def test_a_run_up_falls_into_bins_of_the_stated_width():

@@ -176,7 +176,7 @@ def test_the_swing_of_the_speed_is_told_with_the_encoder(analysed):
     genset = analysed("tue_genset", "tue_genset")
     leading: dict[str, dict[str, float]] = {}
     for one in genset.findings["speed_swing"]:
-        leading.setdefault(one["recording"], one)
+        leading.setdefault(Path(one["recording"]).name, one)
     assert {one["order"] for one in leading.values()} == {0.5}
     share = {name: one["amplitude_rpm"] / one["speed_rpm"] for name, one in leading.items()}
     assert all(0.01 < value < 0.03 for name, value in share.items() if "FULL" in name), share
