@@ -75,7 +75,6 @@ def test_a_rate_in_the_comments_is_found(read, comment, rate):
         ("a;b\n1,5;2,5\n3.5;x\n", "not a number; found 'x'"),
         ("# only\n# comments\n", "no line of numbers in the first 64 kB"),
         ("once upon a time\nthere was a shaft\n", "no line of numbers.*found 'once upon a time'"),
-        ("a,a\n1,2\n3,4\n", "two columns have the same name; found 'a'"),
         ("a,b\n1,2\n3,0x10\n", "not a number; found '0x10'"),
         ("a,b\n1,2\n3,True\n", "not a number; found 'True'"),
     ],
@@ -83,6 +82,11 @@ def test_a_rate_in_the_comments_is_found(read, comment, rate):
 def test_what_is_no_table_of_numbers_is_named_with_line_and_cell(read, text, words):
     with pytest.raises(InputError, match=words):
         read(text, 0, 1)
+
+
+def test_columns_of_one_name_are_told_apart_by_a_number(read):
+    made = read("t,a,a,a\n1,2,3,4\n5,6,7,8\n", "a", "a (2)", "a (3)").columns
+    assert [made[name].tolist() for name in ("a", "a (2)", "a (3)")] == [[2.0, 6.0], [3.0, 7.0], [4.0, 8.0]]
 
 
 def test_a_missing_sample_written_as_nan_stays_one(read):

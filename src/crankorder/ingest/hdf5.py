@@ -35,12 +35,31 @@ PIECE_BYTES = 1 << 22
 
 # deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lzf: all others would load code from a plugin folder
 _FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
-_RATE_NAMES = ("rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_frequency", "sample_freq", "fs")
-_STEP_NAMES = ("wf_increment", "dt", "delta_t", "increment_s", "time_step")
+# as loggers write them, in whatever case and with whatever between the words
+_RATE_NAMES = (
+    "rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_rate_hz", "sampling_frequency",
+    "sampling_frequency_hz", "sample_frequency", "sample_freq", "samp_freq", "fs", "fs_hz",
+)  # fmt: skip
+_STEP_NAMES = (
+    "wf_increment", "dt", "dt_s", "delta_t", "increment_s", "time_step", "sample_interval", "sampling_interval",
+)  # fmt: skip
+_SPEED_NAMES = ("speed_rpm", "rpm", "shaft_speed_rpm", "nominal_rpm", "engine_speed_rpm")
 _UNIT_NAMES = ("units", "unit", "unit_string")
 _START_NAMES = ("start_s", "wf_start_offset")
 _PACKING_NAMES = ("_FillValue", "missing_value", "scale_factor", "add_offset")
-_ASKED = frozenset((*_RATE_NAMES, *_STEP_NAMES, *_UNIT_NAMES, *_START_NAMES, *_PACKING_NAMES))
+_SAME_RATE = 1e-4  # a time step is often written with few decimals
+
+
+def _plain(name: str) -> str:
+    """``name`` of an attribute without case and without what stands between its words."""
+    return re.sub("[^a-z0-9]", "", name.lower())
+
+
+_ASKED = frozenset(
+    _plain(name)
+    for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, _START_NAMES, _PACKING_NAMES)
+    for name in names
+)
 # an exception of h5py on a damaged file may be any of these
 _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
 
@@ -106,6 +125,9 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
             samples={name: column.n_samples for name, column in columns.items()},
             units={name: unit for name, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))},
             rates_hz=_stated(rates),
+            speed_rpm=next(
+                (rpm for dataset in datasets.values() if (rpm := attributes.number(dataset, _SPEED_NAMES))), None
+            ),
         )
 
 
@@ -318,31 +340,41 @@ class _Attributes:
 
     def rate_hz(self, dataset: Any, path: Path) -> float | None:
         """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
-        rate = self.number(dataset, _RATE_NAMES)
-        step = self.number(dataset, _STEP_NAMES) if rate is None else None
-        value = rate if step is None else (1.0 / step if step else 0.0)
+        rates, steps = (self._numbers(dataset, names) for names in (_RATE_NAMES, _STEP_NAMES))
+        stated = rates | {name: 1.0 / step if step else 0.0 for name, step in steps.items()}
+        value = next(iter(stated.values()), None)
+        if value is not None and any(abs(other - value) > _SAME_RATE * abs(value) for other in stated.values()):
+            found = ", ".join(f"{name}: {other:.9g} Hz" for name, other in stated.items())
+            remedy = "Find out which is right, and remove the other"
+            raise InputError("two sampling rates are stated", file=path, place=dataset.name, found=found, remedy=remedy)
         if value is not None and not (value > 0 and np.isfinite(value)):
             raise InputError("the sampling rate must be above 0", file=path, place=dataset.name, found=value)
         return value
 
     def number(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, of ``dataset``, else of its group, else of the file."""
+        return next(iter(self._numbers(dataset, names, inherited=inherited).values()), None)
+
+    def _numbers(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> dict[str, float]:
+        """All of these attributes by name, of the first place that has any."""
         places = [dataset.name]
         if inherited:
             places += [dataset.name.rpartition("/")[0] or "/", "/"]
         for place in places:
-            attrs = self._at(place, dataset)
+            attrs, found = self._at(place, dataset), dict[str, float]()
             for name in names:
-                value = attrs.get(name)
+                value = attrs.get(_plain(name))
                 if value is not None and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
-                    return float(np.asarray(value).reshape(()))
-        return None
+                    found[name] = float(np.asarray(value).reshape(()))
+            if found:
+                return found
+        return {}
 
     def text(self, dataset: Any, names: Sequence[str]) -> str:
         """First of the attributes ``names`` of ``dataset`` that is text, else ""."""
         attrs = self._at(dataset.name, dataset)
         for name in names:
-            value = attrs.get(name)
+            value = attrs.get(_plain(name))
             if isinstance(value, np.ndarray) and value.size == 1:
                 value = value.reshape(-1)[0]
             if isinstance(value, bytes):
@@ -362,10 +394,10 @@ def _readable(item: Any) -> dict[str, Any]:
     """Attributes of ``item`` that can be read, of those that are asked for here: others may be large."""
     found: dict[str, Any] = {}
     try:
-        names = _ASKED.intersection(item.attrs)
+        names = [name for name in item.attrs if _plain(name) in _ASKED]
     except _H5PY_ERRORS:
         return found
     for name in names:
         with suppress(*_H5PY_ERRORS):
-            found[name] = item.attrs[name]
+            found[_plain(name)] = item.attrs[name]
     return found

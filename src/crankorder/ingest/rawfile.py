@@ -30,6 +30,7 @@ class Contents:
 
     ``samples`` and ``units`` go by name; ``samples`` lacks a name whose length only a full read would tell; of a single
     number it says 1. ``rate_uncertainty`` is relative: what the decimals of a stated time step leave open.
+    ``speed_rpm`` is a speed of the shaft that the file states beside its columns.
     """
 
     format: str
@@ -38,6 +39,7 @@ class Contents:
     units: Mapping[str, str] = field(default_factory=dict)
     rates_hz: Mapping[str, float] = field(default_factory=dict)
     rate_uncertainty: float = 0.0
+    speed_rpm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,17 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
         file=path,
         remedy=f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest",
     )
+
+
+def distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """``names`` of columns, with a number behind each that comes again: "acc", "acc (2)"."""
+    made: list[str] = []
+    for name in names:
+        own, number = name, 2
+        while own in made:
+            own, number = f"{name} ({number})", number + 1
+        made.append(own)
+    return tuple(made)
 
 
 def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> float | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from crankorder.errors import InputError, printable
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, named
 from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.scratch import empty
@@ -94,7 +94,7 @@ def _layout_of(path: Path) -> _Layout:
         if not _is_comment(line) and (found := _separation(line)):
             separator, decimal_comma = found
             fields = _fields(line, separator)
-            names, units = _header(lines[:number], separator, len(fields), path)
+            names, units = _header(lines[:number], separator, len(fields))
             comments = "\n".join(line for line in lines[:number] if _is_comment(line))
             return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
     shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
@@ -131,21 +131,26 @@ def _separation(line: str) -> tuple[str, bool] | None:
     return None
 
 
-def _header(lines: list[str], separator: str, n_columns: int, path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
+def _header(lines: list[str], separator: str, n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names of the columns, and their units, from the lines above the first numbers."""
     rows = [_fields(line, separator) for line in lines if not _is_comment(line)]
     rows = [row for row in rows if len(row) == n_columns] or [
         row for line in lines if not _is_comment(line) and len(row := _words(line)) == n_columns
     ]
+    return names_and_units(rows, n_columns)
+
+
+def names_and_units(rows: list[list[str]], n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Names of ``n_columns`` columns, and their units by name, from the ``rows`` of so many cells above the numbers.
+
+    The last row holds the names, or their units below them; without rows the columns are called by their numbers.
+    """
     units_row = rows.pop() if len(rows) > 1 and _is_units_row(rows[-1]) else None
     if not rows:
         return tuple(str(number) for number in range(n_columns)), {}
-    names = tuple(name or str(number) for number, name in enumerate(rows[-1]))
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError("two columns have the same name", file=path, place=f"line {len(lines)}", found=repr(twice))
+    names = distinct([name or str(number) for number, name in enumerate(rows[-1])])
     stated = (
-        [unit_in_label(name) for name in names] if units_row is None else [cell.strip("[]()") for cell in units_row]
+        [unit_in_label(name) for name in rows[-1]] if units_row is None else [cell.strip("[]()") for cell in units_row]
     )
     return names, {name: unit for name, unit in zip(names, stated, strict=True) if unit}
 

@@ -1,10 +1,11 @@
-"""XLSX workbooks: the first sheet as a table with names in its first row."""
+"""XLSX workbooks: the first sheet as a table, whose names stand above its first row of numbers."""
 
 from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import numpy as np
 
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, named
-from crankorder.ingest.units import unit_in_label
+from crankorder.ingest.text import names_and_units
 from crankorder.settings import IngestSettings
+
+_BANNER_ROWS = 50
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -24,9 +27,10 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     with _first_sheet(path, settings) as sheet:
         rows = sheet.iter_rows(values_only=True)
-        names = _names(next(rows, ()), path)
+        names, units, first, n_above = _header(rows, path)
         positions = [names.index(named(source, names, path)) for source in sources]
-        cells = [tuple(row[position] if position < len(row) else None for position in positions) for row in rows]
+        below = chain([] if first is None else [first], rows)
+        cells = [tuple(row[position] if position < len(row) else None for position in positions) for row in below]
     while cells and all(cell is None for cell in cells[-1]):
         cells.pop()  # formatted but empty rows below the data
     block = np.empty((len(positions), len(cells)))
@@ -36,25 +40,25 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
                 raise InputError(
                     "an empty cell" if cell is None else "not a number",
                     file=path,
-                    place=f"row {number + 2}, column {positions[index]} ({names[positions[index]]})",
+                    place=f"row {number + n_above + 1}, column {positions[index]} ({names[positions[index]]})",
                     found="" if cell is None else repr(cell),
                     remedy="Mend the cell, or leave the recording out",
                 )
         block[:, number] = row
-    units = {source: unit_in_label(names[position]) for source, position in zip(sources, positions, strict=True)}
+    stated = {source: units.get(names[position], "") for source, position in zip(sources, positions, strict=True)}
     return RawFile(
-        columns=dict(zip(sources, block, strict=True)), units={source: unit for source, unit in units.items() if unit}
+        columns=dict(zip(sources, block, strict=True)), units={source: unit for source, unit in stated.items() if unit}
     )
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names and units of the columns of the first sheet of the workbook at ``path``; reads its first row only.
+    """Names and units of the columns of the first sheet of the workbook at ``path``; reads what stands above it only.
 
     ``settings`` give the byte limit. Raises what :func:`read` raises.
     """
     with _first_sheet(path, settings) as sheet:
-        names = _names(next(sheet.iter_rows(values_only=True), ()), path)
-    return Contents(format="XLSX", names=names, units={name: unit for name in names if (unit := unit_in_label(name))})
+        names, units, _, _ = _header(sheet.iter_rows(values_only=True), path)
+    return Contents(format="XLSX", names=names, units=units)
 
 
 @contextmanager
@@ -83,16 +87,34 @@ def _first_sheet(path: Path, settings: IngestSettings) -> Iterator[Any]:
         ) from None
 
 
-def _names(row: Sequence[object], path: Path) -> tuple[str, ...]:
-    names = ["" if cell is None else str(cell).strip() for cell in row]
-    while names and not names[-1]:
-        names.pop()
-    if not names:
-        raise InputError(
-            "the first row is empty", file=path, place="row 1", remedy="Put the names of the columns there"
-        )
-    named_all = tuple(name or str(number) for number, name in enumerate(names))
-    if len(set(named_all)) < len(named_all):
-        twice = next(name for name in named_all if named_all.count(name) > 1)
-        raise InputError("two columns have the same name", file=path, place="row 1", found=repr(twice))
-    return named_all
+def _header(
+    rows: Iterator[tuple[object, ...]], path: Path
+) -> tuple[tuple[str, ...], dict[str, str], tuple[object, ...] | None, int]:
+    """Names and units of the columns, the first row of numbers, and how many rows stand above it.
+
+    Titles and notes above the names are passed over. ``rows`` are taken up to the first of numbers, None where there is
+    none in the first rows: then their first one holds the names.
+    """
+    above: list[list[str]] = []
+    first: tuple[object, ...] | None = None
+    for row in islice(rows, _BANNER_ROWS):
+        cells = _filled(row)
+        if len(cells) and all(isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in cells):
+            first = row
+            break
+        above.append(["" if cell is None else str(cell).strip() for cell in cells])
+    width = max((len(row) for row in above[:1]), default=0) if first is None else len(_filled(first))
+    named_rows = [row for row in (above[:1] if first is None else above) if len(row) == width]
+    if not width or (above and not named_rows):
+        remedy = "Put the names of the columns into the row above the numbers"
+        raise InputError("no row names the columns", file=path, place=f"rows 1 to {len(above) or 1}", remedy=remedy)
+    names, units = names_and_units(named_rows, width)
+    return names, units, first, len(above)
+
+
+def _filled(row: tuple[object, ...]) -> list[object]:
+    """Cells of ``row`` up to the last that is not empty."""
+    cells = list(row)
+    while cells and (cells[-1] is None or cells[-1] == ""):
+        cells.pop()
+    return cells
