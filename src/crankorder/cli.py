@@ -364,11 +364,16 @@ def check(folder: Path, manifest: Path | None) -> None:
 
 @main.command()
 @click.argument("folder", type=FOLDER)
-def init(folder: Path) -> None:
-    """Draft run.toml from what the files say (printed; redirect it into FOLDER/run.toml)."""
-    from crankorder.ingest.draft import draft_manifest
+@click.option("--save", is_flag=True, help="Write FOLDER/run.toml, or one into each folder of recordings in FOLDER.")
+def init(folder: Path, save: bool) -> None:
+    """Draft run.toml from what the files say: printed, or with --save written where no manifest is yet."""
+    from crankorder.ingest.draft import draft_manifest, save_drafts
 
-    click.echo(draft_manifest(folder), nl=False)
+    if not save:
+        click.echo(draft_manifest(folder), nl=False)
+        return
+    for path in save_drafts(folder):
+        click.echo(f"{printable(path)}: draft written; decide what stands behind `# ?`", err=True)
 
 
 @main.command()

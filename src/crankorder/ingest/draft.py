@@ -1,41 +1,26 @@
-"""A first ``run.toml`` from what the files of a folder say; what they leave out is marked for the engineer to state."""
+"""A first ``run.toml`` from what the files of a folder say; what they leave out is marked for the engineer."""
 
 from __future__ import annotations
 
 import fnmatch
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError, printable
 from crankorder.ingest.folder import is_leftover, natural_key
 from crankorder.ingest.formats import contents_of, read_file
-from crankorder.ingest.rawfile import Contents, RawFile
-from crankorder.ingest.units import known_unit
+from crankorder.ingest.manifest import MANIFEST_NAME
+from crankorder.ingest.rawfile import Contents, RawFile, Source
+from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, is_uniform
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
 from crankorder.shaft.pulses import FloatArray, find_pulses
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
-
-# Samples that are enough to see a wheel.
-MOST_SAMPLES = 4_000_000
-# A trace with this share of its samples at its two levels is a square wave; a sine has 0.51.
-SQUARE_SHARE = 0.75
-
-_TIME = re.compile(r"(time|zeit|t)\b.*", re.IGNORECASE)
-
-_INDEX = re.compile(r"\b(index|tdc|trigger|z.?pulse|once.?per.?rev|ref)\b", re.IGNORECASE)
-
-_ENCODER = re.compile(r"enc|tach|pulse|crank|tooth|teeth|\bir\b|kurbel", re.IGNORECASE)
-
-_CAM = re.compile(r"\bcam(shaft)?\b|nockenwelle", re.IGNORECASE)
-
-_SPEED = re.compile(r"rpm|speed|drehzahl", re.IGNORECASE)
 
 MOTOR = (
     "",
@@ -48,18 +33,36 @@ MOTOR = (
 )
 """What a draft proposes that no file tells, as comments."""
 
+_MARK_COLUMN = 34
+_RECIPROCATING = re.compile(
+    r"crank|cyl|engine|kurbel|tdc|ignition|knock|piston|firing|(^|[^a-z])(ice|diesel)([^a-z]|$)", re.I
+)
+_SPEED_IN_NAME = (
+    re.compile(r"(?<![0-9.])(\d{2,6}(?:[.,]\d+)?)[ _-]?(?:rpm|u_?min|upm|min-?1|r_?min)", re.I),
+    re.compile(r"(?:rpm|speed|drehzahl|(?<![a-z])n)[ _=-]?(\d{2,6}(?:\.\d+)?)(?![0-9])", re.I),
+)
+# pulses per revolution that encoders and tachometers have
+_COMMON_PULSES = (
+    *range(1, 17), 18, 20, 24, 30, 32, 36, 40, 45, 48, 50, 60, 64, 72, 80, 90, 100, 120, 125, 128, 144, 150, 180, 200,
+    240, 250, 256, 300, 360, 400, 500, 512, 600, 720, 900, 1000, 1024, 1200, 1250, 1440, 1500, 1800, 2000, 2048, 2500,
+    3600, 4096,
+)  # fmt: skip
+# of a speed that a name states, as far as the true one may lie off
+_NOMINAL = 0.03
+
 
 @dataclass(frozen=True)
 class EncoderGuess:
-    """Kind and edge of an encoder as its values look, and the wheel that was found, if any."""
+    """Kind and edge of an encoder as its values look, the wheel that was found, if any, and its pulses per second."""
 
     kind: str
     edge: str
     found: FoundPattern | None
+    pulses_hz: float
 
 
 def encoder_guess(
-    path: Path, source: str, *, index: str | None, time: str | None, rate_hz: float | None
+    path: Path, source: Source, *, index: Source | None, time: Source | None, rate_hz: float | None
 ) -> EncoderGuess | None:
     """What the encoder of a recording seems to be, or None where it cannot be read as one.
 
@@ -83,7 +86,11 @@ def encoder_guess(
     mark_s = next(iter(marks.values()), None)
     found = {edge: find_pattern(time_s, index_time_s=mark_s) for edge, time_s in by_edge.items()}
     best = max(found, key=lambda edge: (_likely(found[edge]), edge == first))
-    return EncoderGuess(kind, best, found[best])
+    return EncoderGuess(kind, best, found[best], _pulses_hz(by_edge[best]))
+
+
+def _pulses_hz(time_s: FloatArray) -> float:
+    return (time_s.size - 1) / float(np.ptp(time_s)) if time_s.size > 2 and np.ptp(time_s) > 0.0 else 0.0
 
 
 def _likely(found: FoundPattern | None) -> tuple[int, float]:
@@ -95,19 +102,19 @@ def _likely(found: FoundPattern | None) -> tuple[int, float]:
 
 
 def _edges(
-    raw: RawFile, source: str, time: str | None, rate_hz: float | None
+    raw: RawFile, source: Source, time: Source | None, rate_hz: float | None
 ) -> tuple[str, str, dict[str, FloatArray]]:
     """Kind of a column, the edge to prefer, and the pulse times of each edge."""
     values = raw.columns[source][:MOST_SAMPLES].astype(np.float64)
     if values.size > 3 and np.isfinite(values).all() and (np.diff(values) >= 0.0).all() and np.ptp(values) > 0.0:
         return "pulse_times", "rising", {"rising": values}
     times = None if time is None else raw.columns[time][:MOST_SAMPLES].astype(np.float64)
-    if times is not None and not _uniform(times):
+    if times is not None and not is_uniform(times):
         high = values > 0.5 * (values.min() + values.max())
         turns = {"rising": high[1:] & ~high[:-1], "falling": ~high[1:] & high[:-1]}
         return "edge_list", "rising", {edge: times[1:][turned] for edge, turned in turns.items()}
     rate = rate_hz if times is None else float((times.size - 1) / np.ptp(times))
-    kind = "square" if _is_square(values) else "analogue"
+    kind = "square" if is_square(values) else "analogue"
     shaft = load_settings().shaft
     by_edge = {
         edge: find_pulses(
@@ -123,46 +130,39 @@ def _edges(
     return kind, "rising", by_edge
 
 
-def _uniform(times: FloatArray) -> bool:
-    step = np.diff(times)
-    return times.size > 2 and bool(np.ptp(step) < 0.5 * np.median(step))
-
-
-def _is_square(values: npt.NDArray[Any]) -> bool:
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    near = 0.15 * (high - low)
-    return float(np.mean((values < low + near) | (values > high - near))) >= SQUARE_SHARE
-
-
 def draft_manifest(folder: Path) -> str:
-    """TOML text of a draft manifest for the recordings in ``folder``, taken from what their headers state.
+    """TOML text of a draft manifest for the recordings in ``folder``, taken from what their files say.
 
-    Lines that end in ``# state: …`` hold guesses to be checked. Raises RequestError where ``folder`` is no folder, and
-    NoUsableRecordingError, naming what each file is, where none can be read.
+    It can be run as it is wherever they say enough; what a person should decide stands behind ``# ?``. Raises
+    RequestError where ``folder`` is no folder or holds tests in folders of their own, and NoUsableRecordingError,
+    naming what each file is, where none can be read.
     """
     pattern, group = _recordings(folder)
     contents, path = group[0]
-    roles = _roles(contents)
-    sources = {name: _source(name, [other for other, _ in group]) for name in roles}
+    columns = columns_of(path, contents, settings=load_settings().ingest)
+    sources = {column.name: _source(column, [other for other, _ in group]) for column in columns.all}
+    columns = replace(columns, all=tuple(replace(column, source=sources[column.name]) for column in columns.all))
+    columns = _marks_by_wheel(columns, contents, path)
+    speeds = _speeds(group)
+    encoder, knows_shaft = _encoder(columns, contents, path, speeds)
     lines = [
-        "# Draft by `crankorder init`: check every line that says `state`.",
+        "# Draft by `crankorder init`: decide what stands behind `# ?`.",
         "schema_version = 1",
         "",
         "[test]",
         f"name = {_text(folder.resolve().name)}",
-        'cycle = "four-stroke"             # state: four-stroke, two-stroke or rotor; none where nothing turns',
-        '# engine = "…"                    # state: a shipped engine, or a TOML file in this folder',
+        *_cycle(columns, path, knows_shaft=knows_shaft),
+        '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
         "",
         "[recordings]",
         f"files = [{_text(pattern)}]",
         "",
-        *_sampling(contents, roles),
+        *_sampling(columns, contents),
+        *_channels(columns),
+        *encoder,
+        *(_stated_speeds(speeds) if 'kind = "constant"' in encoder and len(speeds) else []),
+        *MOTOR,
     ]
-    for name, role in roles.items():
-        if role == "channel":
-            lines += _channel(name, contents.units.get(name, ""), sources[name])
-    lines += _encoder(roles, contents, path, sources)
-    lines += MOTOR
     scalars = [name for name in contents.names if contents.samples.get(name) == 1]
     if scalars:
         shown = ", ".join(printable(name, 40) for name in scalars[:20]) + (", …" if len(scalars) > 20 else "")
@@ -170,10 +170,36 @@ def draft_manifest(folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
-    """Pattern of the largest group of readable files with one suffix, and the contents and path of each."""
-    if not folder.is_dir():
-        raise RequestError("there is no such folder", file=folder)
+def save_drafts(folder: Path) -> list[Path]:
+    """Write the draft of ``folder`` as its ``run.toml``, or one into each folder in it that holds recordings.
+
+    Returns the files written; a manifest that is there already stays as it is. Raises what :func:`draft_manifest`
+    raises, and RequestError where there is nothing left to write.
+    """
+    homes = [folder] if not folder.is_dir() or _is_test(folder) else _tests_in(folder) or [folder]
+    written: list[Path] = []
+    for home in homes:
+        path = home / MANIFEST_NAME
+        if path.exists():
+            continue
+        path.write_text(draft_manifest(home), encoding="utf-8")
+        written.append(path)
+    if not written:
+        raise RequestError("there is a manifest already", file=homes[0] / MANIFEST_NAME, remedy="Edit it, or remove it")
+    return written
+
+
+def _is_test(folder: Path) -> bool:
+    return (folder / MANIFEST_NAME).exists() or bool(_read_all(folder)[0])
+
+
+def _tests_in(folder: Path) -> list[Path]:
+    """Folders in ``folder`` that hold recordings."""
+    return [path for path in sorted(folder.iterdir(), key=natural_key) if path.is_dir() and _is_test(path)]
+
+
+def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], list[CrankorderError]]:
+    """Contents and paths of the readable files of ``folder`` by suffix, and the faults of the others."""
     settings = load_settings().ingest
     groups: dict[str, list[tuple[Contents, Path]]] = {}
     faults: list[CrankorderError] = []
@@ -185,7 +211,24 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
             groups.setdefault(path.suffix, []).append((contents, path))
         except CrankorderError as error:
             faults.append(error)
+    return groups, faults
+
+
+def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
+    """Pattern of the largest group of readable files with one suffix, and the contents and path of each."""
+    if not folder.is_dir():
+        raise RequestError("there is no such folder", file=folder)
+    groups, faults = _read_all(folder)
     if not groups:
+        inside = [] if faults else _tests_in(folder)
+        if inside:
+            names = ", ".join(printable(path.name, 40) for path in inside[:5]) + (", …" if len(inside) > 5 else "")
+            raise RequestError(
+                f"the recordings lie in {len(inside)} folders of this one: {names}",
+                file=folder,
+                remedy="Draft each as a test of its own (`crankorder init FOLDER --save` does them all), or write one "
+                'run.toml here that takes them together: files = ["*/*"]',
+            )
         raise NoUsableRecordingError(
             "no recording found; looked for HDF5, WAV, XLSX, MATLAB, NumPy, LVM and text files",
             file=folder,
@@ -196,124 +239,211 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
     return f"*{suffix}", groups[suffix]
 
 
-def _source(name: str, files: list[Contents]) -> str | int:
+def _source(column: Column, files: list[Contents]) -> Source:
     """Source of a column: its name, or where another file calls it otherwise a pattern or its position."""
+    name = column.name
     if all(name in contents.names for contents in files):
-        return name
+        return column.source
     word = re.split(r"[0-9]+", name)[-1]
     if word and all(len(fnmatch.filter(contents.names, f"*{word}")) == 1 for contents in files):
         return f"*{word}"
     return files[0].names.index(name)
 
 
-def _roles(contents: Contents) -> dict[str, str]:
-    """What each column is likely for: time, index, cam, encoder, speed or channel; each but the last once."""
-    roles: dict[str, str] = {}
-    longest = max(contents.samples.values(), default=0)
-    for name in contents.names:
-        n_samples = contents.samples.get(name)
-        # a MATLAB file may hold much besides: single numbers, spectra
-        if contents.format == "MATLAB" and n_samples != longest:
-            if n_samples == 1 and _SPEED.search(name) and "constant" not in roles.values():
-                roles[name] = "constant"
-            continue
-        unit = known_unit(contents.units.get(name, ""))
-        quantity = "" if unit is None else unit.quantity
-        guess = "channel"
-        if quantity == "time" or _TIME.fullmatch(name):
-            guess = "time"
-        elif quantity == "rotational speed" or (not quantity and _SPEED.search(name)):
-            guess = "speed"
-        elif quantity not in ("", "voltage", "counts", "full scale"):
-            guess = "channel"
-        elif _INDEX.search(name):
-            guess = "index"
-        elif _CAM.search(name):
-            guess = "cam"
-        elif _ENCODER.search(name):
-            guess = "encoder"
-        roles[name] = "channel" if guess in roles.values() else guess
-    if "channel" not in roles.values():
-        # a manifest needs one; a file of an encoder alone is rare
-        last = next(reversed(roles))
-        roles[last] = "channel"
-    return roles
+def _speeds(group: Sequence[tuple[Contents, Path]]) -> dict[str, tuple[float, str]]:
+    """Speed in rpm of each file by its name, as the file or its name states it, and which of them; {} unless all do."""
+    speeds: dict[str, tuple[float, str]] = {}
+    for contents, path in group:
+        if contents.speed_rpm is not None and contents.speed_rpm > 0:
+            speeds[path.name] = contents.speed_rpm, "as the file states"
+        elif (rpm := speed_in_name(path.stem)) is not None:
+            speeds[path.name] = rpm, "from the name of the file"
+        else:
+            return {}
+    return speeds
 
 
-def _sampling(contents: Contents, roles: dict[str, str]) -> list[str]:
-    time = next((name for name, role in roles.items() if role == "time"), None)
-    lines = ["[sampling]", 'domain = "time"                   # state: time or crank_angle']
-    if time is not None:
-        lines.append(f"time_source = {_text(time)}")
-    elif not contents.rates_hz:
-        lines.append("rate_hz = 0.0                     # state: samples per second, which the file does not say")
-    return [*lines, ""]
+def speed_in_name(name: str) -> float | None:
+    """Speed in rpm that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
+    for sign in _SPEED_IN_NAME:
+        match = sign.search(name)
+        if match and float(match[1].replace(",", ".")) > 0:
+            return float(match[1].replace(",", "."))
+    return None
 
 
-def _channel(name: str, file_unit: str, source: str | int) -> list[str]:
-    unit = known_unit(file_unit)
-    lines = [
-        "[[channels]]",
-        f"name = {_text(name)}",
-        f"source = {source if isinstance(source, int) else _text(source)}",
-    ]
-    if unit is None:
-        lines.append('unit = "V"                        # state: unit of the analysed signal')
+def _cycle(columns: Columns, path: Path, *, knows_shaft: bool) -> list[str]:
+    if not knows_shaft:
+        return [
+            _asked(
+                'cycle = "none"', "nothing in the files tells a speed. Where a shaft turns: four-stroke, two-stroke"
+            ),
+            _asked("", "or rotor, and an [encoder] below"),
+        ]
+    if columns.of("cam") is not None or columns.four_stroke:
+        why = "a cam mark" if columns.of("cam") is not None else "the angle runs over two revolutions"
+        return [_asked('cycle = "four-stroke"', f"{why}; four-stroke, two-stroke or rotor")]
+    named = " ".join([path.resolve().parent.name, path.stem, *(column.name for column in columns.all)])
+    if _RECIPROCATING.search(named):
+        return [_asked('cycle = "four-stroke"', "as the names sound: four-stroke, two-stroke or rotor")]
+    return [_asked('cycle = "rotor"', "four-stroke or two-stroke for an engine, rotor for anything else that turns")]
+
+
+def _sampling(columns: Columns, contents: Contents) -> list[str]:
+    angle, time = columns.of("angle"), columns.of("time")
+    lines = ["[sampling]"]
+    if angle is not None:
+        lines += ['domain = "crank_angle"', f"samples_per_rev = {round(360.0 / angle.step)}"]
+        lines += [f"start_deg = {angle.first:.9g}"] if angle.first else []
+    elif time is not None:
+        line = f"time_source = {_shown(time.source)}"
+        lines.append(_asked(line, time.doubt) if isinstance(time.source, int) else line)
+    elif not contents.rates_hz and columns.channels():
+        lines.append(_asked("# rate_hz =", "samples per second, which the file does not say"))
+    return [*lines, ""] if len(lines) > 1 else []
+
+
+def _channels(columns: Columns) -> list[str]:
+    lines: list[str] = []
+    labels = [column.label for column in columns.channels()]
+    for number, column in enumerate(columns.channels()):
+        name = column.label if labels.count(column.label) == 1 else column.name
+        lines += ["[[channels]]", f"name = {_text(name)}"]
+        if column.source != name:
+            lines.append(f"source = {_shown(column.source)}")
+        lines += _unit(column, first=number == 0)
+        if number == 0:
+            lines.append(_asked('# direction = "+Z"', "the axis that the sensor looks along; for each channel"))
+        lines.append("")
+    for column in columns.all:
+        if column.role == "unused":
+            why = column.doubt or "no use was found for it"
+            lines.append(f"# column {_text(column.name)} is left out: {why}")
+    return lines + ([""] if lines and lines[-1] else [])
+
+
+def _unit(column: Column, *, first: bool) -> list[str]:
+    if column.unit is not None:
+        line = f"unit = {_text(column.unit.name)}"
+        lines = [_asked(line, column.doubt) if column.doubt else line]
     else:
-        lines.append(f"unit = {_text(unit.name)}")
-    if unit is None or unit.quantity == "voltage":
-        lines.append(
-            '# sensitivity = "100 mV/g"        # state: where the file holds volts (and the unit above is then m/s2)'
-        )
-    return [*lines, 'direction = ""                    # state: such as +Z', ""]
+        lines = [_asked('unit = "1"', column.doubt or "the file states no unit: m/s2, g, V, bar, …")]
+    if first and (column.unit is None or column.unit.quantity in ("voltage", "full scale")):
+        lines.append(_asked('# sensitivity = "100 mV/g"', "where the file holds volts; the unit above is then m/s2"))
+    if first and column.unit is not None and column.unit.quantity == "full scale":
+        lines.append(_asked("# full_scale_v = 10.0", "volts at full scale, which a sensitivity needs"))
+    return lines
 
 
-def _encoder(roles: dict[str, str], contents: Contents, path: Path, sources: dict[str, str | int]) -> list[str]:
-    by_role = {role: name for name, role in roles.items()}
-    if "encoder" in by_role:
-        marks = [f"{role} = {_text(by_role[role])}" for role in ("index", "cam") if role in by_role]
-        return ["[encoder]", f"source = {_text(by_role['encoder'])}", *_wheel(by_role, contents, path), *marks]
-    if "index" in by_role:
-        return ["[encoder]", f"source = {_text(by_role['index'])}", 'kind = "square"', "pulses_per_rev = 1"]
-    if "speed" in by_role:
-        return ["[encoder]", f"source = {_text(by_role['speed'])}", 'kind = "speed"']
-    if "constant" in by_role:
-        source = sources[by_role["constant"]]
-        shown = source if isinstance(source, int) else _text(source)
-        return ["[encoder]", 'kind = "constant"', f"source = {shown}".ljust(34) + "# state: a number, taken as rpm"]
-    return ["[encoder]", 'kind = "none"                     # state: no column looks like an encoder']
+def _encoder(
+    columns: Columns, contents: Contents, path: Path, speeds: Mapping[str, tuple[float, str]]
+) -> tuple[list[str], bool]:
+    """Lines of the encoder, and whether anything tells the speed or the angle of a shaft."""
+    encoder, index, cam = (columns.of(role) for role in ("encoder", "index", "cam"))
+    if columns.of("angle") is not None:
+        return (["[encoder]", 'kind = "constant"'] if speeds else []), True
+    if encoder is None and index is not None:
+        encoder, index = index, None
+        return ["[encoder]", f"source = {_shown(encoder.source)}", 'kind = "square"', "pulses_per_rev = 1"], True
+    if encoder is not None:
+        marks = [_mark(role, column) for role, column in (("index", index), ("cam", cam)) if column is not None]
+        source = f"source = {_shown(encoder.source)}"
+        wheel = _wheel(columns, contents, path, speeds)
+        return ["[encoder]", _asked(source, encoder.doubt) if encoder.doubt else source, *wheel, *marks], True
+    speed, constant = columns.of("speed"), columns.of("constant")
+    if speed is not None:
+        return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"'], True
+    if constant is not None:
+        shown = _asked(f"source = {_shown(constant.source)}", "a number, taken as rpm")
+        return ["[encoder]", 'kind = "constant"', shown], True
+    if speeds:
+        return ["[encoder]", 'kind = "constant"'], True
+    return [
+        "# [encoder]                       # ? no column looks like an encoder: one of",
+        '# kind = "constant"               #   with speed_rpm = 1500.0',
+        '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
+    ], False
 
 
-def _wheel(by_role: dict[str, str], contents: Contents, path: Path) -> list[str]:
+def _marks_by_wheel(columns: Columns, contents: Contents, path: Path) -> Columns:
+    """``columns`` with a mark that was told by its edges as index or cam mark, where the wheel itself tells a turn."""
+    encoder, mark, time = (columns.of(role) for role in ("encoder", "index", "time"))
+    if encoder is None or mark is None or not mark.doubt:
+        return columns
+    sources = {"time": None if time is None else time.source, "index": None}
+    wheel, marks = (
+        encoder_guess(path, column.source, rate_hz=contents.rates_hz.get(column.name), **sources)
+        for column in (encoder, mark)
+    )
+    if wheel is None or marks is None or wheel.found is None or not wheel.pulses_hz > 0.0:
+        return columns
+    per_rev = marks.pulses_hz / (wheel.pulses_hz / len(wheel.found.pattern.angles_deg))
+    role: Role = "index" if abs(per_rev - 1.0) < 0.1 else "cam" if abs(per_rev - 0.5) < 0.1 else "unused"
+    told = replace(mark, role=role, doubt=f"{per_rev:.2g} edges per turn of the wheel")
+    return replace(columns, all=tuple(told if column is mark else column for column in columns.all))
+
+
+def _mark(role: str, column: Column) -> str:
+    line = f"{role} = {_shown(column.source)}"
+    return _asked(line, column.doubt) if column.doubt else line
+
+
+def _stated_speeds(speeds: Mapping[str, tuple[float, str]]) -> list[str]:
+    lines = ["", "[recordings.speed_rpm]"]
+    for name, (rpm, whence) in speeds.items():
+        line = f"{_text(name)} = {rpm:.9g}"
+        lines.append(_asked(line, whence) if whence.startswith("from") else f"{line.ljust(_MARK_COLUMN)}# {whence}")
+    return lines
+
+
+def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str, tuple[float, str]]) -> list[str]:
     """Kind, edge and wheel of the encoder as its pulses in the file at ``path`` tell them, else to be stated."""
-    from crankorder.ingest.draft import encoder_guess
-
+    encoder, index, time = (columns.of(role) for role in ("encoder", "index", "time"))
+    assert encoder is not None  # asked for only where there is one
     guess = encoder_guess(
         path,
-        by_role["encoder"],
-        index=by_role.get("index"),
-        time=by_role.get("time"),
-        rate_hz=contents.rates_hz.get(by_role["encoder"]),
+        encoder.source,
+        index=None if index is None else index.source,
+        time=None if time is None else time.source,
+        rate_hz=contents.rates_hz.get(encoder.name),
     )
     if guess is None:
         return [
-            'kind = "square"                   # state: square, analogue, pulse_times or edge_list',
-            "# pulses_per_rev = 60             # state: pulses of the full wheel per revolution; they do not tell",
-            "# missing_teeth = 2               # state: or pattern, or tooth_angles_deg",
+            _asked('kind = "square"', "square, analogue, pulse_times or edge_list"),
+            _asked("# pulses_per_rev = 60", "pulses of the full wheel per revolution; they do not tell"),
+            _asked("# missing_teeth = 2", "or pattern, or tooth_angles_deg"),
         ]
-    lines = [f'kind = "{guess.kind}"'.ljust(34) + "# state: as its values look", f'edge = "{guess.edge}"']
+    lines = [f'kind = "{guess.kind}"'.ljust(_MARK_COLUMN) + "# as its values look", f'edge = "{guess.edge}"']
     if guess.found is None:
-        return [
-            *lines,
-            "# pulses_per_rev = 60             # state: pulses per revolution; they are even, or too few to tell",
-        ]
+        told = _pulses_per_rev(guess.pulses_hz, speeds.get(path.name))
+        if told is not None:
+            return [*lines, _asked(f"pulses_per_rev = {told}", f"{guess.pulses_hz:.4g} pulses/s at the stated speed")]
+        return [*lines, _asked("# pulses_per_rev = 60", "pulses per revolution; they are even, or too few to tell")]
     even, angles = guess.found.pattern.even, guess.found.pattern.angles_deg
-    told = f"# state: {guess.found.told}"
+    told_by = guess.found.told
     if even is not None:
-        return [*lines, f"pulses_per_rev = {even[0]}".ljust(34) + told, f"missing_teeth = {even[1]}"]
+        return [*lines, _asked(f"pulses_per_rev = {even[0]}", told_by), f"missing_teeth = {even[1]}"]
     if guess.found.pattern.name in known_names():
-        return [*lines, f'pattern = "{guess.found.pattern.name}"'.ljust(34) + told]
-    return [*lines, told, f"tooth_angles_deg = [{', '.join(f'{angle:.4g}' for angle in angles)}]"]
+        return [*lines, _asked(f'pattern = "{guess.found.pattern.name}"', told_by)]
+    return [*lines, _asked("", told_by), f"tooth_angles_deg = [{', '.join(f'{angle:.4g}' for angle in angles)}]"]
+
+
+def _pulses_per_rev(pulses_hz: float, stated: tuple[float, str] | None) -> int | None:
+    """Pulses per revolution that ``pulses_hz`` and a stated speed in rpm mean, where one usual number fits alone."""
+    if stated is None or not pulses_hz > 0.0:
+        return None
+    ratio = pulses_hz / (stated[0] / 60.0)
+    near = [number for number in _COMMON_PULSES if abs(ratio / number - 1.0) < _NOMINAL]
+    return near[0] if len(near) == 1 else None
+
+
+def _asked(line: str, doubt: str) -> str:
+    """``line`` of a draft, with what a person should decide about it."""
+    return f"{line.ljust(_MARK_COLUMN)}# ? {printable(doubt, 200)}"
+
+
+def _shown(source: Source) -> str:
+    return str(source) if isinstance(source, int) else _text(source)
 
 
 def _text(value: str) -> str:

@@ -19,7 +19,15 @@ from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
 from crankorder.ingest.record_faults import Sampled, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.ingest.units import base_unit, conversion_factor, known_unit, parse_quantity, parse_sensitivity, unit_of
+from crankorder.ingest.units import (
+    base_unit,
+    conversion_factor,
+    known_unit,
+    parse_quantity,
+    parse_sensitivity,
+    unit_in_label,
+    unit_of,
+)
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
 from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
@@ -276,7 +284,7 @@ def _rate_flags(raw: RawFile, path: Path, settings: IngestSettings, *, stated: b
 
 
 def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
-    unit = known_unit(raw.units.get(source, "s"))
+    unit = known_unit(raw.units.get(source) or unit_in_label(str(source)))
     factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
     column = raw.columns[source]
     return column if factor == 1.0 else column * factor

@@ -25,16 +25,20 @@ _TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
     ("g", "acceleration", STANDARD_GRAVITY_M_S2, ("gn", "g_n", "g0")),
     ("m/s", "velocity", 1.0, ("m s-1", "m s^-1", "m/sec")),
     ("mm/s", "velocity", 1e-3, ("mm s-1", "mm s^-1", "mm/sec")),
+    ("in/s", "velocity", 0.0254, ("ips", "IPS", "in/sec", "inch/s")),
     ("m", "displacement", 1.0, ()),
     ("mm", "displacement", 1e-3, ()),
     ("µm", "displacement", 1e-6, ("um", "micron")),
+    ("mil", "displacement", 2.54e-5, ("mils",)),
     ("Pa", "pressure", 1.0, ("N/m2", "N/m^2", "pascal")),
     ("hPa", "pressure", 1e2, ("mbar",)),
     ("kPa", "pressure", 1e3, ()),
     ("MPa", "pressure", 1e6, ()),
     ("bar", "pressure", 1e5, ()),
+    ("psi", "pressure", 6894.757293168, ("PSI", "lbf/in2", "lbf/in^2")),
     ("N", "force", 1.0, ("newton",)),
     ("kN", "force", 1e3, ()),
+    ("lbf", "force", 4.4482216152605, ("lb", "lbs", "pound", "pounds", "Pounds")),
     ("N·m", "torque", 1.0, ("N m", "Nm", "N*m", "N.m", "N-m")),
     ("V", "voltage", 1.0, ("volt", "volts", "Volt", "Volts")),
     ("mV", "voltage", 1e-3, ()),
@@ -65,6 +69,14 @@ _QUANTITY = re.compile(rf"\s*{_NUMBER}\s*(\S.*)")
 _SENSITIVITY = re.compile(rf"\s*{_NUMBER}\s*([^/\s]+)\s*/\s*(\S.*)")
 
 _LABEL = re.compile(r"[\[(]([^\[\]()]{1,40})[\])]\s*$")
+
+# spellings that are hardly anything else than a unit behind a name
+_SUFFIX = re.compile(
+    r"[A-Za-z0-9][ _.-]"
+    r"(ms|us|µs|s|sec|seconds|rpm|deg|bar|mbar|kPa|MPa|Pa|Nm|kN|mV|V|Hz|g|mm|um|µm|mm/s|m/s|m/s2|m/s\^2)$"
+)
+
+_TIME_SUFFIX = re.compile(r"(?:time|zeit|t|timestamp|time[ _.-]stamp)[ _.-]*(ms|us|µs|sec|s|seconds)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +193,15 @@ def parse_sensitivity(text: str) -> Sensitivity:
 
 
 def unit_in_label(label: str) -> str:
-    """Unit that a column label states in brackets at its end, such as ``"s"`` in ``"Time [s]"``; empty where none."""
-    match = _LABEL.search(label[-_MAX_CHARACTERS:])
+    """Unit that a column label states in brackets at its end, such as ``"s"`` in ``"Time [s]"``; empty where none.
+
+    The unit of a time may stand there without brackets: ``"ms"`` in ``"time_ms"``.
+    """
+    match = _LABEL.search(label[-_MAX_CHARACTERS:]) or _TIME_SUFFIX.fullmatch(label[-_MAX_CHARACTERS:])
     return match[1].strip() if match else ""
+
+
+def unit_in_suffix(label: str) -> str:
+    """Unit that the end of a column label may mean, such as ``"bar"`` in ``"P_cyl_bar"``: a guess; empty where none."""
+    match = _SUFFIX.search(label[-_MAX_CHARACTERS:])
+    return match[1] if match else ""

@@ -1,0 +1,303 @@
+"""What the columns of a recording are for: times, angle, encoder, marks, speed or signals, as names and values tell."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from crankorder.errors import CrankorderError
+from crankorder.ingest.formats import read_file
+from crankorder.ingest.rawfile import Contents, Source
+from crankorder.ingest.recording import STATES_NO_UNIT
+from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix
+from crankorder.quantities import Floats
+from crankorder.settings import IngestSettings
+
+Role = Literal["time", "angle", "encoder", "index", "cam", "speed", "constant", "channel", "unused"]
+
+MOST_SAMPLES = 4_000_000
+"""Samples of a column that are enough to see a wheel."""
+# A file larger than this is judged by its names, and by the columns whose names promise something.
+_MOST_BYTES = 200_000_000
+# A trace with this share of its samples at its two levels is a square wave; a sine has 0.51.
+SQUARE_SHARE = 0.75
+# Of a step, as far as a grid of times or angles that was rounded in writing may wander.
+_UNEVEN = 0.5
+# Of a column that holds pulses.
+_FEWEST_EDGES = 4
+
+_TIME = re.compile(r"(rel(ative)?|abs(olute)?|elapsed)?[ _.-]*(time|zeit|temps|tiempo|tempo|t)([ _.-]*stamp)?", re.I)
+_ANGLE = re.compile(r"crank[ _.-]*angle|kurbelwinkel|\bangle|winkel|\btheta\b|(^|[^a-z])(deg)?cad?([^a-z]|$)", re.I)
+_INDEX = re.compile(
+    r"(^|[^a-z])(index|idx|tdc|ot|trig(ger)?|z.?pulse|once.?per.?rev|1.?per.?rev|key.?phas\w*|ref)([^a-z]|$)", re.I
+)
+_ENCODER = re.compile(
+    r"enc|tach|pulse|crank|tooth|teeth|(^|[^a-z])(ir|ckp|kw|rev(s|ol\w*)?)([^a-z]|$)|kurbel|drehgeber", re.I
+)
+_CAM = re.compile(r"(^|[^a-z])(cam(shaft)?|cmp)([^a-z]|$)|nockenwelle", re.I)
+_SPEED = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
+_SIGNAL = re.compile(r"acc|vib|press|mic|force|sound|strain|torque|schwing|druck|kraft", re.I)
+_SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its ``name`` and ``source``, what it is for, the unit that the file or its name states, and doubts.
+
+    ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
+    """
+
+    name: str
+    source: Source
+    role: Role
+    label: str
+    unit: Unit | None = None
+    doubt: str = ""
+    first: float = 0.0
+    step: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The columns of a file; ``edge_list``: its lines are changes of a level; ``four_stroke``: its angle spans 720°."""
+
+    all: tuple[Column, ...]
+    edge_list: bool = False
+    four_stroke: bool = False
+
+    def of(self, role: Role) -> Column | None:
+        """First column with ``role``, None where none has it."""
+        return next((column for column in self.all if column.role == role), None)
+
+    def channels(self) -> list[Column]:
+        """Columns of signals to analyse."""
+        return [column for column in self.all if column.role == "channel"]
+
+
+def is_square(values: Floats) -> bool:
+    """Whether ``values`` (sample,) stand at two levels nearly all of the time."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    near = 0.15 * (high - low)
+    return high > low and float(np.mean((values < low + near) | (values > high - near))) >= SQUARE_SHARE
+
+
+def is_uniform(times: Floats) -> bool:
+    """Whether ``times`` (sample,) follow each other in even steps, as far as rounding lets them."""
+    step = np.diff(times)
+    return times.size > 2 and bool(np.ptp(step) < _UNEVEN * np.median(step))
+
+
+def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> Columns:
+    """What the columns of the file at ``path`` are for, whose ``contents`` are known; reads a bounded part of them.
+
+    ``settings`` limit what is read.
+    """
+    names = _sampled(contents)
+    values = _values(path, names, settings)
+    found = _once_each([_judged(name, contents, values) for name in names])
+    found = _first_of_edges(found, values)
+    time = next((column for column in found if column.role == "time"), None)
+    edges = time is not None and time.name in values and not is_uniform(values[time.name])
+    if edges:
+        found = [_of_edge_list(column, values) for column in found]
+    found = _marks_by_count(found, values)
+    if not any(column.role in ("channel", "encoder", "index") for column in found):
+        found = _last_is_signal(found)
+    angle = next((column for column in found if column.role == "angle"), None)
+    wide = angle is not None and float(np.ptp(values[angle.name])) > 360.0 + 1.5 * angle.step
+    sawtooth = angle is not None and bool((np.diff(values[angle.name]) < 0).any())
+    return Columns((*found, *_constants(contents)), edges, wide and sawtooth)
+
+
+def _sampled(contents: Contents) -> list[str]:
+    """Names of the columns that hold samples: a MATLAB file may hold much besides, as single numbers and spectra."""
+    longest = max(contents.samples.values(), default=0)
+    if contents.format != "MATLAB":
+        return [name for name in contents.names if contents.samples.get(name) != 1]
+    return [name for name in contents.names if contents.samples.get(name) == longest]
+
+
+def _constants(contents: Contents) -> list[Column]:
+    """Single numbers that may be the speed."""
+    singles = [name for name in contents.names if contents.samples.get(name) == 1 and _SPEED.search(name)]
+    return [Column(name, _source(name, contents), "constant", name) for name in singles[:1]]
+
+
+def _source(name: str, contents: Contents) -> Source:
+    """What a manifest calls the column ``name``: its number, where the file gives it no name."""
+    unnamed = name.isdigit() and int(name) < len(contents.names) and contents.names[int(name)] == name
+    return int(name) if unnamed and contents.format in ("text", "XLSX") else name
+
+
+def _values(path: Path, names: Sequence[str], settings: IngestSettings) -> dict[str, Floats]:
+    """Samples of the columns ``names`` by name, of promising ones alone where the file is large; none on a fault."""
+    if path.stat().st_size > _MOST_BYTES:
+        names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
+    try:
+        raw = read_file(path, sources=list(names), settings=settings)
+    except (CrankorderError, OSError, ValueError):
+        return {}
+    made = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
+    return {name: column for name, column in made.items() if column.size > 2 and np.isfinite(column).any()}
+
+
+def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Column:
+    """What the column ``name`` is for by itself."""
+    stated = contents.units.get(name, "")
+    told = unit_in_suffix(name)
+    unit = known_unit(stated) if stated not in STATES_NO_UNIT else known_unit(told)
+    label = _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
+    role = _role(name, label, "" if unit is None else unit.quantity, contents, values.get(name))
+    doubt = "the first column grows in even steps: taken for seconds" if role == "time" and label.isdigit() else ""
+    if stated in STATES_NO_UNIT and unit is not None:
+        doubt = f"unit {told} as the name of the column says"
+    elif stated not in STATES_NO_UNIT and unit is None:
+        doubt = f"the file states the unit {stated!r}, which is not known"
+        role = "unused" if stated.strip() in _SLOW_UNITS else role
+    first, step = 0.0, 0.0
+    if role == "angle":
+        first, step = float(values[name][0]), float(np.median(np.diff(values[name])))
+    return Column(name, _source(name, contents), role, label, unit, doubt, first, step)
+
+
+def _role(name: str, label: str, quantity: str, contents: Contents, values: Floats | None) -> Role:
+    if quantity == "angle" or (not quantity and _ANGLE.search(label)):
+        return "unused" if values is None or not _is_angle(values) else "angle"
+    if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and (values is None or _grows(values)):
+        return "time"
+    if quantity == "rotational speed" or (not quantity and _SPEED.search(label) and not _is_binary(values)):
+        return "speed"
+    if quantity not in ("", "voltage", "counts", "full scale", "ratio") or _SIGNAL.search(label):
+        return "channel"
+    for sign, role in _SIGNS:
+        if sign.search(label) and (values is None or np.ptp(values[np.isfinite(values)]) > 0.0):
+            return role
+    if values is None:
+        return "channel"
+    if _is_binary(values):
+        return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
+    if label.isdigit() and _grows(values) and is_uniform(values):
+        counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
+        return "unused" if counted or contents.rates_hz else "time"
+    return "channel"
+
+
+_SIGNS: tuple[tuple[re.Pattern[str], Role], ...] = ((_INDEX, "index"), (_CAM, "cam"), (_ENCODER, "encoder"))
+
+
+def _bare(name: str) -> str:
+    """``name`` without the unit in brackets behind it."""
+    unit = unit_in_label(name)
+    bare = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", name) if unit else name
+    suffix = unit_in_suffix(name)
+    if suffix and not unit and _TIME.fullmatch(name[: -len(suffix) - 1]):
+        bare = name[: -len(suffix) - 1]
+    return bare.strip(" _.-") or name
+
+
+def _grows(values: Floats) -> bool:
+    return bool((np.diff(values) > 0.0).all())
+
+
+def _is_binary(values: Floats | None) -> bool:
+    """Whether ``values`` are all one of two levels, such as 0 and 1."""
+    if values is None or values.size < 2:
+        return False
+    return bool(((values == values.min()) | (values == values.max())).all())
+
+
+def _n_edges(values: Floats) -> int:
+    high = values > 0.5 * (values.min() + values.max())
+    return int(np.count_nonzero(high[1:] & ~high[:-1]))
+
+
+def _is_angle(values: Floats) -> bool:
+    """Whether ``values`` in degrees grow in even steps, over whole turns or without end."""
+    steps = np.diff(values)
+    step = float(np.median(steps))
+    if not 0.0 < step < 90.0:
+        return False
+    off = np.abs((steps - step + 180.0) % 360.0 - 180.0)
+    per_rev = 360.0 / step
+    return bool((off < 0.1 * step).all()) and abs(per_rev - round(per_rev)) < 1e-3 * per_rev
+
+
+def _once_each(found: list[Column]) -> list[Column]:
+    """``found`` with one time, angle and speed; a second of each takes no part, as does a time beside an angle."""
+    seen: set[Role] = set()
+    by_angle = any(column.role == "angle" for column in found)
+    made: list[Column] = []
+    for column in found:
+        again = column.role in ("time", "angle", "speed") and column.role in seen
+        beside = by_angle and column.role == "time"
+        seen.add(column.role)
+        made.append(_as(column, "unused") if again or beside else column)
+    return made
+
+
+def _as(column: Column, role: Role, doubt: str = "") -> Column:
+    return replace(column, role=role, doubt=doubt or column.doubt)
+
+
+def _first_of_edges(found: list[Column], values: Mapping[str, Floats]) -> list[Column]:
+    """``found`` with its first column as the times of edges, where nothing names it and all others are levels."""
+    first, others = found[0], found[1:]
+    levels = all(column.name in values and _is_binary(values[column.name]) for column in others)
+    if others and levels and first.name in values and first.label.isdigit() and _grows(values[first.name]):
+        return [replace(first, role="time", doubt="the first column grows: taken for seconds"), *others]
+    return found
+
+
+def _of_edge_list(column: Column, values: Mapping[str, Floats]) -> Column:
+    """``column`` of a file whose lines are changes of levels: what changes is a pulse, what does not has no use."""
+    if column.role == "time":
+        return column
+    levels = values.get(column.name)
+    if levels is None or not _is_binary(levels) or _n_edges(levels) < _FEWEST_EDGES:
+        return _as(column, "unused")
+    return column if column.role in ("index", "cam", "encoder") else _as(column, "encoder")
+
+
+def _marks_by_count(found: list[Column], values: Mapping[str, Floats]) -> list[Column]:
+    """``found`` with one encoder, the column of the most edges, and of the others an index and a cam mark by theirs."""
+    named = {column.role for column in found if column.role in ("index", "cam")}
+    pulses = [column for column in found if column.role == "encoder"]
+    pulses.sort(key=lambda column: -_n_edges(values[column.name]) if column.name in values else 0)
+    roles: dict[str, Role] = {column.name: "unused" for column in pulses}
+    for column, role in zip(pulses, _free_roles(pulses, named, values), strict=False):
+        roles[column.name] = role
+    seen: set[Role] = set()
+    made: list[Column] = []
+    for column in found:
+        role = roles.get(column.name, column.role)
+        if role in ("index", "cam") and role in seen:
+            role = "unused"
+        seen.add(role)
+        by_count = column.role != role or len(pulses) > 1
+        guessed = by_count and role in ("encoder", "index", "cam")
+        made.append(_as(column, role, "by the number of its edges" if guessed else ""))
+    return made
+
+
+def _free_roles(pulses: Sequence[Column], named: Collection[Role], values: Mapping[str, Floats]) -> list[Role]:
+    """Roles of ``pulses``, which come by falling number of edges: alike in number they are one wheel read twice."""
+    roles: list[Role] = ["encoder"]
+    counts = [_n_edges(values[column.name]) if column.name in values else 0 for column in pulses]
+    for number in range(1, len(pulses)):
+        free: list[Role] = [role for role in ("index", "cam") if role not in named and role not in roles]
+        alike = counts[number] > 0.8 * counts[number - 1]
+        halved = "cam" in free and "index" in roles and counts[number] > 0
+        roles.append("unused" if alike or not free else "cam" if halved else free[0])
+    return roles
+
+
+def _last_is_signal(found: list[Column]) -> list[Column]:
+    """``found`` with its last column as a signal: a manifest needs one."""
+    spare = [column for column in found if column.role in ("unused", "speed", "cam", "time")] or found
+    last = spare[-1]
+    return [_as(column, "channel") if column is last else column for column in found]
