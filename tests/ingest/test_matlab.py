@@ -286,5 +286,5 @@ def test_a_draft_names_what_each_file_calls_otherwise_by_what_they_share(saved, 
     assert 'source = "*_DE_time"' in text
     assert 'kind = "constant"\nsource = "*RPM"' in text
     assert "# Single numbers in the file, such as a speed: X1RPM" in text
-    (tmp_path / "run.toml").write_text(text.replace("rate_hz = 0.0", "rate_hz = 1000"))
+    (tmp_path / "run.toml").write_text(text.replace("# rate_hz = ", "rate_hz = 1000"))
     assert check_folder(tmp_path, settings=settings.ingest) == []

@@ -179,7 +179,7 @@ def _role(name: str, label: str, quantity: str, contents: Contents, values: Floa
             return role
     if values is None:
         return "channel"
-    if _is_binary(values):
+    if _is_binary(values) and np.ptp(values) > 0.0:
         return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
     if label.isdigit() and _grows(values) and is_uniform(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
@@ -205,7 +205,7 @@ def _grows(values: Floats) -> bool:
 
 
 def _is_binary(values: Floats | None) -> bool:
-    """Whether ``values`` are all one of two levels, such as 0 and 1."""
+    """Whether ``values`` are all one of two levels, such as 0 and 1, or one level."""
     if values is None or values.size < 2:
         return False
     return bool(((values == values.min()) | (values == values.max())).all())

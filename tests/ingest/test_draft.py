@@ -1,0 +1,290 @@
+"""``check`` lists every fault at once; ``init`` drafts a manifest that reads."""
+
+import h5py
+import numpy as np
+import pytest
+
+from crankorder.errors import NoUsableRecordingError, RequestError
+from crankorder.ingest.check import check_folder
+from crankorder.ingest.draft import draft_manifest, save_drafts, speed_in_name
+from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+
+MANIFEST = """schema_version = 1
+[test]
+cycle = "rotor"
+[recordings]
+files = ["*.h5", "absent.h5", "../out.h5"]
+[recordings.speed_rpm]
+"good.h6" = 1000
+[sampling]
+rate_hz = 1000
+[[channels]]
+name = "Z"
+source = "acc"
+unit = "m/s2"
+"""
+
+
+def recorded(path, *, rate=1000.0, unit="m/s2", **columns):
+    with h5py.File(path, "w") as file:
+        file.attrs["rate_hz"] = rate
+        for name, values in columns.items():
+            file[name] = values
+            file[name].attrs["units"] = unit
+
+
+def test_a_draft_of_a_well_described_folder_reads_without_a_change(tmp_path, settings):
+    time = np.arange(5000) / 1000.0
+    square = ((time * 20) % 1 < 0.5).astype(float)
+    for name in ("rpm_300.h5", "rpm_1200.h5"):
+        with h5py.File(tmp_path / name, "w") as file:
+            file.attrs["rate_hz"] = 1000.0
+            for key, values in (("acc_z", time), ("encoder", square), ("index", square)):
+                file[key] = values
+            file["acc_z"].attrs["units"] = "m/s²"
+    (tmp_path / "notes.md").write_text("hello")
+    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
+    manifest = load_manifest(tmp_path)
+    assert [channel.name for channel in manifest.channels] == ["acc_z"]
+    assert (manifest.encoder.source, manifest.encoder.index, manifest.encoder.kind) == ("encoder", "index", "square")
+    assert check_folder(tmp_path, settings=settings.ingest) == []
+    paths = recordings_of(tmp_path, manifest).paths
+    assert [path.name for path in paths] == ["rpm_300.h5", "rpm_1200.h5"]
+    recording = read_recording(paths[0], manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert recording.sizes["time"] == 5000
+
+
+@pytest.mark.parametrize("name", ['a"b', "a\\b", "a\nb", "ünïcode 😀", "x\x7f", "]] = 'q'", "\x1b[31m"])
+def test_a_draft_is_valid_whatever_the_names_are(tmp_path, name):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["rate_hz"] = 1000.0
+        file[name] = np.arange(10.0)
+    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
+    assert load_manifest(tmp_path).channels[0].name == name
+
+
+def test_a_draft_marks_what_the_files_do_not_say(tmp_path):
+    (tmp_path / "a.csv").write_text("acc,ir\n1,0\n2,1\n3,0\n")
+    text = draft_manifest(tmp_path)
+    assert "# rate_hz = " in text
+    assert text.count("# ?") >= 5
+
+
+def test_nothing_to_draft_from_says_what_was_found(tmp_path):
+    with pytest.raises(NoUsableRecordingError, match=r"no recording found; looked for HDF5.*found an empty folder"):
+        draft_manifest(tmp_path)
+    (tmp_path / "a.tdms").write_bytes(b"TDSm\0\0")
+    with pytest.raises(NoUsableRecordingError, match="is a TDMS file: not supported yet"):
+        draft_manifest(tmp_path)
+    with pytest.raises(RequestError, match="there is no such folder"):
+        draft_manifest(tmp_path / "absent")
+
+
+def drafted(folder, *, names=("acc", "encoder"), **columns):
+    with h5py.File(folder / "a.h5", "w") as file:
+        file.attrs["rate_hz"] = 20_000.0
+        for name in names:
+            file[name] = columns.get(name, np.zeros(80_000))
+    text = draft_manifest(folder)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    return text, load_manifest(folder).encoder
+
+
+def wheel_trace(angles_deg, *, revs_per_s=15.0, width_deg=3.0):
+    angle = 360.0 * (np.arange(80_000) / 20_000.0 * revs_per_s % 1.0)
+    return sum(((angle - tooth) % 360.0 < width_deg).astype(float) for tooth in angles_deg)
+
+
+def test_a_draft_proposes_the_wheel_that_the_pulses_show(tmp_path):
+    missing = [6.0 * tooth for tooth in range(58)]
+    text, encoder = drafted(tmp_path, encoder=wheel_trace(missing))
+    assert (encoder.kind, encoder.pulses_per_rev, encoder.missing_teeth) == ("square", 60, 2)
+    assert "60-2 (58 pulses), seen in 100% of" in text
+
+
+def test_a_draft_proposes_a_named_wheel_and_takes_the_cam_along(tmp_path):
+    teeth = [*range(0, 170, 10), *range(180, 340, 10)]
+    angle = np.arange(80_000) / 20_000.0 * 15.0 % 2.0
+    cam = (angle < 0.05).astype(float)
+    names = ("acc", "crank", "cam")
+    _, encoder = drafted(tmp_path, names=names, crank=5.0 * wheel_trace(teeth), cam=cam)
+    assert (encoder.pattern, encoder.cam) == ("36-2-1", "cam")
+
+
+def test_a_draft_lists_the_angles_of_a_wheel_without_a_name(tmp_path):
+    teeth = [0.0, 40.0, 60.0, 130.0, 150.0, 155.0, 210.0]
+    _, encoder = drafted(tmp_path, encoder=wheel_trace(teeth))
+    assert encoder.tooth_angles_deg is not None
+    spans = np.sort(np.diff([*encoder.tooth_angles_deg, 360.0]))
+    np.testing.assert_allclose(spans, np.sort(np.diff([*teeth, 360.0])), atol=0.5)
+
+
+def test_a_draft_counts_even_pulses_by_the_index(tmp_path):
+    teeth = [3.0 * tooth for tooth in range(120)]
+    names = ("acc", "encoder", "index")
+    _, encoder = drafted(tmp_path, names=names, encoder=wheel_trace(teeth, width_deg=1.5), index=wheel_trace([0.0]))
+    assert (encoder.pulses_per_rev, encoder.missing_teeth, encoder.index) == (120, 0, "index")
+
+
+def test_a_draft_leaves_even_pulses_without_an_index_to_be_stated(tmp_path):
+    text, encoder = drafted(tmp_path, encoder=wheel_trace([3.0 * tooth for tooth in range(120)], width_deg=1.5))
+    assert encoder.pulses_per_rev is None
+    assert "# pulses_per_rev = " in text
+
+
+RATE_HZ, RPM, TEETH = 8000.0, 1500.0, 36
+TIME_NAMES = {
+    "time_s": 1.0,
+    "Time (ms)": 1e-3,
+    "t [s]": 1.0,
+    "timestamp": 1.0,
+    "Time": 1.0,
+    "t_us": 1e-6,
+    "Zeit [s]": 1.0,
+}
+SIGNAL_NAMES = {"Acc_Mount_Z (g)": "g", "a1 [m/s^2]": "m/s2", "Vib X (mm/s)": "mm/s", "p_cyl_bar": "bar"}
+
+
+def write_table(path, columns, *, separator=","):
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, delimiter=separator, header=separator.join(columns), comments="", fmt="%.9g")
+
+
+def saved_draft(folder):
+    text = draft_manifest(folder)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    return text, load_manifest(folder)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_table_with_pulses_of_any_names_and_order_is_read_as_drafted(tmp_path, settings, seed):
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(int(3.0 * RATE_HZ)) / RATE_HZ
+    turns = RPM / 60.0 * time_s
+    tooth = np.floor(turns * TEETH) % TEETH
+    pulses = ((turns * TEETH % 1.0 < 0.5) & (tooth < TEETH - 1)).astype(float)  # 36-1
+    time_name = str(rng.choice(list(TIME_NAMES)))
+    signal_name = str(rng.choice(list(SIGNAL_NAMES)))
+    encoder_name, index_name = rng.choice([("Ch7", "Ch8"), ("enc", "idx"), ("D0", "D1"), ("Tacho", "TDC_ref")])
+    columns = {
+        signal_name: rng.standard_normal(time_s.size),
+        encoder_name: pulses,
+        index_name: (turns % 1.0 < 0.02).astype(float),
+    }
+    shuffled = rng.permutation(list(columns))
+    write_table(
+        tmp_path / "run 1.csv", {time_name: time_s / TIME_NAMES[time_name]} | {name: columns[name] for name in shuffled}
+    )
+    _, manifest = saved_draft(tmp_path)
+    (channel,) = manifest.channels
+    assert (channel.unit, channel.file_source) == (SIGNAL_NAMES[signal_name], signal_name)
+    assert "(" not in channel.name and "[" not in channel.name
+    assert (manifest.encoder.source, manifest.encoder.index) == (encoder_name, index_name)
+    assert manifest.sampling.time_source == time_name
+    recording = read_recording(tmp_path / "run 1.csv", manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert recording.attrs["rate_hz"] == pytest.approx(RATE_HZ, rel=1e-5)
+    assert recording["pulse_time"].size == pytest.approx(RPM / 60.0 * 3.0 * (TEETH - 1), abs=3)
+
+
+@pytest.mark.parametrize(
+    ("name", "rpm"),
+    [
+        ("800rpm", 800), ("n1500_full load", 1500), ("rpm_300", 300), ("test 3 1250 rpm", 1250), ("idle_900U_min", 900),
+        ("run 3", None), ("Fan_12", None), ("2024-11-03", None), ("speed=2400", 2400), ("1500.5rpm", 1500.5),
+    ],
+)  # fmt: skip
+def test_a_speed_is_read_off_a_name_and_no_other_number_is(name, rpm):
+    assert speed_in_name(name) == rpm
+
+
+def test_speeds_of_names_are_drafted_where_every_file_has_one(tmp_path):
+    time_s = np.arange(2000) / 1000.0
+    for name in ("800rpm.csv", "1200rpm.csv"):
+        write_table(tmp_path / name, {"Time (ms)": 1e3 * time_s, "acc (g)": np.sin(99.0 * time_s)}, separator=";")
+    text, manifest = saved_draft(tmp_path)
+    assert manifest.recordings.speed_rpm == {"800rpm.csv": 800.0, "1200rpm.csv": 1200.0}
+    assert manifest.encoder.kind == "constant"
+    assert text.count("from the name of the file") == 2
+    write_table(tmp_path / "other.csv", {"Time (ms)": 1e3 * time_s, "acc (g)": np.sin(99.0 * time_s)}, separator=";")
+    _, manifest = saved_draft(tmp_path)
+    assert (manifest.recordings.speed_rpm, manifest.encoder.kind, manifest.test.cycle) == ({}, "none", "none")
+
+
+@pytest.mark.parametrize(
+    ("rate", "speed"),
+    [({"SampleRate": 5000.0}, "speed_rpm"), ({"dt": 2e-4}, "RPM"), ({"wf_increment": 2e-4}, "Speed RPM")],
+)
+def test_attributes_tell_rate_and_speed_and_with_them_the_pulses_per_revolution(tmp_path, settings, rate, speed):
+    time_s = np.arange(15000) / 5000.0
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs.update({**rate, speed: 1500.0})
+        file["acc"] = np.sin(time_s)
+        file["tacho"] = (25.2 * time_s % 1.0 < 0.2).astype(float)  # 0.8 % above the stated speed
+    text, manifest = saved_draft(tmp_path)
+    assert manifest.encoder.pulses_per_rev == 1
+    assert "pulses/s at the stated speed" in text
+    assert check_folder(tmp_path, settings=settings.ingest) == []
+
+
+def test_two_rates_of_one_file_are_told_and_none_is_taken(tmp_path, settings):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs.update({"fs": 5000.0, "dt": 1e-3})
+        file["acc"] = np.arange(100.0)
+    with pytest.raises(NoUsableRecordingError, match=r"two sampling rates are stated; found fs: 5000 Hz, dt: 1000 Hz"):
+        draft_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_samples_by_crank_angle_are_drafted_as_such(tmp_path, settings, turns):
+    angle = np.arange(36_000) * 0.5 + 10.0
+    columns = {"CrankAngle_deg": angle % (360.0 * turns), "P_cyl_bar": np.cos(np.deg2rad(angle))}
+    write_table(tmp_path / "a.csv", columns)
+    text, manifest = saved_draft(tmp_path)
+    assert (manifest.sampling.domain, manifest.sampling.samples_per_rev) == ("crank_angle", 720)
+    assert manifest.sampling.start_deg == 10.0
+    assert [channel.name for channel in manifest.channels] == ["P_cyl_bar"]
+    assert ("the angle runs over two revolutions" in text) == (turns == 2)
+    recording = read_recording(tmp_path / "a.csv", manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert recording.attrs["samples_per_rev"] == 720
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_list_of_edges_is_drafted_without_channels(tmp_path, named):
+    teeth_s = np.sort(np.concatenate([np.arange(0, 4, 1 / 720)[np.arange(2880) % 36 < 34]]))
+    rows = [line for at in teeth_s for line in (f"{at:.7f},1", f"{at + 3e-4:.7f},0")]
+    (tmp_path / "a.csv").write_text("\n".join((["Time [s],crank"] if named else []) + rows) + "\n")
+    _, manifest = saved_draft(tmp_path)
+    assert manifest.channels == ()
+    assert manifest.encoder.kind == "edge_list"
+    assert (manifest.encoder.pulses_per_rev, manifest.encoder.missing_teeth) == (36, 2)
+    assert manifest.encoder.source == ("crank" if named else 1)
+
+
+def test_a_temperature_is_left_out_and_an_unknown_unit_is_asked_for(tmp_path):
+    time_s = np.arange(2000) / 1000.0
+    columns = {"Time [s]": time_s, "acc [furlong]": np.sin(9 * time_s), "T_oil [°C]": time_s, "Force [N]": time_s}
+    write_table(tmp_path / "a.csv", columns)
+    text, manifest = saved_draft(tmp_path)
+    assert [(one.name, one.unit) for one in manifest.channels] == [("acc", "1"), ("Force", "N")]
+    assert "the file states the unit 'furlong', which is not known" in text
+    assert '# column "T_oil [°C]" is left out' in text
+
+
+def test_drafts_are_saved_into_each_folder_of_recordings_and_over_none(tmp_path):
+    time_s = np.arange(2000) / 1000.0
+    for name in ("build A", "build B"):
+        (tmp_path / name).mkdir()
+        write_table(tmp_path / name / "a.csv", {"Time [s]": time_s, "acc [g]": np.sin(time_s)})
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(RequestError, match=r"in 2 folders of this one: build A, build B.*--save"):
+        draft_manifest(tmp_path)
+    written = save_drafts(tmp_path)
+    assert [path.parent.name for path in written] == ["build A", "build B"]
+    written[0].write_text("mine")
+    written[1].unlink()
+    assert save_drafts(tmp_path) == [written[1]]
+    assert written[0].read_text() == "mine"
+    with pytest.raises(RequestError, match="there is a manifest already"):
+        save_drafts(tmp_path)
