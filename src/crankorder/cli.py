@@ -347,19 +347,30 @@ class _Progress:
 
 
 @main.command()
-@click.argument("folder", type=FOLDER)
+@click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
-def check(folder: Path, manifest: Path | None) -> None:
-    """Validate manifest and files; list every fault at once, change nothing."""
-    from crankorder.ingest.check import check_folder
-    from crankorder.settings import load_settings
+@click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all cores")
+def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
+    """Look at manifest, files and a bounded part of their samples; list every fault at once, change nothing."""
+    from crankorder.batch.look import look_at, percent
 
-    faults = check_folder(folder, manifest, settings=load_settings().ingest)
-    for fault in faults:
-        click.echo(f"crankorder: {fault}", err=True)
+    faults: list[CrankorderError] = []
+    for folder in folders:
+        found = look_at(folder, manifest, jobs=jobs)
+        faults += found.faults
+        for look in found.looks:
+            click.echo(printable(look.line))
+            for remark in look.remarks:
+                click.echo(f"    {printable(remark)}")
+        for fault in found.faults:
+            click.echo(f"crankorder: {fault}", err=True)
+        if not found.faults:
+            doubts = sum(bool(look.remarks) for look in found.looks)
+            also = f"; {doubts} of {len(found.looks)} recordings have doubtful places" if doubts else ""
+            read = f" in the {percent(found.share)} that was read" if found.looks else ""
+            click.echo(f"{printable(folder)}: no fault found{read}{also}", err=True)
     if faults:
         sys.exit(max(fault.exit_status for fault in faults))
-    click.echo("no fault found", err=True)
 
 
 @main.command()

@@ -439,17 +439,23 @@ def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity
     """
     faults: list[CrankorderError] = []
     for path, result in list(results.items()):
-        doubts = [
-            flag
-            for flag in result.flags
-            if flag["severity"] in severities and ("suspect" in severities or "left_out" not in flag)
-        ]
-        if doubts:
+        fault = fault_of(result.name, result.flags, severities)
+        if fault is not None:
             del results[path]
-            found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
-            problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
-            faults.append(InputError(problem, file=result.name, found=found))
+            faults.append(fault)
     return faults
+
+
+def fault_of(name: str, flags: Sequence[QualityFlag], severities: tuple[Severity, ...] = ("bad",)) -> InputError | None:
+    """Why the recording ``name`` with these ``flags`` takes no part, as :func:`left_out_of` has it; None: it does."""
+    doubts = [
+        flag for flag in flags if flag["severity"] in severities and ("suspect" in severities or "left_out" not in flag)
+    ]
+    if not doubts:
+        return None
+    found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
+    problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
+    return InputError(problem, file=name, found=found)
 
 
 def channels_left_out(results: dict[Path, RecordingResult]) -> list[str]:

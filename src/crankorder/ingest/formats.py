@@ -51,12 +51,14 @@ class Format:
     """A format that is read: its ``name``, the ``module`` of this room that reads it, and what tells a file of it.
 
     ``told_by`` takes the file's path and first bytes. The module has ``read`` (path, sources, settings → RawFile) and
-    ``contents`` (path, settings → Contents); it is imported when it is needed.
+    ``contents`` (path, settings → Contents); it is imported when it is needed. ``by_rows``: its ``read`` can be asked
+    for some samples alone, at the cost of these.
     """
 
     name: str
     module: str
     told_by: Callable[[Path, bytes], bool]
+    by_rows: bool = False
 
     def function(self, name: str) -> Callable[..., Any]:
         """The function ``name`` of the module."""
@@ -92,10 +94,10 @@ def _is_xlsx(path: Path, head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("HDF5", "hdf5", _is_hdf5),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
-    Format("WAV", "wav", _is_wav),
+    Format("HDF5", "hdf5", _is_hdf5, by_rows=True),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
+    Format("WAV", "wav", _is_wav, by_rows=True),
     Format("MATLAB", "matlab", _begins(b"MATLAB 5.0 MAT-file")),
-    Format("NumPy", "numpy_file", _begins(b"\x93NUMPY")),
+    Format("NumPy", "numpy_file", _begins(b"\x93NUMPY"), by_rows=True),
     Format("LVM", "lvm", _begins(b"LabVIEW Measurement")),
     Format("XLSX", "xlsx", _is_xlsx),
 )
@@ -104,14 +106,16 @@ FORMATS = (
 TEXT = Format("text", "text", lambda path, head: True)
 
 
-def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
     """Columns of the file at ``path`` that ``sources`` ask for, by whatever reader fits its content.
 
-    ``settings`` limit what is read. Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
+    ``settings`` limit what is read; ``rows``: of the samples, None for all (of a format that can be read by rows).
+    Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
     """
     read = format_of(path).function("read")
     try:
-        raw: RawFile = read(path, sources=sources, settings=settings)
+        some = {} if rows is None else {"rows": rows}
+        raw: RawFile = read(path, sources=sources, settings=settings, **some)
     except MemoryError:
         raise UnsafeInputError(
             "does not fit into memory", file=path, remedy="Split the recording, or run where there is more memory"

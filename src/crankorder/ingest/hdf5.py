@@ -24,6 +24,7 @@ from crankorder.ingest.rawfile import (
     common_rate,
     float_type_for,
     named,
+    part_of,
     rows_for,
 )
 from crankorder.scratch import blocks, is_on_disk
@@ -71,10 +72,11 @@ class _Column:
     n_samples: int
 
 
-def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
     """Columns that ``sources`` ask for from the HDF5 file at ``path``: 1-D datasets, or ``"name[0]"`` of a 2-D one.
 
-    A source is a dataset path or a position in the sorted list of them; ``settings`` give the byte and object limits.
+    A source is a dataset path or a position in the sorted list of them; ``settings`` give the byte and object limits;
+    ``rows``: of the samples of each, None for all.
     Raises InputError for damage or a missing name, UnsafeInputError for links out of the file and impossible sizes.
     """
     with _opened(path) as file:
@@ -87,7 +89,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         check_budget(n_bytes, path, max_bytes=settings.max_bytes)
         attributes = _Attributes(file)
         rates = {name: attributes.rate_hz(used[columns[name].dataset], path) for name in names}
-        values = _read_columns([columns[name] for name in names], used, attributes, path, settings)
+        values = _read_columns([columns[name] for name in names], used, attributes, path, settings, rows)
         units = {
             source: attributes.text(used[columns[name].dataset], _UNIT_NAMES)
             for source, name in zip(sources, names, strict=True)
@@ -277,15 +279,28 @@ def _check_written(dataset: h5py.Dataset, path: Path, place: str) -> None:
 
 
 def _read_columns(
-    columns: list[_Column], used: dict[str, Any], attributes: _Attributes, path: Path, settings: IngestSettings
+    columns: list[_Column],
+    used: dict[str, Any],
+    attributes: _Attributes,
+    path: Path,
+    settings: IngestSettings,
+    rows: slice | None,
 ) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
-    kinds = [(column.n_samples, float_type_for(used[column.dataset].dtype)) for column in columns]
+    parts = [part_of(column.n_samples, rows) for column in columns]
+    kinds = [
+        (part.stop - part.start, float_type_for(used[column.dataset].dtype))
+        for part, column in zip(parts, columns, strict=True)
+    ]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
     for name, dataset in used.items():
-        rows = [(column.index, row) for column, row in zip(columns, room, strict=True) if column.dataset == name]
+        asked = [
+            (column.index, row, part.start)
+            for column, row, part in zip(columns, room, parts, strict=True)
+            if column.dataset == name
+        ]
         try:
-            _read_into(rows, dataset)
+            _read_into([(index, row) for index, row, _ in asked], dataset, asked[0][2])
         except _H5PY_ERRORS as error:
             raise InputError(
                 "damaged: the checksum or the compression of the samples is wrong",
@@ -294,25 +309,29 @@ def _read_columns(
                 found=str(error).split("\n")[0],
                 remedy="Copy the file again",
             ) from None
-        for _, row in rows:
+        for _, row, _ in asked:
             _unpack(row, dataset, attributes)
     return room
 
 
-def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any) -> None:
-    """Fill ``rows``, each a column of ``dataset`` (None: it has no columns), in pieces where they lie on disk."""
+def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: int) -> None:
+    """Fill ``rows``, each a column of ``dataset`` (None: it has no columns) from sample ``first`` on.
+
+    In pieces where they lie on disk.
+    """
     index, row = rows[0]
     if not row.size:
         return
     if len(rows) == 1 and index is None and dataset.dtype == row.dtype and not is_on_disk(row):
-        dataset.read_direct(row)
+        dataset.read_direct(row, np.s_[first : first + row.size])
         return
     axis = 0 if index is None else int(np.argmax(dataset.shape))
     chunk = dataset.chunks[axis] if dataset.chunks else 1
     size = chunk * max(1, PIECE_BYTES // (chunk * row.itemsize)) if is_on_disk(row) else row.size
     for part in blocks(row.size, size=size):
         # a column of an interleaved table costs as much as the whole table: read that once
-        piece = dataset[part] if axis == 0 else dataset[:, part]
+        there = slice(first + part.start, first + part.stop)
+        piece = dataset[there] if axis == 0 else dataset[:, there]
         for index, row in rows:
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 

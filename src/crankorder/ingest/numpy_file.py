@@ -10,30 +10,31 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, float_type_for, named, rows_for
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, float_type_for, named, part_of, rows_for
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
 _MOST_COLUMNS = 1000
 
 
-def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
     """Channels that ``sources`` ask for, by number from 0, from the array at ``path``; by name where it has fields.
 
-    The longer side of the array is time. ``settings`` give the byte limit. Raises InputError for damage, a missing
-    channel or what is no real number, UnsafeInputError for Python objects and impossible sizes.
+    The longer side of the array is time. ``settings`` give the byte limit; ``rows``: of its samples, None for all.
+    Raises InputError for damage, a missing channel or what is no real number, UnsafeInputError for Python objects and
+    impossible sizes.
     """
-    table = _table(path, settings)
-    names = _names(table)
+    whole = _table(path, settings)
+    names, table = _names(whole), whole[part_of(len(whole), rows)]
     wanted = [names.index(named(source, names, path)) for source in sources]
     target = float_type_for(table.dtype)
     kinds = [(len(table), float_type_for(table.dtype[index]) if table.dtype.names else target) for index in wanted]
-    rows = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
+    room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
     for part in blocks(len(table)):
         piece = table[part]  # a column of an interleaved table costs as much as all of it: each page is read once
-        for index, row in zip(wanted, rows, strict=True):
+        for index, row in zip(wanted, room, strict=True):
             row[part] = piece[names[index]] if table.dtype.names else piece[:, index]
-    return RawFile(columns=dict(zip(sources, rows, strict=True)))
+    return RawFile(columns=dict(zip(sources, room, strict=True)))
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:

@@ -116,6 +116,12 @@ def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> 
     return first[1] if first else None
 
 
+def part_of(n_samples: int, rows: slice | None) -> slice:
+    """The samples of a column of ``n_samples`` that ``rows`` ask for: all where None."""
+    first, last, _ = (rows or slice(None)).indices(n_samples)
+    return slice(first, max(first, last))
+
+
 def float_type_for(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
     """The smaller of float32 and float64 that holds every number of ``dtype`` (integers or floats)."""
     small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)

@@ -13,9 +13,9 @@ import xarray as xr
 from crankorder.errors import CrankorderError, InputError, RequestError
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
-from crankorder.ingest.formats import read_file
+from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.manifest import Channel, Manifest
-from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, named
 from crankorder.ingest.record_faults import Sampled, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
@@ -116,6 +116,29 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     listed = read_file(pulses, sources=_of_encoder(manifest), settings=settings)
     raw = read_file(path, sources=_of_samples(manifest), settings=settings)
     return recording_of(raw, path, manifest, settings=settings, shaft=shaft, listed=listed)
+
+
+def read_parts(
+    path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings, most_bytes: int
+) -> tuple[list[xr.Dataset], float]:
+    """Head, middle and tail of the recording at ``path``, each a Recording, and the share of its samples that they are.
+
+    All of it where its samples take less than ``most_bytes``, or where a part of it cannot be read by itself. The other
+    arguments, and what is raised, are those of :func:`read_recording`.
+    """
+    n_samples, sources = 0, _wanted(manifest)
+    if manifest.encoder.kind not in TIME_KINDS and format_of(path).by_rows:
+        contents = contents_of(path, settings=settings)
+        n_samples = max((contents.samples[named(source, contents.names, path)] for source in sources), default=0)
+    most = max(1, most_bytes // (8 * max(1, len(sources))))
+    if n_samples <= most:
+        return [read_recording(path, manifest, settings=settings, shaft=shaft)], 1.0
+    third = most // 3
+    made: list[xr.Dataset] = []
+    for first in (0, (n_samples - third) // 2, n_samples - third):
+        raw = read_file(path, sources=sources, settings=settings, rows=slice(first, first + third))
+        made.append(recording_of(raw, path, manifest, settings=settings, shaft=shaft))
+    return made, 3 * third / n_samples
 
 
 def recording_of(

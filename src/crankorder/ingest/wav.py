@@ -15,7 +15,17 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from crankorder.errors import InputError
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named, rows_for
+from crankorder.ingest.rawfile import (
+    Contents,
+    FloatArray,
+    RawFile,
+    Source,
+    check_budget,
+    flag,
+    named,
+    part_of,
+    rows_for,
+)
 from crankorder.quantities import QualityFlag
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
@@ -61,27 +71,28 @@ class _Header:
         return known if len(known) == self.n_channels else ("FS",) * self.n_channels
 
 
-def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
     """Channels that ``sources`` ask for (number from 0, or calibration name) from the WAV file at ``path``.
 
     Integer samples become fractions of full scale (-1 to 1), times the calibration where the file has one; ``settings``
-    give the byte limit. Raises InputError for a truncated or damaged file.
+    give the byte limit; ``rows``: of its samples, None for all. Raises InputError for a truncated or damaged file.
     """
     header = _header_of(path)
     numbers = [header.names.index(named(source, header.names, path)) for source in sources]
     frame_bytes = header.n_channels * header.n_bits // 8
     check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
-    kind = (header.n_present, _sample_type(header))
-    rows = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
+    wanted = part_of(header.n_present, rows)
+    kind = (wanted.stop - wanted.start, _sample_type(header))
+    room = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
     with path.open("rb") as stream:
-        stream.seek(header.data_start)
-        for part in blocks(header.n_present):
+        stream.seek(header.data_start + wanted.start * frame_bytes)
+        for part in blocks(kind[0]):
             frames = _decoded(stream.read((part.stop - part.start) * frame_bytes), header)
-            for row, number in zip(rows, numbers, strict=True):
+            for row, number in zip(room, numbers, strict=True):
                 row[part] = frames[:, number]
                 _scaled(row[part], header, number)
     return RawFile(
-        columns=dict(zip(sources, rows, strict=True)),
+        columns=dict(zip(sources, room, strict=True)),
         units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
         rate_hz=float(header.rate_hz),
         flags=_flags(header, path),

@@ -1,0 +1,157 @@
+"""A look at every recording of a test before it is run: a bounded part of its samples, by the code that `run` uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from crankorder.batch.execute import fault_of
+from crankorder.batch.plan import settings_for
+from crankorder.batch.workers import WorkerDiedError, each
+from crankorder.errors import CrankorderError, InputError
+from crankorder.ingest.check import check_folder
+from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.ingest.recording import read_parts
+from crankorder.quantities import flags_of
+from crankorder.settings import Settings, load_settings
+from crankorder.shaft.angle import speed_course
+from crankorder.shaft.decode import ShaftKnowledge
+from crankorder.stages import analyse_shaft
+
+LOOK_BYTES = 64_000_000
+"""Of the samples of one recording, as much as is looked at."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a recording showed: a ``line`` on its length, rate, speed and pulses, and ``remarks`` on what is doubtful.
+
+    ``share`` of its samples was read.
+    """
+
+    line: str
+    remarks: tuple[str, ...]
+    share: float
+
+
+@dataclass
+class Looked:
+    """What was found in a folder: ``faults``, which keep a recording or all of them from being used, and ``looks``."""
+
+    faults: list[CrankorderError]
+    looks: list[Look] = field(default_factory=list)
+
+    @property
+    def share(self) -> float:
+        """Smallest share of the samples of a recording that was read."""
+        return min((look.share for look in self.looks), default=0.0)
+
+
+def percent(share: float) -> str:
+    """``share`` as a text: "100 %" only where it is all."""
+    return "100 %" if share == 1.0 else f"{min(100 * share, 99.9):.2g} %"
+
+
+def look_at(folder: Path, manifest_path: Path | None, *, jobs: int) -> Looked:
+    """What can be known of the test in ``folder`` without running it, ``jobs`` recordings at a time.
+
+    ``manifest_path`` names a manifest that lives elsewhere.
+    """
+    settings = load_settings()
+    found = Looked(check_folder(folder, manifest_path, settings=settings.ingest))
+    try:
+        manifest = load_manifest(folder, manifest_path)
+        beside = manifest_path.parent if manifest_path is not None else folder
+        settings = settings_for(manifest, load_settings(manifest.test.recipe, beside=beside))
+        paths = recordings_of(folder, manifest).paths
+    except CrankorderError as error:
+        found.faults = found.faults or [error]
+        return found
+    at_fault = {Path(fault.file) for fault in found.faults if fault.file is not None}
+    sound = [path for path in paths if path not in at_fault]
+    made: dict[int, Look] = {}
+    refused: dict[int, CrankorderError] = {}
+
+    def look(number: int) -> Look:
+        return look_at_recording(sound[number], manifest, settings)
+
+    for number, answer in each(look, len(sound), jobs=jobs):
+        try:
+            made[number] = answer()
+        except CrankorderError as error:
+            refused[number] = error
+        except WorkerDiedError as error:
+            refused[number] = InputError("the process that read it died", file=sound[number], found=error)
+    found.faults += [refused[number] for number in sorted(refused)]
+    found.looks = [made[number] for number in sorted(made)]
+    return found
+
+
+def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Look:
+    """What a bounded part of the recording at ``path`` shows, read and decoded as ``manifest`` and ``settings`` say.
+
+    Raises CrankorderError where it cannot be used.
+    """
+    parts, share = read_parts(path, manifest, settings=settings.ingest, shaft=settings.shaft, most_bytes=LOOK_BYTES)
+    told: dict[str, None] = {}
+    speeds: list[tuple[float, float]] = []
+    pulses: list[str] = []
+    refused: list[CrankorderError] = []
+    for part in parts:
+        try:
+            shaft = analyse_shaft(part, settings, ShaftKnowledge())
+        except InputError as error:
+            refused.append(error)
+            continue
+        flags = [*flags_of(part), *flags_of(shaft)]
+        fault = fault_of(manifest.name_of(path), flags)
+        if fault is not None:
+            refused.append(fault)
+        told |= dict.fromkeys(
+            f"{flag['severity']}: {flag['flag']}: {flag['detail']}" for flag in flags if flag["severity"] != "info"
+        )
+        if shaft.attrs.get("has_shaft", 1) and part.attrs["domain"] == "time":
+            speed = speed_course(shaft).speed_rpm
+            speeds.append((float(speed.min()), float(speed.max())))
+        pulses = pulses or _pulses(part, shaft)
+    # what one part of a long recording lacks, such as a shaft that turns yet, the whole of it may have
+    if len(refused) == len(parts):
+        raise refused[0]
+    told |= dict.fromkeys(f"in a part of it: {error}" for error in refused)
+    words = [_extent(parts, share), _speed(speeds), *pulses]
+    if share < 1.0:
+        words.append(f"{percent(share)} read")
+    return Look(f"{manifest.name_of(path)}: {', '.join(word for word in words if word)}", tuple(told), share)
+
+
+def _extent(parts: list[xr.Dataset], share: float) -> str:
+    """Length and rate of a recording, of which ``parts`` are a ``share``."""
+    attrs, n_samples = parts[0].attrs, sum(part["signal"].shape[-1] for part in parts) / share
+    if attrs["domain"] == "crank_angle":
+        return f"{n_samples / attrs['samples_per_rev']:.4g} revolutions, {attrs['samples_per_rev']} samples in each"
+    if "rate_hz" not in attrs:
+        times = parts[0]["pulse_time"].values
+        return f"{float(np.ptp(times)):.4g} s" if times.size else "no pulses"
+    return f"{n_samples / attrs['rate_hz']:.4g} s at {attrs['rate_hz']:.6g} Hz"
+
+
+def _speed(speeds: list[tuple[float, float]]) -> str:
+    if not speeds:
+        return ""
+    low, high = min(low for low, _ in speeds), max(high for _, high in speeds)
+    return f"{low:.4g} rpm" if high - low < 2e-3 * high else f"{low:.4g} to {high:.4g} rpm"
+
+
+def _pulses(part: xr.Dataset, shaft: xr.Dataset) -> list[str]:
+    """How many pulses a recording has, and on what wheel."""
+    if "pulse_time" not in part or not part["pulse_time"].size:
+        return []
+    ends_s = part["pulse_time"].values[[0, -1]]
+    turns = float(np.ptp(np.interp(ends_s, shaft["time"].values, shaft["crank_angle"].values)))
+    count = part["pulse_time"].size
+    per_rev = f" ({(count - 1) / turns:.4g} per revolution)" if turns > 0.0 else ""
+    return [f"{count} pulses{per_rev}"]
