@@ -349,28 +349,43 @@ class _Progress:
 @main.command()
 @click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
-@click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all cores")
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    default=os.cpu_count() or 1,
+    show_default="all cores",
+    help="Recordings at a time.",
+)
 def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
     """Look at manifest, files and a bounded part of their samples; list every fault at once, change nothing."""
-    from crankorder.batch.look import look_at, percent
+    from crankorder.ingest.check import manifest_faults
 
     faults: list[CrankorderError] = []
     for folder in folders:
-        found = look_at(folder, manifest, jobs=jobs)
-        faults += found.faults
-        for look in found.looks:
-            click.echo(printable(look.line))
-            for remark in look.remarks:
-                click.echo(f"    {printable(remark)}")
-        for fault in found.faults:
+        # only a right manifest is worth the time of heavy imports
+        found = manifest_faults(folder, manifest) or _look_at(folder, manifest, jobs)
+        for fault in found:
             click.echo(f"crankorder: {fault}", err=True)
-        if not found.faults:
-            doubts = sum(bool(look.remarks) for look in found.looks)
-            also = f"; {doubts} of {len(found.looks)} recordings have doubtful places" if doubts else ""
-            read = f" in the {percent(found.share)} that was read" if found.looks else ""
-            click.echo(f"{printable(folder)}: no fault found{read}{also}", err=True)
+        faults += found
     if faults:
         sys.exit(max(fault.exit_status for fault in faults))
+
+
+def _look_at(folder: Path, manifest: Path | None, jobs: int) -> list[CrankorderError]:
+    """Show what every recording in ``folder`` is, and return the faults that were found."""
+    from crankorder.batch.look import look_at, percent
+
+    found = look_at(folder, manifest, jobs=jobs)
+    for look in found.looks:
+        click.echo(printable(look.line, 400))
+        for remark in look.remarks:
+            click.echo(f"    {printable(remark, 400)}")
+    if not found.faults:
+        doubts = sum(bool(look.remarks) for look in found.looks)
+        also = f"; {doubts} of {len(found.looks)} recordings have doubtful places" if doubts else ""
+        read = f" in the {percent(found.share)} that was read" if found.looks else ""
+        click.echo(f"{printable(folder)}: no fault found{read}{also}", err=True)
+    return found.faults
 
 
 @main.command()

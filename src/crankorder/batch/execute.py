@@ -447,7 +447,7 @@ def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity
 
 
 def fault_of(name: str, flags: Sequence[QualityFlag], severities: tuple[Severity, ...] = ("bad",)) -> InputError | None:
-    """Why the recording ``name`` with these ``flags`` takes no part, as :func:`left_out_of` has it; None: it does."""
+    """Why the recording ``name`` takes no part, None where it does: its ``flags`` of one of the ``severities``."""
     doubts = [
         flag for flag in flags if flag["severity"] in severities and ("suspect" in severities or "left_out" not in flag)
     ]

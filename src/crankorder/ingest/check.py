@@ -17,12 +17,9 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
     folder that can be analysed, as far as names, sizes, rates and units tell; samples are not read. Raises nothing of
     its own.
     """
-    try:
-        manifest = load_manifest(folder, manifest_path)
-    except ManyErrors as error:
-        return error.faults
-    except CrankorderError as error:
-        return [error]
+    if faults := manifest_faults(folder, manifest_path):
+        return faults
+    manifest = load_manifest(folder, manifest_path)
     # only a right manifest is worth the time of the heavy imports below
     from crankorder.ingest.folder import recordings_of
 
@@ -45,6 +42,17 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
     for path in found.paths:
         faults += check_recording(path, manifest, settings=settings)
     return faults
+
+
+def manifest_faults(folder: Path, manifest_path: Path | None = None) -> list[CrankorderError]:
+    """All faults of the manifest of the test-run folder ``folder``, or of that at ``manifest_path``."""
+    try:
+        load_manifest(folder, manifest_path)
+    except ManyErrors as error:
+        return error.faults
+    except CrankorderError as error:
+        return [error]
+    return []
 
 
 def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:

@@ -123,8 +123,8 @@ def read_parts(
 ) -> tuple[list[xr.Dataset], float]:
     """Head, middle and tail of the recording at ``path``, each a Recording, and the share of its samples that they are.
 
-    All of it where its samples take less than ``most_bytes``, or where a part of it cannot be read by itself. The other
-    arguments, and what is raised, are those of :func:`read_recording`.
+    All of it where its samples take less than ``most_bytes``, or where a part of it cannot be read by itself.
+    ``manifest``, ``settings`` and ``shaft``, and what is raised, are those of :func:`read_recording`.
     """
     n_samples, sources = 0, _wanted(manifest)
     if manifest.encoder.kind not in TIME_KINDS and format_of(path).by_rows:
