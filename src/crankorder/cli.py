@@ -13,6 +13,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -157,6 +158,19 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``command`` with the options on pictures, which it takes as ``report``, settings by key."""
+
+    @wraps(command)
+    def with_report(*given: Any, picture_format: str | None, no_pictures: bool, **options: Any) -> Any:
+        report = {} if picture_format is None else {"picture_format": picture_format}
+        return command(*given, report=report | ({"pictures": False} if no_pictures else {}), **options)
+
+    kinds = click.Choice(["png", "svg", "pdf"])
+    with_report = click.option("--no-pictures", is_flag=True, help="Numbers and findings alone.")(with_report)
+    return click.option("--picture-format", type=kinds, help="Format of the pictures.  [default: png]")(with_report)
+
+
 @main.command()
 @click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
 @click.option("--out", required=True, type=FOLDER, help="Folder for the results; made if missing.")
@@ -185,6 +199,7 @@ def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
     "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), help="Seconds that a recording may take."
 )
 @click.option("--strict", is_flag=True, help='Leave out recordings with flags of severity "suspect".')
+@_picture_options
 @_run_options
 def run(
     folders: tuple[Path, ...],
@@ -204,6 +219,7 @@ def run(
     as_json: bool,
     quiet: bool,
     verbose: bool,
+    report: dict[str, Any],
 ) -> None:
     """Analyse test-run folders.
 
@@ -215,7 +231,7 @@ def run(
     if shard is not None and reduce:
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
-    asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name}
+    asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name, "report": report}
     planned = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
     plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
     for fault in planned.refused:
@@ -414,12 +430,13 @@ def clean(out: Path) -> None:
 
 @main.command()
 @click.argument("results", nargs=-1, required=True, type=FOLDER, metavar="RESULT...")
-def report(results: tuple[Path, ...]) -> None:
+@_picture_options
+def report(results: tuple[Path, ...], report: dict[str, Any]) -> None:
     """Redraw pictures and page from results (folders that `run` made, or their results.nc)."""
     from crankorder.batch.redraw import redraw
 
     for result in results:
-        click.echo(str(redraw(result)))
+        click.echo(str(redraw(result, report=report)))
 
 
 @main.command()
@@ -437,14 +454,22 @@ def report(results: tuple[Path, ...]) -> None:
 @click.option("--any-dependence", "correlated", is_flag=True, help="Claim fewer map cells, however they depend.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Only faults.")
+@_picture_options
 def compare(
-    base: Path, new: tuple[Path, ...], out: Path, q: float, correlated: bool, as_json: bool, quiet: bool
+    base: Path,
+    new: tuple[Path, ...],
+    out: Path,
+    q: float,
+    correlated: bool,
+    as_json: bool,
+    quiet: bool,
+    report: dict[str, Any],
 ) -> None:
     """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
 
     made = compare_results(base, new, q=q, correlated=correlated)
-    for path in publish_comparison(made, out):
+    for path in publish_comparison(made, out, report=report):
         if not quiet:
             click.echo(str(path), err=True)
     if as_json:
@@ -472,13 +497,16 @@ def compare(
 @click.option(
     "--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order in the tables."
 )
-def balance(engine: str, as_json: bool, out: Path | None, speeds: tuple[float, ...], max_order: int) -> None:
+@_picture_options
+def balance(
+    engine: str, as_json: bool, out: Path | None, speeds: tuple[float, ...], max_order: int, report: dict[str, Any]
+) -> None:
     """Predict forces by order, balance strategies, shafts and residuals of ENGINE, a shipped name or a TOML file."""
     from crankorder.batch.balance import balance_of, document_text, publish_balance, table_text
 
     made = balance_of(engine, max_order=max_order, speeds_rpm=speeds)
     if out is not None:
-        for path in publish_balance(made, out):
+        for path in publish_balance(made, out, report=report):
             click.echo(str(path), err=True)
     click.echo(document_text(made) if as_json else table_text(made), nl=as_json)
 

@@ -25,6 +25,7 @@ LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1
 ResultName = Literal[
     "order_map", "campbell_map", "order_tracks", "findings", "cycle_average", "operating_shapes", "envelope_map"
 ]
+PictureFormat = Literal["png", "svg", "pdf"]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """What the unit g stands for (3rd CGPM, 1901), exact and no setting: here, because units are read before NumPy is."""
@@ -173,6 +174,8 @@ class ReportSettings(StageSettings):
     """What is made, pictures and page (``6-report.toml``)."""
 
     results: Annotated[tuple[ResultName, ...], AfterValidator(_different)] = Field(strict=False, min_length=1)
+    pictures: bool
+    picture_format: PictureFormat
     width_in: Positive
     height_in: Positive
     dpi: Count

@@ -150,6 +150,33 @@ class TestRerun:
         assert crankorder("report", folder).exit_code == 0
         assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
+    @pytest.mark.parametrize(("kind", "begins"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
+    def test_pictures_come_in_the_format_that_is_asked_for_with_the_same_bytes_again(
+        self, analysed, tmp_path, kind, begins
+    ):
+        folder = tmp_path / "test"
+        shutil.copytree(next(analysed.glob("*/done.json")).parent, folder)
+        names = {path.stem for path in folder.glob("*.png")}
+        made = []
+        for _ in range(2):
+            assert crankorder("report", folder, "--picture-format", kind).exit_code == 0
+            made.append({path.name: path.read_bytes() for path in folder.glob(f"*.{kind}")})
+        assert {Path(name).stem for name in made[0]} == names
+        assert made[0] == made[1]
+        assert all(data.startswith(begins) for data in made[0].values())
+        page = (folder / "report.html").read_text(encoding="utf-8")
+        assert all(f"./{name}" in page for name in made[0])
+        assert kind == "png" or not list(folder.glob("*.png"))
+
+    def test_without_pictures_numbers_and_findings_are_the_same(self, four_speeds, tmp_path):
+        for place, more in (("with", ()), ("without", ("--no-pictures",))):
+            assert crankorder("run", four_speeds, "--out", tmp_path / place, "-q", *more).exit_code == 0
+        drawn, bare = (next((tmp_path / place).glob("*/done.json")).parent for place in ("with", "without"))
+        assert not list(bare.glob("*.png"))
+        assert "No pictures were asked for." in (bare / "report.html").read_text(encoding="utf-8")
+        for name in ("results.nc", "findings.json"):
+            assert (drawn / name).read_bytes() == (bare / name).read_bytes()
+
 
 class TestBadInput:
     def test_a_truncated_file_fails_alone_and_the_others_results_are_kept(self, four_speeds, tmp_path):

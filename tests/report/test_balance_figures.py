@@ -20,7 +20,7 @@ from crankorder.report.balance.figures import force_figure
 from crankorder.report.balance.hinge_figure import hinge_figure
 from crankorder.report.balance.look import alike, called
 from crankorder.report.balance.polar_figure import polar_figure
-from crankorder.report.figures import png_bytes
+from crankorder.report.figures import picture_bytes
 from crankorder.settings import shipped, toml_table
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
@@ -85,10 +85,10 @@ def test_no_text_lies_on_another_for_any_engine(name: str, draw: Any, settings: 
 
 @pytest.mark.parametrize("draw", PICTURES)
 def test_the_same_balance_gives_the_same_bytes_and_another_gives_others(draw: Any, settings: Any, task5: Any) -> None:
-    first, second = (png_bytes(draw(task5, title="t", settings=settings), dpi=50) for _ in range(2))
+    first, second = (picture_bytes(draw(task5, title="t", settings=settings), dpi=50) for _ in range(2))
     assert first == second
     other = _dataset(load_balanced_engine("msu-standard"))
-    assert png_bytes(draw(other, title="t", settings=settings), dpi=50) != first
+    assert picture_bytes(draw(other, title="t", settings=settings), dpi=50) != first
 
 
 @pytest.mark.parametrize("draw", PICTURES)
@@ -104,7 +104,7 @@ def test_extreme_engines_and_hostile_titles_are_drawn(draw: Any, hard: dict[str,
     subject = _changed("task5", **hard)
     figure = draw(_dataset(subject, max_order=100), title=subject.engine.title, settings=settings)
     assert _overlaps(figure) == []
-    assert len(png_bytes(figure, dpi=50)) > 1000
+    assert len(picture_bytes(figure, dpi=50)) > 1000
     assert not any("\x1b" in text.get_text() for text in figure.findobj(Text))
 
 

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.report.cycle_figure import cycle_figure
-from crankorder.report.figures import png_bytes
+from crankorder.report.figures import picture_bytes
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
 from made.typed import from_dicts
@@ -117,7 +117,7 @@ def test_no_two_texts_overlap_and_the_bytes_are_the_same_each_time(channels, spe
     cycles = cycles_of(speeds, channels)
     figures = [cycle_figure(cycles, {"test": "t"}, settings=settings) for _ in range(2)]
     assert overlaps(figures[0]) == []
-    assert png_bytes(figures[0], dpi=50) == png_bytes(figures[1], dpi=50)
+    assert picture_bytes(figures[0], dpi=50) == picture_bytes(figures[1], dpi=50)
 
 
 def test_hostile_names_are_text_and_missing_channels_say_so(cycles, settings):
@@ -125,7 +125,7 @@ def test_hostile_names_are_text_and_missing_channels_say_so(cycles, settings):
     hostile["mean"][1] = np.nan
     hostile["n_cycles"][1] = 0
     figure = cycle_figure(hostile, {"test": "$\\frac{" + "y" * 5000}, settings=settings)
-    png_bytes(figure, dpi=50)
+    picture_bytes(figure, dpi=50)
     assert overlaps(figure) == []
     assert "no whole cycle" in words(figure)
     assert not any(text.get_parse_math() for text in figure.texts)
@@ -134,7 +134,7 @@ def test_hostile_names_are_text_and_missing_channels_say_so(cycles, settings):
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e9])
 def test_signals_of_any_size_and_dead_ones_are_drawn(size, settings):
     figure = cycle_figure(cycles_of([1000.0], 1, size=size), {"test": "t"}, settings=settings)
-    assert png_bytes(figure, dpi=50).startswith(b"\x89PNG")
+    assert picture_bytes(figure, dpi=50).startswith(b"\x89PNG")
     low, high = figure.axes[0].get_ylim()
     assert high > low
 

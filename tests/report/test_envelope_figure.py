@@ -10,7 +10,7 @@ import pytest
 
 from crankorder.report.drawing.drawn import Drawing, Rings
 from crankorder.report.envelope_figure import envelope_figure
-from crankorder.report.figures import png_bytes
+from crankorder.report.figures import picture_bytes
 from crankorder.report.pictures import pictures_of
 from made.typed import from_dicts
 
@@ -75,7 +75,7 @@ def test_any_size_becomes_a_picture(factor: float, full: Any, make_envelope: Cal
     envelope = make_envelope(("X", "Z"))
     for name in ("amplitude", "floor"):
         envelope[name] = envelope[name] * factor
-    assert png_bytes(envelope_figure(envelope, full, settings=settings), dpi=50).startswith(b"\x89PNG")
+    assert picture_bytes(envelope_figure(envelope, full, settings=settings), dpi=50).startswith(b"\x89PNG")
 
 
 def test_it_is_drawn_only_where_there_is_an_envelope(

@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.text import Text
 
 from crankorder.orders.shapes import operating_shapes
-from crankorder.report.figures import png_bytes
+from crankorder.report.figures import picture_bytes
 from crankorder.report.shapes_figure import shapes_figure
 from crankorder.settings import load_settings
 from made.frames import frames_of
@@ -91,7 +91,7 @@ def test_what_is_not_told_from_zero_has_a_bound_and_no_phase(settings):
     none["amplitude_ci95"][..., 0] = 0.0
     empty = shapes_figure(none, {"test": "t"}, settings=settings)
     assert "No order stands clear of the noise at this speed." in words(empty)
-    assert png_bytes(empty, dpi=50).startswith(b"\x89PNG")
+    assert picture_bytes(empty, dpi=50).startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 6, 12, 14])
@@ -100,7 +100,7 @@ def test_no_two_texts_overlap_and_the_bytes_are_the_same_each_time(channels, set
     figures = [shapes_figure(shapes, {"test": "t"}, settings=settings) for _ in range(2)]
     assert overlaps(figures[0]) == []
     assert len(hands(figures[0])) == 8 * channels
-    assert png_bytes(figures[0], dpi=50) == png_bytes(figures[1], dpi=50)
+    assert picture_bytes(figures[0], dpi=50) == picture_bytes(figures[1], dpi=50)
 
 
 def test_hostile_names_and_single_frames_are_drawn(settings):

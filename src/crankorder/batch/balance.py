@@ -83,12 +83,13 @@ def table_text(balance: Balance) -> str:
     return text(balance.document)
 
 
-def publish_balance(balance: Balance, out: Path) -> list[Path]:
+def publish_balance(balance: Balance, out: Path, *, report: dict[str, Any] | None = None) -> list[Path]:
     """Paths of the files written into ``out``: balance.json, pictures, balance.nc; whole or not at all.
 
-    ``balance`` as :func:`balance_of` makes it. Raises EnvironmentFailure where the folder cannot be written.
+    ``balance`` as :func:`balance_of` makes it; ``report``: settings of the report by key, before the defaults. Raises
+    EnvironmentFailure where the folder cannot be written.
     """
-    settings = load_settings().report
+    settings = load_settings(asked={"report": report or {}}).report
     draw = _hinge_files if isinstance(balance.subject, HingedEngine) else _engine_files
     document = document_text(balance)
     files = {"balance.json": f"{document}\n".encode("utf-8", "backslashreplace"), **draw(balance, settings)}
@@ -101,7 +102,7 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     from crankorder.report.balance.dataset import balance_dataset
     from crankorder.report.balance.figures import force_figure
     from crankorder.report.balance.polar_figure import polar_figure
-    from crankorder.report.figures import png_bytes
+    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
     subject = balance.subject
@@ -111,10 +112,12 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     dataset = balance_dataset(subject, balance.document, max_order=balance.max_order, speeds_rpm=balance.speeds_rpm)
     groups = {"balance": dataset}
     shown = as_stored(groups)["balance"]
-    pictures = {"polar.png": polar_figure, "force.png": force_figure, "orders.png": order_bars_figure}
+    pictures = {"polar": polar_figure, "force": force_figure, "orders": order_bars_figure}
+    kind = settings.picture_format
     made = {
-        name: png_bytes(draw(shown, title=title, settings=settings), dpi=settings.dpi)
+        f"{name}.{kind}": picture_bytes(draw(shown, title=title, settings=settings), dpi=settings.dpi, kind=kind)
         for name, draw in pictures.items()
+        if settings.pictures
     }
     return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
 
@@ -122,7 +125,7 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
 def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.batch.plan import folder_name
     from crankorder.report.balance.hinge_figure import hinge_figure
-    from crankorder.report.figures import png_bytes
+    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import results_bytes
 
     engine = balance.subject
@@ -133,8 +136,9 @@ def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]
     for mechanism, found in zip(engine.mechanisms, balance.document["mechanisms"], strict=True):
         speeds = balance.speeds_rpm or mechanism.speeds_rpm
         name = folder_name(mechanism.name, taken)
-        figure = hinge_figure(engine, mechanism, speeds, settings=settings)
-        made[f"hinges_{name}.png"] = png_bytes(figure, dpi=settings.dpi)
+        if settings.pictures:
+            figure, kind = hinge_figure(engine, mechanism, speeds, settings=settings), settings.picture_format
+            made[f"hinges_{name}.{kind}"] = picture_bytes(figure, dpi=settings.dpi, kind=kind)
         groups |= {f"{joint}_{name}": _characteristic(table) for joint, table in found["characteristic"].items()}
     return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from crankorder.batch.result_folder import DONE, publish, read_document, read_findings
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
@@ -17,6 +18,9 @@ from crankorder.identify.changes.datasets import change_datasets
 from crankorder.report.comparison.sentences import comparison_headline
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
+
+if TYPE_CHECKING:
+    from crankorder.report.drawing.drawn import Drawing
 
 NAME = "comparison.json"
 MAPS = ("order_map", "campbell_map", "envelope_map", "shaft")
@@ -114,14 +118,14 @@ def document_text(comparison: Comparison) -> str:
     return json_bytes(comparison.document).decode("utf-8")
 
 
-def publish_comparison(comparison: Comparison, out: Path) -> list[Path]:
+def publish_comparison(comparison: Comparison, out: Path, *, report: dict[str, Any] | None = None) -> list[Path]:
     """Paths of the files written into ``out``: comparison.json, comparison.nc, pictures, page; whole or not at all.
 
-    ``comparison`` as :func:`compare_results` makes it.
+    ``comparison`` as :func:`compare_results` makes it; ``report``: settings of the report by key, before the defaults.
     Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
     """
     _refuse_results(out, comparison.folders)
-    files = _files(comparison, load_settings().report)
+    files = _files(comparison, load_settings(asked={"report": report or {}}).report)
     marks = [file_sha256(folder / name) for folder in comparison.folders for name in ("results.nc", "findings.json")]
     publish(out, files, key=text_sha256(version("crankorder"), json.dumps(comparison.document, default=str), *marks))
     return [out / name for name in files]
@@ -149,7 +153,7 @@ def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]
     from crankorder.report.comparison.figure import map_change_figure, order_change_figure
     from crankorder.report.comparison.page import comparison_page
     from crankorder.report.comparison.trend import trend_figure
-    from crankorder.report.figures import png_bytes
+    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
     made, document = comparison.made, comparison.document
@@ -158,21 +162,22 @@ def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]
     pictures: list[tuple[str, str]] = []
     files: dict[str, bytes] = {NAME: json_bytes(document)}
     taken: set[str] = set()
-    if document["trend"]:
-        files["trend.png"] = png_bytes(trend_figure(document, settings=settings), dpi=settings.dpi)
-        pictures.append(("trend.png", "How the lines went from run to run, with 95 % intervals and the fitted growth"))
-    if "order_change" in shown:
-        files["orders_change.png"] = png_bytes(
-            order_change_figure(shown["order_change"], document, settings=settings), dpi=settings.dpi
-        )
-        pictures.append(
-            ("orders_change.png", "What changed, order by order: second test over first, with 95 % intervals")
-        )
-    for channel in [one["channel"] for one in document["cells"] if one["changed"]]:
-        name = f"map_change_{folder_name(channel, taken)}.png"
-        drawing = map_change_figure(shown["map_change"], channel, document, settings=settings)
-        files[name] = png_bytes(drawing, dpi=settings.dpi)
-        pictures.append((name, f"Where the Campbell diagram of {channel} changed: claimed cells in colour"))
+
+    def draw(name: str, caption: str, figure: Callable[[], Drawing]) -> None:
+        file = f"{name}.{settings.picture_format}"
+        files[file] = picture_bytes(figure(), dpi=settings.dpi, kind=settings.picture_format)
+        pictures.append((file, caption))
+
+    if document["trend"] and settings.pictures:
+        caption = "How the lines went from run to run, with 95 % intervals and the fitted growth"
+        draw("trend", caption, partial(trend_figure, document, settings=settings))
+    if "order_change" in shown and settings.pictures:
+        caption = "What changed, order by order: second test over first, with 95 % intervals"
+        draw("orders_change", caption, partial(order_change_figure, shown["order_change"], document, settings=settings))
+    for channel in [one["channel"] for one in document["cells"] if one["changed"] and settings.pictures]:
+        caption = f"Where the Campbell diagram of {channel} changed: claimed cells in colour"
+        figure = partial(map_change_figure, shown["map_change"], channel, document, settings=settings)
+        draw(f"map_change_{folder_name(channel, taken)}", caption, figure)
     attrs = {"title": f"{document['base']} / {document['new']}", "source": f"crankorder {version('crankorder')}"}
     files["comparison.nc"] = results_bytes(groups, attrs=attrs)
     page = comparison_page(document, pictures=pictures, settings=settings)

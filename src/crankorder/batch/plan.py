@@ -6,6 +6,7 @@ import json
 import os
 import re
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -113,17 +114,20 @@ def plan_tests(
     tolerance: float | None = None,
     max_memory_mb: int | None = None,
     name: str | None = None,
+    report: Mapping[str, Any] | None = None,
 ) -> Planned:
     """Plans of the tests in ``folders``, whose results go below ``out``, and what is wrong with other folders.
 
     ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
-    the manifest names; ``tolerance`` (relative amplitude error) and ``max_memory_mb`` (megabytes of samples of one
-    recording in memory) go before those of the recipe; ``name`` of the one test before that of its manifest.
+    the manifest names; ``tolerance`` (relative amplitude error), ``max_memory_mb`` (megabytes of samples of one
+    recording in memory) and ``report`` (settings of the report by key) go before those of the recipe; ``name`` of the
+    one test before that of its manifest.
     Raises ManyErrors with the faults of all folders where none can be run, or results would lie where they must not;
     nothing has been written then.
     """
     asked: dict[str, dict[str, Any]] = {
         "orders": {} if tolerance is None else {"tolerance": tolerance},
+        "report": dict(report or {}),
         "ingest": {} if max_memory_mb is None else {"in_memory_bytes": max_memory_mb * 1_000_000},
     }
     folders = list({folder.resolve(): folder for folder in folders}.values())

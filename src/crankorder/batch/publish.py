@@ -29,13 +29,13 @@ def prepare() -> None:
 
 
 def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -> list[bytes]:
-    """PNG of each of ``pages``, ``jobs`` at a time in processes of their own where that is more than one."""
+    """Bytes of each of ``pages``, ``jobs`` at a time in processes of their own where that is more than one."""
     if jobs == 1 or not FORKS:
         meanwhile()
-        return [page.png() for page in pages]
+        return [page.drawn() for page in pages]
     last_first = pages[::-1]  # the spectra at the end take longest
-    drawn = each(lambda number: last_first[number].png(), len(pages), jobs=jobs, meanwhile=meanwhile)
-    made = {number: png() for number, png in drawn}
+    drawn = each(lambda number: last_first[number].drawn(), len(pages), jobs=jobs, meanwhile=meanwhile)
+    made = {number: answer() for number, answer in drawn}
     return [made[number] for number in reversed(range(len(pages)))]
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from crankorder.batch.locks import locked
 from crankorder.batch.publish import files_of_test
@@ -13,25 +15,25 @@ from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
 
 
-def redraw(result: Path) -> Path:
+def redraw(result: Path, *, report: Mapping[str, Any] | None = None) -> Path:
     """Path of the page that was made again from ``result``, a test's result folder or its ``results.nc``.
 
     Data and findings stay byte for byte what they were; pictures and page are drawn by today's program with the
-    settings of the run.
+    settings of the run, before which those of ``report`` go, by key.
     Raises InputError where the folder holds no finished results.
     """
     folder = (result if result.is_dir() or not result.suffix else result.parent).absolute()
     with locked(folder):
-        return _redrawn(folder)
+        return _redrawn(folder, report or {})
 
 
-def _redrawn(folder: Path) -> Path:
+def _redrawn(folder: Path, report: Mapping[str, Any]) -> Path:
     settle(folder)
     marker = marker_of(folder)
     try:
         findings = read_findings(folder)
         provenance = json.loads((folder / "run.json").read_bytes())
-        stated = load_settings().report.model_dump() | provenance["settings"]["report"]
+        stated = load_settings().report.model_dump() | provenance["settings"]["report"] | report
         key = marker["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(

@@ -73,7 +73,7 @@ class _Map:
 
 
 def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
-    """Campbell diagram of one channel, ready for :func:`crankorder.report.figures.png_bytes`.
+    """Campbell diagram of one channel, ready for :func:`crankorder.report.figures.picture_bytes`.
 
     Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
     speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,
@@ -175,7 +175,7 @@ def _draw_map(panel: Panel, one: _Map, *, settings: ReportSettings) -> None:
     if len(one.speed):
         colours = level_colours().copy()
         colours[0] = rgb_of(NOT_MEASURED)
-        shade = shades(one, limits, *pixels_of(box, drawing, settings.dpi))
+        shade = shades(one, limits, *pixels_of(box, settings.dpi))
         drawing.add(Field(colours[shade[::-1]], box))
     panel.frame(whole=True)
     panel.x_axis("Frequency, Hz", grid=False)

@@ -15,7 +15,7 @@ from crankorder.report.figures import (
     campbell_figure,
     order_spectra_figure,
     orders_figure,
-    png_bytes,
+    picture_bytes,
     spectra_figure,
     speed_figure,
 )
@@ -29,11 +29,11 @@ class Picture:
 
     caption: str
     figure: Callable[[], Any]
-    dpi: int
+    settings: ReportSettings
 
-    def png(self) -> bytes:
-        """PNG of the picture; may be called in any thread or process, with the same bytes."""
-        return png_bytes(self.figure(), dpi=self.dpi)
+    def drawn(self) -> bytes:
+        """The picture in its format; may be called in any thread or process, with the same bytes."""
+        return picture_bytes(self.figure(), dpi=self.settings.dpi, kind=self.settings.picture_format)
 
 
 def prepare() -> None:
@@ -47,9 +47,9 @@ def prepare() -> None:
     )
     from crankorder.settings import load_settings
 
-    Picture(
-        "", partial(campbell_figure, map_, "Z", nothing_sought("", reason=""), settings=load_settings().report), 130
-    ).png()
+    settings = load_settings().report
+    figure = partial(campbell_figure, map_, "Z", nothing_sought("", reason=""), settings=settings)
+    Picture("", figure, settings).drawn()
 
 
 def pictures_of(
@@ -65,38 +65,41 @@ def pictures_of(
     the report; ``name_of`` a channel that part of a file name that stands for it (never the same for two).
     """
     made: dict[str, Picture] = {}
+    if not settings.pictures:
+        return made
 
-    def plan(file: str, caption: str, figure: Callable[..., Any], *given: Any) -> None:
-        made[file] = Picture(caption, partial(figure, *given, findings, settings=settings), settings.dpi)
+    def plan(name: str, caption: str, figure: Callable[..., Any], *given: Any) -> None:
+        drawn = Picture(caption, partial(figure, *given, findings, settings=settings), settings)
+        made[f"{name}.{settings.picture_format}"] = drawn
 
     campbell, tracks = groups.get("campbell_map"), groups.get("order_tracks")
     speeds = 0 if campbell is None else int(np.isfinite(campbell["speed"].values).sum())
     if campbell is not None and speeds > 1:
         for channel in campbell["channel"].values.tolist():
-            plan(f"campbell_{name_of(channel)}.png", f"Campbell diagram, {channel}", campbell_figure, campbell, channel)
+            plan(f"campbell_{name_of(channel)}", f"Campbell diagram, {channel}", campbell_figure, campbell, channel)
     if "shaft" in groups and shown_recordings(groups["shaft"]):
-        plan("speed.png", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
+        plan("speed", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
     if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
-        plan("orders.png", "Orders against speed: amplitude and phase", orders_figure, tracks)
+        plan("orders", "Orders against speed: amplitude and phase", orders_figure, tracks)
     if "order_map" in groups:
         caption = "Order spectra: what shakes, order by order"
-        plan("order_spectra.png", caption, order_spectra_figure, groups["order_map"])
+        plan("order_spectra", caption, order_spectra_figure, groups["order_map"])
     cycles, shapes = groups.get("cycle_average"), groups.get("operating_shapes")
     if cycles is not None and cycles.sizes["speed"]:
         from crankorder.report.cycle_figure import cycle_figure
 
-        plan("cycle.png", "Mean engine cycle and its spread", cycle_figure, cycles)
+        plan("cycle", "Mean engine cycle and its spread", cycle_figure, cycles)
     if shapes is not None and shapes.sizes["order"] and shapes.sizes["speed"]:
         from crankorder.report.shapes_figure import shapes_figure
 
-        plan("shapes.png", "Operating shapes: amplitude and phase over the channels", shapes_figure, shapes)
+        plan("shapes", "Operating shapes: amplitude and phase over the channels", shapes_figure, shapes)
     envelope = groups.get("envelope_map")
     if envelope is not None and envelope.sizes["order"] and envelope.sizes["speed"]:
         from crankorder.report.envelope_figure import envelope_figure
 
-        plan("envelope.png", "Envelope spectra: strikes in bearings, order by order", envelope_figure, envelope)
+        plan("envelope", "Envelope spectra: strikes in bearings, order by order", envelope_figure, envelope)
     if campbell is not None and campbell.sizes["speed"]:
         one = "Spectra at one speed; a Campbell diagram needs several"
         caption = "Spectra: what stays and what moves with speed" if speeds > 1 else one
-        plan("spectra.png", caption, spectra_figure, campbell)
+        plan("spectra", caption, spectra_figure, campbell)
     return made

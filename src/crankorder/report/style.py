@@ -6,7 +6,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -14,14 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.font_manager import get_font
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from crankorder.findings import Findings
 from crankorder.plot.axes import decade_text
 from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
-from crankorder.report.drawing.typeface import drawable
+from crankorder.report.drawing.typeface import drawable, shortened, text_width_in
 
 __all__ = [
     "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",
@@ -36,9 +34,6 @@ NOTE: dict[str, Any] = {
     "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 2},
 }
 
-_FONT = (
-    Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-)  # ships with matplotlib: same bytes anywhere
 _LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
 _HOUSE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
@@ -47,6 +42,7 @@ _HOUSE: dict[str, Any] = {
     "xtick.color": FAINT, "ytick.color": FAINT, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
     "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
     "lines.linewidth": 1.3, "figure.facecolor": "white", "axes.facecolor": "white", "savefig.facecolor": "white",
+    "svg.hashsalt": "crankorder",
     "axes.unicode_minus": True, "axes.formatter.use_mathtext": False, "path.simplify": True,
 }  # fmt: skip
 _NOT_LOOK = ("backend", "interactive", "toolbar", "timezone", "tk.", "webagg.", "keymap.", "docstring.", "_internal")
@@ -70,7 +66,7 @@ def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> No
     """Bold ``title`` and a ``sentence`` under it, from ``left_in`` inches at the top of ``figure``, cut to fit."""
     width, height = figure.get_size_inches()
     room = width - left_in - 0.2
-    write(figure, left_in, height - 0.34, shortened(title, LARGE * 1.1, room), fontsize=LARGE, fontweight="bold")
+    write(figure, left_in, height - 0.34, shortened(title, LARGE, room, bold=True), fontsize=LARGE, fontweight="bold")
     if sentence:
         write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
 
@@ -101,22 +97,6 @@ def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> T
     """``text``, taken literally, at (``x_in``, ``y_in``) inches on ``figure``; ``look``: matplotlib text properties."""
     width, height = figure.get_size_inches()
     return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
-
-
-@cache
-def text_width_in(text: str, size: float) -> float:
-    """Width in inches of ``text`` in the house's font at ``size`` points."""
-    font = get_font(str(_FONT))
-    font.set_size(size, 72)
-    font.set_text(text, 0.0)
-    return float(font.get_width_height()[0]) / 64 / 72
-
-
-def shortened(text: str, size: float, width_in: float) -> str:
-    """``text`` cut with an ellipsis where it is wider than ``width_in`` inches at ``size`` points."""
-    while len(text) > 1 and text_width_in(text, size) > width_in:
-        text = text[: -max(2, len(text) // 12)] + "…"
-    return text
 
 
 def quiet_frame(axes: Axes) -> None:

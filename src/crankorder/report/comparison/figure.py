@@ -216,7 +216,7 @@ def _draw_cells(
     *,
     dpi: int,
 ) -> None:
-    rows, columns = pixels_of(panel.box, panel.drawing, dpi)
+    rows, columns = pixels_of(panel.box, dpi)
     half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
     shown = []

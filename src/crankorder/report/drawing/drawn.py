@@ -1,18 +1,25 @@
-"""A picture as a list of what is drawn, in inches from its lower left corner; its pixels come last."""
+"""A picture as a list of what is drawn, in inches from its lower left corner; matplotlib draws it when it is asked for.
+
+The layout is settled here, before a renderer is there: labels are spread by the widths of their texts, and tests read
+what lies where.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.report.drawing.canvas import Canvas, Clip
-from crankorder.report.drawing.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL, rgb_of
-from crankorder.report.drawing.typeface import CAP_HEIGHT, LAYOUT_DPI, shortened, text_width_in
+from crankorder.report.drawing.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL
+from crankorder.report.drawing.typeface import CAP_HEIGHT, shortened, text_width_in
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
 
 Box = tuple[float, float, float, float]
 """Left, bottom, width and height in inches."""
@@ -36,25 +43,24 @@ class Stroke:
     name: str = ""
     values: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def draw(self, canvas: Canvas, dpi: float) -> None:
-        """Draw it on ``canvas`` at ``dpi``; a ``square`` one (upright or level) on whole pixels."""
-        width = self.width * dpi / 72
-        places = _pixels(self.points, canvas, dpi)
-        clip = _clip(self.within, canvas, dpi)
-        if self.square:
-            width = max(1.0, float(np.rint(width)))
-            if not self.dashes[0]:
-                canvas.rectangle(_around(places, int(width)), rgb=rgb_of(self.color), alpha=self.alpha, clip=clip)
-                return
-            places = np.floor(places) + 0.5 if width % 2 else np.rint(places)
-        if self.dashes[0]:
-            places = _dashed(places, self.dashes[0] * width, self.dashes[1] * width)
-        canvas.stroke(places, width=width, rgb=rgb_of(self.color), alpha=self.alpha, clip=clip)
+    def artists(self, figure: Figure) -> Iterator[Artist]:
+        """The line for ``figure``; a ``square`` one (upright or level) lies on whole pixels."""
+        from matplotlib.lines import Line2D
+
+        from crankorder.report.drawing.whole_pixels import PixelLine
+
+        dashed = bool(self.dashes[0])
+        yield (PixelLine if self.square else Line2D)(
+            self.points[:, 0], self.points[:, 1], color=self.color, alpha=self.alpha, linewidth=self.width,
+            linestyle=(0.0, self.dashes) if dashed else "-", dash_capstyle="butt",
+            snap=self.square, solid_capstyle="butt" if self.square else "round", solid_joinstyle="round",
+            **_placed(figure, self.within),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Area:
-    """The area between two curves over the same places along, in inches."""
+    """The area between two curves over the same places along, in inches; nothing where one is NaN."""
 
     along: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -64,13 +70,19 @@ class Area:
     within: Box | None = None
     name: str = ""
 
-    def draw(self, canvas: Canvas, dpi: float) -> None:
-        """Draw it on ``canvas`` at ``dpi`` pixels per inch."""
-        rows = canvas.pixels.shape[0]
-        canvas.area(
-            self.along * dpi, rows - self.high * dpi, rows - self.low * dpi,
-            rgb=rgb_of(self.color), alpha=self.alpha, clip=_clip(self.within, canvas, dpi),
-        )  # fmt: skip
+    def artists(self, figure: Figure) -> Iterator[Artist]:
+        """One patch for ``figure`` for each run of places where both curves are known."""
+        from matplotlib.patches import Polygon
+
+        known = np.isfinite(self.along) & np.isfinite(self.low) & np.isfinite(self.high)
+        low, high = (np.column_stack([self.along, edge]) for edge in (self.low, self.high))
+        for run in np.split(np.flatnonzero(known), np.flatnonzero(np.diff(np.flatnonzero(known)) > 1) + 1):
+            if len(run) > 1:
+                outline = np.concatenate([low[run], high[run][::-1]])
+                yield Polygon(
+                    outline, closed=True, facecolor=self.color, edgecolor="none", alpha=self.alpha,
+                    **_placed(figure, self.within),
+                )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,11 +98,14 @@ class Rings:
     name: str = ""
     values: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def draw(self, canvas: Canvas, dpi: float) -> None:
-        """Draw them on ``canvas`` at ``dpi`` pixels per inch."""
-        canvas.rings(
-            _pixels(self.points, canvas, dpi), radius=self.radius * dpi / 72, width=self.width * dpi / 72,
-            rgb=rgb_of(self.color), alpha=self.alpha, clip=_clip(self.within, canvas, dpi),
+    def artists(self, figure: Figure) -> Iterator[Artist]:
+        """The circles for ``figure``."""
+        from matplotlib.lines import Line2D
+
+        yield Line2D(
+            self.points[:, 0], self.points[:, 1], linestyle="none", marker="o", markersize=2 * self.radius,
+            markeredgewidth=self.width, markeredgecolor=self.color, alpha=self.alpha,
+            markerfacecolor="none" if self.width else self.color, **_placed(figure, self.within),
         )  # fmt: skip
 
 
@@ -118,15 +133,17 @@ class Words:
             return self.x - base - CAP_HEIGHT * em, self.y + start, (CAP_HEIGHT + _DESCENT) * em, width
         return self.x + start, self.y + base - _DESCENT * em, width, (CAP_HEIGHT + _DESCENT) * em
 
-    def draw(self, canvas: Canvas, dpi: float) -> None:
-        """Write it on ``canvas`` at ``dpi`` pixels per inch."""
-        size = self.size * dpi / 72
-        start = -_ALONG[self.along] * text_width_in(self.text, self.size * dpi / LAYOUT_DPI, bold=self.bold)
-        start *= LAYOUT_DPI  # pixels
-        drop = _BASELINE[self.across] * size
-        x, y = self.x * dpi, canvas.pixels.shape[0] - self.y * dpi
-        x, y = (x + drop, y - start) if self.upward else (x + start, y + drop)
-        canvas.text(self.text, x, y, size_px=size, rgb=rgb_of(self.color), bold=self.bold, upward=self.upward)
+    def artists(self, figure: Figure) -> Iterator[Artist]:
+        """The text for ``figure``, by its baseline."""
+        from matplotlib.text import Text
+
+        drop = _BASELINE[self.across] * self.size / 72
+        yield Text(
+            self.x + drop * self.upward, self.y - drop * (not self.upward), self.text, color=self.color,
+            fontsize=self.size, fontweight="bold" if self.bold else "normal",
+            horizontalalignment="center" if self.along == "centre" else self.along, verticalalignment="baseline",
+            rotation=90.0 if self.upward else 0.0, rotation_mode="anchor", parse_math=False, **_placed(figure, None),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -136,15 +153,11 @@ class Field:
     rgb: NDArray[np.uint8]
     box: Box
 
-    def draw(self, canvas: Canvas, dpi: float) -> None:
-        """Set its pixels on ``canvas`` at ``dpi`` pixels per inch."""
-        left, top, right, bottom = _edges(self.box, canvas, dpi)
-        rows, columns = bottom - top, right - left
-        block = self.rgb
-        if block.shape[:2] != (rows, columns):
-            take = [np.arange(n) * have // n for n, have in zip((rows, columns), block.shape[:2], strict=True)]
-            block = block[take[0][:, None], take[1][None, :]]
-        canvas.image(block, left, top)
+    def artists(self, figure: Figure) -> Iterator[Artist]:
+        """The image for ``figure``, from whole pixel to whole pixel."""
+        from crankorder.report.drawing.whole_pixels import PixelImage
+
+        yield PixelImage(self.rgb, self.box)
 
 
 @dataclass
@@ -172,12 +185,25 @@ class Drawing:
         """Lines whose names begin with ``prefix``."""
         return [part for part in self.parts if isinstance(part, Stroke) and part.name.startswith(prefix)]
 
-    def png(self, *, dpi: int) -> bytes:
-        """PNG at ``dpi`` pixels per inch, the same bytes for the same picture."""
-        canvas = Canvas(round(self.width_in * dpi), round(self.height_in * dpi))
-        for part in self.parts:
-            part.draw(canvas, dpi)
-        return canvas.png(dpi=dpi)
+    def figure(self) -> Figure:
+        """The picture as a figure of matplotlib."""
+        from crankorder.report.style import new_figure
+
+        figure = new_figure(self.width_in, self.height_in)
+        for number, part in enumerate(self.parts):
+            for artist in part.artists(figure):
+                artist.set_zorder(number)
+                figure.add_artist(artist)
+        return figure
+
+
+def _placed(figure: Figure, within: Box | None) -> dict[str, Any]:
+    """Properties of an artist of ``figure`` whose places are inches, cut off beyond ``within``."""
+    from matplotlib.transforms import Bbox, TransformedBbox
+
+    inches = figure.dpi_scale_trans
+    clip = None if within is None else TransformedBbox(Bbox.from_bounds(*within), inches)
+    return {"transform": inches, "clip_box": clip, "clip_on": clip is not None}
 
 
 def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> None:
@@ -199,46 +225,12 @@ def quality_note(drawing: Drawing, findings: Findings) -> None:
         drawing.add(Words(drawing.width_in - 0.2, 0.14, text, SMALL + 0.5, MAINS, along="right"))
 
 
-def pixels_of(box: Box, drawing: Drawing, dpi: int) -> tuple[int, int]:
-    """Rows and columns that a :class:`Field` over ``box`` of ``drawing`` has at ``dpi``."""
-    height = round(drawing.height_in * dpi)
-    top, bottom = height - round((box[1] + box[3]) * dpi), height - round(box[1] * dpi)
-    return bottom - top, round((box[0] + box[2]) * dpi) - round(box[0] * dpi)
+def whole(places: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Whole pixels of ``places`` in pixels, a half upwards, as matplotlib snaps lines to them."""
+    return np.asarray(np.floor(places + 0.5), dtype=np.int64)
 
 
-def _edges(box: Box, canvas: Canvas, dpi: float) -> Clip:
-    height = canvas.pixels.shape[0]
-    left, bottom, right, top = box[0], box[1], box[0] + box[2], box[1] + box[3]
-    return round(left * dpi), height - round(top * dpi), round(right * dpi), height - round(bottom * dpi)
-
-
-def _around(places: NDArray[np.float64], width: int) -> Clip:
-    """Whole pixels of an upright or level line between two ``places``, ``width`` pixels thick."""
-    (x0, y0), (x1, y1) = np.minimum(*places), np.maximum(*places)
-    half = width // 2
-    if x1 - x0 < y1 - y0:
-        left = int(np.floor(x0)) - half
-        return left, int(np.floor(y0)), left + width, int(np.floor(y1)) + 1
-    top = int(np.floor(y0)) - half
-    return int(np.floor(x0)), top, int(np.floor(x1)) + 1, top + width
-
-
-def _clip(within: Box | None, canvas: Canvas, dpi: float) -> Clip | None:
-    return None if within is None else _edges(within, canvas, dpi)
-
-
-def _pixels(points: NDArray[np.float64], canvas: Canvas, dpi: float) -> NDArray[np.float64]:
-    places = np.asarray(points, dtype=float) * dpi
-    places[:, 1] = canvas.pixels.shape[0] - places[:, 1]
-    return np.asarray(places)
-
-
-def _dashed(points: NDArray[np.float64], on: float, off: float) -> NDArray[np.float64]:
-    """A line of ``points`` cut into dashes ``on`` long with gaps of ``off``, as one line broken at NaN."""
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    starts = np.arange(0.0, along[-1], on + off)
-    ends = np.minimum(starts + on, along[-1])
-    places = np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).ravel()
-    kept = np.concatenate([[True], steps > 0])
-    return np.stack([np.interp(places, along[kept], points[kept, axis]) for axis in (0, 1)], axis=1)
+def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
+    """Rows and columns that a :class:`Field` over ``box`` has at ``dpi``."""
+    left, right, bottom, top = whole(dpi * np.array([box[0], box[0] + box[2], box[1], box[1] + box[3]]))
+    return int(top - bottom), int(right - left)
