@@ -1,1 +1,1 @@
-"""What pictures are made of: canvas, type, axes, keys and labels."""
+"""What pictures of the report are made of: what is drawn, type, axes, keys and labels."""
