@@ -13,7 +13,7 @@ import numpy as np
 
 from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError, printable
 from crankorder.ingest.folder import is_leftover, natural_key
-from crankorder.ingest.formats import contents_of, read_file
+from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
 from crankorder.ingest.rawfile import Contents, RawFile, Source
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, is_uniform
@@ -230,7 +230,7 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
                 'run.toml here that takes them together: files = ["*/*"]',
             )
         raise NoUsableRecordingError(
-            "no recording found; looked for HDF5, WAV, XLSX, MATLAB, NumPy, LVM and text files",
+            f"no recording found; looked for {', '.join(known.name for known in FORMATS)} and text files",
             file=folder,
             found="; ".join(str(fault) for fault in faults[:3]) or "an empty folder",
         )

@@ -15,15 +15,17 @@ from crankorder.ingest.folder import check_regular
 from crankorder.ingest.rawfile import HDF5_SIGNATURE, Contents, RawFile, Source
 from crankorder.settings import IngestSettings
 
+UFF_SIGN = rb"\s{0,8}-1[ \t]*\r?\n\s{0,8}[0-9]{1,4}b?[ \t\r\n]"
+"""First two lines of a universal file."""
 HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
 _BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".npy", ".dat")
 _HEAD_BYTES = 8192
 # what the first bytes say, and what to do with a format that is not read
 _EXPORT = "Export the recording to HDF5, WAV or text"
 _UNREAD: tuple[tuple[bytes, str, str], ...] = (
-    (b"TDSm", "a TDMS file", f"not supported yet. {_EXPORT}"),
-    (b"MDF     ", "an MDF4 file", f"not supported yet. {_EXPORT}"),
     (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
+    (b"MDF     3", "an MDF3 file", "not supported. Save it as MDF4"),
+    (b"MDF     2", "an MDF2 file", "not supported. Save it as MDF4"),
     (b"CDF\x01", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"CDF\x02", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"CDF\x05", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
@@ -93,6 +95,10 @@ def _is_xlsx(path: Path, head: bytes) -> bool:
     return True
 
 
+def _is_uff(path: Path, head: bytes) -> bool:
+    return re.match(UFF_SIGN, head) is not None
+
+
 FORMATS = (
     Format("HDF5", "hdf5", _is_hdf5, by_rows=True),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
     Format("WAV", "wav", _is_wav, by_rows=True),
@@ -100,6 +106,9 @@ FORMATS = (
     Format("NumPy", "numpy_file", _begins(b"\x93NUMPY"), by_rows=True),
     Format("LVM", "lvm", _begins(b"LabVIEW Measurement")),
     Format("XLSX", "xlsx", _is_xlsx),
+    Format("UFF", "uff", _is_uff),
+    Format("TDMS", "tdms", _begins(b"TDSm")),
+    Format("MDF4", "mdf", _begins(b"MDF     4")),
 )
 """Formats with a sign of their own, in the order in which they are tried; the rest is text, or refused."""
 
@@ -129,6 +138,8 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` limit what is read. Raises what :func:`read_file` raises.
     """
     found: Contents = format_of(path).function("contents")(path, settings=settings)
+    if not found.names:
+        raise InputError("holds no channel of numbers", file=path, remedy="Export the recording again")
     return found
 
 
@@ -174,8 +185,6 @@ def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
         raise UnsafeInputError("is a Python pickle, which can run code: never opened", file=path, remedy=_EXPORT)
     if re.match(rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)", head, re.IGNORECASE):
         _refuse(path, "an HTML or XML page", "not a recording. Download the file itself: this may be an error page")
-    if re.match(rb"\s{0,8}-1\r?\n\s{0,8}(58|151|164|15|55|82)", head):
-        _refuse(path, "a universal file (UFF)", f"not supported yet. {_EXPORT}")
     if suffix == ".hdf":
         _refuse(path, "not HDF5 (HEAD .hdf is a format of its own)", "not supported. Export UFF58, WAV or HDF5")
     if b"\0" in head:

@@ -153,6 +153,9 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
     unit = known_unit(stated) if stated not in STATES_NO_UNIT else known_unit(told)
     label = _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
     role = _role(name, label, "" if unit is None else unit.quantity, contents, values.get(name))
+    n_samples, longest = contents.samples.get(name), max(contents.samples.values(), default=0)
+    if n_samples is not None and n_samples < longest and role != "encoder":
+        return Column(name, _source(name, contents), "unused", label, unit, f"{n_samples} samples of {longest}")
     doubt = "the first column grows in even steps: taken for seconds" if role == "time" and label.isdigit() else ""
     if stated in STATES_NO_UNIT and unit is not None:
         doubt = f"unit {told} as the name of the column says"

@@ -12,20 +12,49 @@ from typing import Any
 import numpy as np
 
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError
+from crankorder.ingest.child import in_child
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, named
 from crankorder.ingest.text import names_and_units
 from crankorder.settings import IngestSettings
 
 _BANNER_ROWS = 50
+_UNPACKED = 10  # bytes of numbers for each byte of a workbook, as a rule at most
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the first sheet of ``path``.
 
     ``settings`` give the byte limit. Raises InputError naming row and cell for a cell that is no number, and
-    EnvironmentFailure where the package openpyxl is missing.
+    EnvironmentFailure where the package openpyxl is missing, UnsafeInputError where it goes beyond its limits.
     """
-    with _first_sheet(path, settings) as sheet:
+    openpyxl, n_bytes = _parser(path), _UNPACKED * path.stat().st_size
+    made: RawFile = in_child(lambda: _read(openpyxl, path, sources, settings), path, n_bytes=n_bytes)
+    return made
+
+
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names and units of the columns of the first sheet of the workbook at ``path``; reads what stands above it only.
+
+    ``settings`` give the byte limit. Raises what :func:`read` raises.
+    """
+    openpyxl = _parser(path)
+    made: Contents = in_child(lambda: _contents(openpyxl, path, settings), path, n_bytes=path.stat().st_size)
+    return made
+
+
+def _parser(path: Path) -> Any:
+    """openpyxl, loaded here so that no child needs to."""
+    try:
+        import openpyxl
+    except ImportError:
+        raise EnvironmentFailure(
+            "reading XLSX needs the package openpyxl", file=path, remedy="Install it with: pip install crankorder[xlsx]"
+        ) from None
+    return openpyxl
+
+
+def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    with _first_sheet(openpyxl, path, settings) as sheet:
         rows = sheet.iter_rows(values_only=True)
         names, units, first, n_above = _header(rows, path)
         positions = [names.index(named(source, names, path)) for source in sources]
@@ -51,24 +80,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     )
 
 
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names and units of the columns of the first sheet of the workbook at ``path``; reads what stands above it only.
-
-    ``settings`` give the byte limit. Raises what :func:`read` raises.
-    """
-    with _first_sheet(path, settings) as sheet:
+def _contents(openpyxl: Any, path: Path, settings: IngestSettings) -> Contents:
+    with _first_sheet(openpyxl, path, settings) as sheet:
         names, units, _, _ = _header(sheet.iter_rows(values_only=True), path)
     return Contents(format="XLSX", names=names, units=units)
 
 
 @contextmanager
-def _first_sheet(path: Path, settings: IngestSettings) -> Iterator[Any]:
-    try:
-        import openpyxl
-    except ImportError:
-        raise EnvironmentFailure(
-            "reading XLSX needs the package openpyxl", file=path, remedy="Install it with: pip install crankorder[xlsx]"
-        ) from None
+def _first_sheet(openpyxl: Any, path: Path, settings: IngestSettings) -> Iterator[Any]:
     try:
         with zipfile.ZipFile(path) as archive:
             check_budget(sum(item.file_size for item in archive.infolist()), path, max_bytes=settings.max_bytes)

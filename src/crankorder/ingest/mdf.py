@@ -1,0 +1,146 @@
+"""MDF4 measurement files (ASAM), by time or by crank angle, read by asammdf in a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.errors import EnvironmentFailure
+from crankorder.ingest.child import in_child
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, common_rate, distinct, named
+from crankorder.settings import IngestSettings
+
+_MASTERS = {1: ("time", "s"), 2: ("angle", "deg"), 4: ("index", "1")}
+_JITTER = 0.25  # of a step, by which a stamp may lie off an even grid
+_REALS = "iufb"
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a channel lies: its group, its number there (-1: the master), its length, unit and rate."""
+
+    group: int
+    number: int
+    n_samples: int
+    unit: str
+    rate_hz: float | None
+
+
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Channels that ``sources`` ask for, by name or number from 0, from the MDF4 file at ``path``, converted.
+
+    The stamps of a group are a column too: ``"time"`` in s or ``"angle"`` in degrees; names that come again have a
+    number behind them. The rate is that of even stamps. ``settings`` give the byte limit. Invalid samples are NaN.
+    Raises InputError for damage or a missing name, EnvironmentFailure where asammdf is missing, UnsafeInputError where
+    the parser goes beyond its limits.
+    """
+    parser = _parser(path)
+    places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
+    names = [named(source, tuple(places), path) for source in sources]
+    n_bytes = sum(8 * places[name].n_samples for name in names)
+    check_budget(n_bytes, path, max_bytes=settings.max_bytes)
+    wanted = {name: places[name] for name in names}
+    columns, starts = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
+    rates = {name: rate for name in names if (rate := places[name].rate_hz) is not None}
+    return RawFile(
+        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
+        units={source: places[name].unit for source, name in zip(sources, names, strict=True) if places[name].unit},
+        rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance),
+        attrs={"start_s": next((starts[name] for name in names if name in rates), 0.0)},
+    )
+
+
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names, lengths, units and rates of the channels of real numbers in the MDF4 file at ``path``.
+
+    ``settings`` are those of :func:`read`, whose errors it raises.
+    """
+    parser = _parser(path)
+    places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
+    return Contents(
+        format="MDF4",
+        names=tuple(places),
+        samples={name: place.n_samples for name, place in places.items()},
+        units={name: place.unit for name, place in places.items() if place.unit},
+        rates_hz={name: place.rate_hz for name, place in places.items() if place.rate_hz is not None},
+    )
+
+
+def _parser(path: Path) -> Any:
+    """asammdf, loaded here so that no child needs to."""
+    try:
+        import asammdf
+    except ModuleNotFoundError:
+        raise EnvironmentFailure(
+            "reading MDF4 files needs the package asammdf", file=path, remedy="Run: pip install 'crankorder[mdf]'"
+        ) from None
+    return asammdf.MDF
+
+
+def _places(parser: Any, path: Path) -> dict[str, _Place]:
+    found: list[tuple[str, _Place]] = []
+    with parser(str(path)) as file:
+        for group, members in enumerate(file.groups):
+            n_samples = int(members.channel_group.cycles_nr)
+            master = file.masters_db.get(group)
+            if not n_samples:
+                continue
+            kind = int(members.channels[master].sync_type) if master is not None else 0
+            rate_hz = None
+            if kind in _MASTERS:
+                name, unit = _MASTERS[kind]
+                found.append((name, _Place(group, -1, n_samples, unit, None)))
+                rate_hz = _rate(np.asarray(file.get_master(group), dtype=np.float64)) if kind == 1 else None
+            for number, channel in enumerate(members.channels):
+                first = None if number == master else _samples(file, channel.name, group, number, most=1)
+                if first is not None:
+                    unit = str(channel.unit or "")
+                    found.append((str(channel.name), _Place(group, number, n_samples, unit, rate_hz)))
+    return dict(zip(distinct([name for name, _ in found]), (place for _, place in found), strict=True))
+
+
+def _rate(stamps: NDArray[np.float64]) -> float | None:
+    """Samples per second of even ``stamps``, None where they are not."""
+    if stamps.size < 3 or not np.isfinite(stamps).all() or not stamps[-1] > stamps[0]:
+        return None
+    step = (stamps[-1] - stamps[0]) / (stamps.size - 1)
+    off = np.abs(stamps - stamps[0] - step * np.arange(stamps.size)).max()
+    return float(f"{1.0 / step:.12g}") if off < _JITTER * step else None
+
+
+def _samples(file: Any, name: str, group: int, number: int, *, most: int | None = None) -> NDArray[Any] | None:
+    """Samples of a channel, NaN where the file calls them invalid; None where they are no real numbers."""
+    found = file.get(name, group=group, index=number, ignore_invalidation_bits=True, record_count=most, raw=False)
+    values = np.asarray(found.samples)
+    if values.ndim != 1 or values.dtype.kind not in _REALS:
+        return None
+    small = values.dtype.itemsize <= 2 or values.dtype == np.float32
+    made = values.astype(np.float32 if small else np.float64)
+    invalid = getattr(found, "invalidation_bits", None)
+    if invalid is not None and np.size(invalid) == made.size:
+        made[np.asarray(invalid, dtype=bool)] = np.nan
+    return made
+
+
+def _read(parser: Any, path: Path, wanted: dict[str, _Place]) -> tuple[dict[str, Any], dict[str, float]]:
+    """Columns by name, and the first stamp of the group of each."""
+    columns: dict[str, Any] = {}
+    starts: dict[str, float] = {}
+    with parser(str(path)) as file:
+        names = list(file.groups)
+        for name, place in wanted.items():
+            channels = names[place.group].channels
+            stamps = np.asarray(file.get_master(place.group), dtype=np.float64)
+            starts[name] = float(stamps[0]) if stamps.size else 0.0
+            if place.number >= 0:
+                columns[name] = _samples(file, channels[place.number].name, place.group, place.number)
+                continue
+            master = channels[file.masters_db[place.group]]
+            radians = place.unit == "deg" and str(master.unit).strip().lower() in ("rad", "radian", "radians", "")
+            columns[name] = np.rad2deg(stamps) if radians else stamps
+    return columns, starts

@@ -1,0 +1,289 @@
+"""Universal files (UFF): time histories of data sets 58, as text or binary (58b).
+
+Layout after the University of Cincinnati Structural Dynamics Research Lab, Universal File Format, data set 58.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.errors import InputError, UnsafeInputError, printable
+from crankorder.ingest.rawfile import (
+    Contents,
+    FloatArray,
+    RawFile,
+    Source,
+    check_budget,
+    common_rate,
+    distinct,
+    flag,
+    named,
+)
+from crankorder.quantities import QualityFlag
+from crankorder.settings import IngestSettings
+
+_DELIMITER = re.compile(rb"(?m)^[ \t]{0,8}-1[ \t]*\r?$\n?")
+_END = re.compile(rb"\s{0,12}-1[ \t]*\r?(?:\n|\Z)")
+_HEADER_LINES = 11
+_MOST_LINE_BYTES = 400
+_TIME_RESPONSE, _TIME = 1, 17
+# ordinate data type: numpy's letter and width in bytes, characters of a value as text
+_REAL = {2: ("f4", 13), 4: ("f8", 20)}
+_DIRECTION = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
+_FUNCTIONS = {
+    0: "general", 2: "auto spectrum", 3: "cross spectrum", 4: "frequency response", 5: "transmissibility",
+    6: "coherence", 7: "auto correlation", 8: "cross correlation", 9: "power spectral density",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _History:
+    """One time history: its name, unit, points as the header promises them, sampling, and where its samples lie."""
+
+    name: str
+    unit: str
+    n_points: int
+    n_present: int
+    step_s: float
+    step_doubt: float
+    start_s: float
+    kind: int
+    order: str
+    binary: bool
+    first: int
+    last: int
+
+
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Time histories that ``sources`` ask for, by name or number from 0, from the universal file at ``path``.
+
+    A history is called by the point and direction of its response, else by its first line of text. ``settings`` give
+    the byte and object limits. Raises InputError for damage, a missing name, or a file without time histories.
+    """
+    with _mapped(path) as data:
+        found = _histories(data, path, settings)
+        names = [named(source, tuple(found), path) for source in sources]
+        check_budget(sum(found[name].n_points * 8 for name in names), path, max_bytes=settings.max_bytes)
+        columns = {name: _samples(data, found[name], path) for name in dict.fromkeys(names)}
+    doubt = max((found[name].step_doubt for name in names), default=0.0)
+    rates = {name: 1.0 / found[name].step_s for name in names}
+    return RawFile(
+        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
+        units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
+        rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance + 2.0 * doubt),
+        attrs={"start_s": found[names[0]].start_s, "rate_uncertainty": doubt} if names else {},
+        flags=_flags(found, columns, path),
+    )
+
+
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names, lengths, units and rates of the time histories of the universal file at ``path``; reads headers only.
+
+    ``settings`` give the object limit. Raises what :func:`read` raises.
+    """
+    with _mapped(path) as data:
+        found = _histories(data, path, settings)
+    return Contents(
+        format="UFF",
+        names=tuple(found),
+        samples={name: one.n_present for name, one in found.items() if one.binary},
+        units={name: one.unit for name, one in found.items() if one.unit},
+        rates_hz={name: 1.0 / one.step_s for name, one in found.items()},
+        rate_uncertainty=max(one.step_doubt for one in found.values()),
+    )
+
+
+def _mapped(path: Path) -> mmap.mmap:
+    with path.open("rb") as stream:
+        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _flags(found: dict[str, _History], columns: dict[str, FloatArray], path: Path) -> list[QualityFlag]:
+    short = [name for name, samples in columns.items() if samples.size < found[name].n_points]
+    if not short:
+        return []
+    name = short[0]
+    detail = f"{name}: the header promises {found[name].n_points} samples, {columns[name].size} are there"
+    return [flag(path, "missing_data", "suspect", detail)]
+
+
+def _histories(data: mmap.mmap, path: Path, settings: IngestSettings) -> dict[str, _History]:
+    """Time histories by name, in the order of the file."""
+    made: list[_History] = []
+    others: dict[str, None] = {}
+    place, count = 0, 0
+    while (begin := _DELIMITER.search(data, place)) is not None:
+        count += 1
+        if count > settings.max_objects:
+            raise UnsafeInputError(f"more than {settings.max_objects} data sets", file=path, remedy="Split the file")
+        line, after = _line(data, begin.end())
+        if re.match(rb"\s*58b?\b", line) is None:
+            others[f"data set {printable(line.decode('latin-1').strip(), 12)}"] = None
+            end = _DELIMITER.search(data, after)
+            place = end.end() if end is not None else len(data)
+            continue
+        one, place = _history(data, line, after, path)
+        if isinstance(one, _History):
+            made.append(one)
+        else:
+            others[one] = None
+    if not made:
+        raise InputError(
+            "holds no time histories (data set 58, function type 1)",
+            file=path,
+            found=", ".join(list(others)[:5]) or "no data set",
+            remedy="Export the time signals",
+        )
+    names = distinct([one.name for one in made])
+    return dict(zip(names, made, strict=True))
+
+
+def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:
+    """The line at ``place`` without its end, and where the next begins; long ones are cut."""
+    end = data.find(b"\n", place)
+    end = len(data) if end < 0 else end
+    return data[place : min(end, place + _MOST_LINE_BYTES)].rstrip(b"\r"), end + 1
+
+
+def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_History | str, int]:
+    """The data set 58 whose header begins at ``place``, or what it is where it is no time history; and its end."""
+    where = f"data set 58 at byte {place}"
+    lines: list[bytes] = []
+    for _ in range(_HEADER_LINES):
+        line, place = _line(data, place)
+        lines.append(line)
+    text = [_text(line) for line in lines]
+    try:
+        function, (form, n_points, spacing) = int(text[5][:5]), (int(cell) for cell in text[6].split()[:3])
+        start_s, step = float(text[6].split()[3]), text[6].split()[4]
+        abscissa = int(text[7][:10])
+    except (ValueError, IndexError):
+        raise InputError("damaged: the header of a data set is wrong", file=path, place=where) from None
+    binary = b"b" in kind
+    n_bytes, order = _binary_layout(kind, path, where) if binary else (0, "<")
+    last = place + n_bytes
+    if not binary:
+        end = _DELIMITER.search(data, place)
+        last = end.start() if end is not None else len(data)
+    behind = _END.match(data, min(last, len(data)))
+    after = behind.end() if behind is not None else min(last, len(data))
+    if function != _TIME_RESPONSE or abscissa not in (0, _TIME):
+        return f"function type {function} ({_FUNCTIONS.get(function, 'other')})", after
+    problem = _unfit(form, n_points, spacing, step)
+    if problem:
+        raise InputError(problem, file=path, place=where, remedy="Export real samples at even steps of time")
+    letter, _ = _REAL[form]
+    last = min(last, len(data))
+    present = (last - place) // int(letter[1]) if binary else n_points
+    made = _History(
+        name=_name(text), unit=_unit(text[8]), n_points=n_points, n_present=min(present, n_points), step_s=float(step),
+        step_doubt=_last_digit(step), start_s=start_s, kind=form, order=order, binary=binary, first=place, last=last,
+    )  # fmt: skip
+    return made, after
+
+
+def _text(line: bytes) -> str:
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+def _binary_layout(kind: bytes, path: Path, where: str) -> tuple[int, str]:
+    """Bytes of the samples and their order, from the first line of a data set 58b."""
+    cells = kind.split()
+    try:
+        order, floats, n_lines, n_bytes = (int(cell) for cell in cells[1:5])
+    except ValueError:
+        raise InputError("damaged: the header of a binary data set is wrong", file=path, place=where) from None
+    if order not in (1, 2) or floats != 2 or n_lines != _HEADER_LINES or n_bytes < 0:
+        raise InputError(
+            "a binary data set of a kind that is not read",
+            file=path,
+            place=where,
+            found=printable(kind.decode("latin-1")),
+            allowed="byte order 1 or 2, IEEE 754 numbers (2), 11 lines of text",
+        )
+    return n_bytes, "<" if order == 1 else ">"
+
+
+def _unfit(form: int, n_points: int, spacing: int, step: str) -> str:
+    """Why samples of this form cannot be a recording, empty where they can."""
+    if form not in _REAL:
+        return f"samples of type {form} are complex or unknown"
+    if n_points < 0:
+        return f"{n_points} samples"
+    try:
+        good = float(step) > 0.0 and np.isfinite(float(step))
+    except ValueError:
+        good = False
+    return "" if spacing == 1 and good else "samples at uneven steps of time"
+
+
+def _last_digit(step: str) -> float:
+    """Relative size of half a unit in the last place of a number as text."""
+    mantissa = re.match(r"[+-]?([0-9]*)\.?([0-9]*)", step.strip())
+    digits = (mantissa[1] + mantissa[2]).lstrip("0") if mantissa else ""
+    # 5.00000E-05 is 50 µs, not a rounded step
+    return 0.0 if len(digits.rstrip("0")) <= 3 else 0.5 / float(digits)
+
+
+def _name(text: list[str]) -> str:
+    """What a history is called: the point and direction of its response, else its entity, else the first line."""
+    cells = text[5]
+    entity = cells[30:41].strip()
+    entity = "" if entity.upper() in ("NONE", "") else entity
+    try:
+        node, direction = int(cells[41:51]), int(cells[51:55])
+    except ValueError:
+        node, direction = 0, 0
+    sense = _DIRECTION.get(abs(direction), "")
+    way = sense.replace("+", "-") if direction < 0 else sense
+    point = f"{node}{way}"
+    if node and way and entity != point:
+        return f"{entity}:{point}" if entity else point
+    first = re.sub(r"\s*:.*$", "", text[0].strip())
+    return entity or ("" if first.upper() == "NONE" else first) or "1"
+
+
+def _unit(line: str) -> str:
+    """Unit of the ordinate: its label's last part."""
+    unit = line[46:].strip()
+    return "" if unit.upper() == "NONE" else unit
+
+
+def _samples(data: mmap.mmap, one: _History, path: Path) -> FloatArray:
+    """Samples of ``one``, those that are there."""
+    letter, width = _REAL[one.kind]
+    block = data[one.first : one.last]
+    if one.binary:
+        found = np.frombuffer(block[: len(block) // int(letter[1]) * int(letter[1])], f"{one.order}{letter}")
+        return np.asarray(found[: one.n_points], dtype=np.dtype(letter))
+    try:
+        return _numbers(block, width)[: one.n_points].astype(letter)
+    except ValueError as error:
+        raise InputError(
+            "not a number",
+            file=path,
+            place=f"data set 58 at byte {one.first}",
+            found=str(error),
+            remedy="Export it again",
+        ) from None
+
+
+def _numbers(block: bytes, width: int) -> NDArray[np.float64]:
+    """Numbers of a ``block`` of lines in columns of ``width`` characters, or between blanks."""
+    lines = [line.rstrip() for line in block.replace(b"D", b"E").replace(b"d", b"e").splitlines()]
+    full = max((len(line) for line in lines), default=0)
+    full += -full % width
+    if any(len(line.split()) > 1 and len(line.split()) != -(-len(line) // width) for line in lines[:3]):
+        return np.array(b" ".join(lines).split(), dtype=np.float64)
+    table = np.frombuffer(b"".join(line.ljust(full, b"\0") for line in lines), dtype=f"S{width}")
+    return np.asarray(table[table != b""].astype(np.float64))

@@ -1,0 +1,106 @@
+"""Parsers of others run in a process of their own: bombs and crashes end in an error within the limits."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crankorder.errors import CrankorderError, InputError, UnsafeInputError
+from crankorder.ingest import child
+from crankorder.ingest.child import in_child
+from crankorder.ingest.formats import contents_of, read_file
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    (tmp_path / "a.xyz").write_bytes(b"x" * 100)
+    return tmp_path / "a.xyz"
+
+
+def test_the_value_and_our_own_errors_come_back(path):
+    made = in_child(lambda: {"a": np.arange(1000.0)}, path, n_bytes=8000)
+    np.testing.assert_array_equal(made["a"], np.arange(1000.0))
+
+    def refuse() -> None:
+        raise InputError("no such channel", file=path, place="a", found="b")
+
+    with pytest.raises(InputError, match=r"a\.xyz: a: no such channel; found b"):
+        in_child(refuse, path, n_bytes=0)
+
+
+def test_what_a_parser_raises_is_named_with_the_file(path):
+    with pytest.raises(InputError, match=r"a\.xyz: damaged: cannot be parsed; found ZeroDivisionError"):
+        in_child(lambda: 1 / 0, path, n_bytes=0)
+
+
+def test_memory_and_time_have_their_limits(path, monkeypatch):
+    with pytest.raises(UnsafeInputError, match="too much memory"):
+        in_child(lambda: np.ones(10**9), path, n_bytes=0)
+    monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
+    begun = time.monotonic()
+    with pytest.raises(UnsafeInputError, match="too long"):
+        in_child(lambda: time.sleep(60), path, n_bytes=0)
+    assert time.monotonic() - begun < 5.0
+
+
+def test_a_crash_of_the_parser_ends_it_alone(path):
+    with pytest.raises(CrankorderError):
+        in_child(lambda: os.kill(os.getpid(), signal.SIGKILL), path, n_bytes=0)
+
+
+SHEET = (
+    '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>{}</sheetData></worksheet>'
+)
+
+
+def workbook(path: Path, rows: str, *, strings: bytes = b"") -> None:
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.append(["a", "b"])
+    book.save(path)
+    with zipfile.ZipFile(path) as old:
+        parts = {name: old.read(name) for name in old.namelist()}
+    parts["xl/worksheets/sheet1.xml"] = SHEET.format(rows).encode()
+    if strings:
+        parts["xl/sharedStrings.xml"] = strings
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+        for name, data in parts.items():
+            new.writestr(name, data)
+
+
+def _refused(path: Path, limits) -> None:
+    begun = time.monotonic()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    with pytest.raises(CrankorderError, match=path.name):
+        read_file(path, sources=[0], settings=limits)
+    assert time.monotonic() - begun < 20.0  # 10 s and its margin on a loaded machine
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss - before < 1_200_000  # KiB, with this process's own
+
+
+@pytest.mark.slow
+def test_a_workbook_that_claims_two_thousand_million_rows_is_refused(tmp_path, limits):
+    cell = '<row r="{0}"><c r="A{0}"><v>1</v></c><c r="B{0}"><v>2</v></c></row>'
+    workbook(tmp_path / "bomb.xlsx", cell.format(1) + cell.format(2_000_000_000))
+    assert (tmp_path / "bomb.xlsx").stat().st_size < 10_000
+    _refused(tmp_path / "bomb.xlsx", limits)
+
+
+@pytest.mark.slow
+def test_a_workbook_of_endless_shared_strings_is_refused(tmp_path, limits):
+    many = b"<si><t>" + b"x" * 1000 + b"</t></si>"
+    head = b'<sst xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main">'
+    row = '<row r="1"><c r="A1" t="s"><v>0</v></c></row><row r="2"><c r="A2"><v>1</v></c></row>'
+    workbook(tmp_path / "bomb.xlsx", row, strings=head + many * 600_000 + b"</sst>")
+    _refused(tmp_path / "bomb.xlsx", limits)
+    with pytest.raises(CrankorderError):
+        contents_of(tmp_path / "bomb.xlsx", settings=limits)

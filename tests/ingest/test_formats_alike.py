@@ -1,0 +1,183 @@
+"""The same signals in every format become the same Recording, from a draft that nobody edits but for what it asks."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import wave
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from crankorder.errors import CrankorderError, InputError
+from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.formats import contents_of, read_file
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+
+RATE_HZ, LENGTH_S, REVS_PER_S, TEETH = 8192.0, 3.0, 20.5, 36
+
+Columns = dict[str, np.ndarray]
+
+
+def columns(seed: int) -> Columns:
+    """Time, acceleration in g, and the pulses of a wheel of 36-2 teeth."""
+    time_s = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
+    turns = REVS_PER_S * time_s
+    acc = np.sin(2 * np.pi * 2.0 * turns) + 0.05 * np.random.default_rng(seed).standard_normal(time_s.size)
+    tooth = np.floor(turns * TEETH) % TEETH
+    pulses = ((turns * TEETH % 1.0 < 0.5) & (tooth < TEETH - 2)).astype(float)
+    return {"time": time_s, "acc": acc, "crank": pulses}
+
+
+def as_csv(folder: Path, made: Columns) -> None:
+    table = np.column_stack(list(made.values()))
+    np.savetxt(folder / "a.csv", table, delimiter=";", header="Time [s];acc [g];crank", comments="", fmt="%.9g")
+
+
+def as_xlsx(folder: Path, made: Columns) -> None:
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.append(["Test bench 7, exported by hand"])
+    book.active.append(["Time [s]", "acc [g]", "crank"])
+    for row in np.column_stack(list(made.values())).tolist():
+        book.active.append(row)
+    book.save(folder / "a.xlsx")
+
+
+def as_hdf5(folder: Path, made: Columns) -> None:
+    with h5py.File(folder / "a.h5", "w") as file:
+        file.attrs["Sample Rate"] = RATE_HZ
+        file["acc"], file["crank"] = made["acc"], made["crank"]
+        file["acc"].attrs["units"] = "g"
+
+
+def as_npy(folder: Path, made: Columns) -> None:
+    np.save(folder / "a.npy", np.column_stack([made["acc"], made["crank"]]))
+
+
+def as_wav(folder: Path, made: Columns) -> None:
+    with wave.open(str(folder / "a.wav"), "wb") as file:
+        file.setnchannels(2)
+        file.setsampwidth(4)
+        file.setframerate(int(RATE_HZ))
+        scaled = np.column_stack([made["acc"] / 4.0, made["crank"] / 2.0]) * 2.0**31
+        file.writeframes(np.clip(scaled, -(2.0**31), 2.0**31 - 1).astype("<i4").tobytes())
+
+
+def as_mat5(folder: Path, made: Columns) -> None:
+    scipy.io.savemat(folder / "a.mat", {"acc": made["acc"], "crank": made["crank"], "fs": RATE_HZ})
+
+
+def as_mat73(folder: Path, made: Columns) -> None:
+    with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
+        for key in ("acc", "crank"):
+            file[key] = made[key][:, None].T  # MATLAB's columns lie the other way round
+        file["fs"] = np.array([[RATE_HZ]])
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    path = folder / "a.mat"
+    path.write_bytes(head.ljust(512, b"\0") + path.read_bytes()[512:])
+
+
+def as_tdms(folder: Path, made: Columns) -> None:
+    nptdms = pytest.importorskip("nptdms", reason="the package nptdms (extra tdms) is not installed")
+    step = {"wf_increment": 1.0 / RATE_HZ, "wf_start_offset": 0.0, "wf_samples": made["acc"].size}
+    with nptdms.TdmsWriter(str(folder / "a.tdms")) as file:
+        for name, unit in (("acc", "g"), ("crank", "V")):
+            properties = step | {"unit_string": unit}
+            file.write_segment([nptdms.ChannelObject("bench", name, made[name], properties=properties)])
+
+
+def as_mdf4(folder: Path, made: Columns) -> None:
+    asammdf = pytest.importorskip("asammdf", reason="the package asammdf (extra mdf) is not installed")
+    with asammdf.MDF(version="4.10") as file:
+        stamps = made["time"]
+        signals = (("acc", "g"), ("crank", ""))
+        file.append([asammdf.Signal(made[name], stamps, unit=unit, name=name) for name, unit in signals])
+        slow = stamps[::100]
+        file.append([asammdf.Signal(20.0 + slow, slow, unit="°C", name="oil")])
+        file.save(folder / "a.mf4")
+
+
+def as_uff(folder: Path, made: Columns) -> None:
+    pyuff = pytest.importorskip("pyuff", reason="pyuff, which writes the file, is not installed")
+    file = pyuff.UFF(str(folder / "a.uff"))
+    for number, (name, unit) in enumerate((("acc", "g"), ("crank", "V")), start=1):
+        one = pyuff.prepare_58(
+            binary=number % 2, func_type=1, data=made[name], x=made["time"], id1=name, rsp_node=number, rsp_dir=3,
+            rsp_ent_name=name, ref_node=0, ref_dir=0, ord_data_type=4, abscissa_spacing=1, num_pts=made["time"].size,
+            abscissa_min=0.0, abscissa_inc=1.0 / RATE_HZ, abscissa_spec_data_type=17, ordinate_spec_data_type=12,
+            ordinate_axis_units_lab=unit, orddenom_spec_data_type=0, z_axis_spec_data_type=0,
+        )  # fmt: skip
+        file.write_sets(one, mode="add")
+
+
+WRITERS: dict[str, Callable[[Path, Columns], None]] = {
+    "CSV": as_csv, "XLSX": as_xlsx, "HDF5": as_hdf5, "NumPy": as_npy, "WAV": as_wav, "MATLAB 5": as_mat5,
+    "MATLAB 7.3": as_mat73, "TDMS": as_tdms, "MDF4": as_mdf4, "UFF": as_uff,
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:unclosed file", "ignore::pytest.PytestUnraisableExceptionWarning")  # by pyuff
+@pytest.mark.parametrize("kind", WRITERS)
+def test_one_signal_is_one_recording_in_every_format(tmp_path, settings, kind):
+    made = columns(len(kind))
+    WRITERS[kind](tmp_path, made)
+    draft = draft_manifest(tmp_path)
+    draft = draft.replace("# rate_hz = ", f"rate_hz = {RATE_HZ} #")  # the one thing that an array alone does not say
+    (tmp_path / "run.toml").write_text(draft, encoding="utf-8")
+    manifest = load_manifest(tmp_path)
+    assert manifest.encoder.kind == "square", draft
+    assert (manifest.encoder.pulses_per_rev, manifest.encoder.missing_teeth) == (TEETH, 2), draft
+    (channel,) = manifest.channels
+    (path,) = (one for one in tmp_path.iterdir() if one.name.startswith("a."))
+    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert recording.attrs["rate_hz"] == pytest.approx(RATE_HZ, rel=1e-5)
+    signal = recording["signal"].values[0]
+    scale = {"WAV": 4.0}.get(kind, 1.0)
+    np.testing.assert_allclose(signal * scale, made["acc"], atol=2e-6)
+    assert recording["pulse_time"].size == pytest.approx(LENGTH_S * REVS_PER_S * (TEETH - 2), abs=2)
+    states_unit = kind in ("CSV", "XLSX", "HDF5", "TDMS", "MDF4", "UFF")
+    assert (channel.unit == "g") == states_unit, draft
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.tdms", b"TDSm\x0e\0\0\0"),
+        ("a.mf4", b"MDF     4.10    "),
+        ("a.uff", b"    -1\n    58\n"),
+        ("b.tdms", b"TDSm"),
+    ],
+)
+def test_a_stump_is_an_error_that_names_the_file(tmp_path, limits, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(f"{name}: ")):
+        contents_of(tmp_path / name, settings=limits)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["TDMS", "MDF4", "UFF", "XLSX", "MATLAB 5"])
+@pytest.mark.filterwarnings("ignore:unclosed file", "ignore::pytest.PytestUnraisableExceptionWarning")  # by pyuff
+def test_a_mutation_ends_in_data_or_in_an_error_of_ours(tmp_path, limits, kind):
+    (tmp_path / "sound").mkdir()
+    made = {name: values[:2000] for name, values in columns(1).items()}
+    WRITERS[kind](tmp_path / "sound", made)
+    (sound,) = (tmp_path / "sound").iterdir()
+    whole = sound.read_bytes()
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        data = bytearray(whole[: rng.integers(8, len(whole) + 1)] if seed % 3 == 0 else whole)
+        for place in rng.integers(0, min(len(data), 4000) if seed % 2 else len(data), size=rng.integers(1, 9)):
+            data[place] = rng.integers(256)
+        path = tmp_path / sound.name
+        path.write_bytes(data)
+        with contextlib.suppress(CrankorderError):
+            names = contents_of(path, settings=limits).names
+            raw = read_file(path, sources=list(names), settings=limits)
+            assert all(column.ndim == 1 and column.dtype.kind == "f" for column in raw.columns.values())

@@ -1,0 +1,157 @@
+"""Universal files: text and binary histories as written by hand, and what is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crankorder.errors import InputError
+from crankorder.ingest.formats import contents_of, read_file
+
+STEP_S = 3.90625e-4  # 2560 Hz, exact in six digits
+
+
+def header(name: str, n: int, *, form: int = 2, function: int = 1, node: int = 3) -> str:
+    axis = 17 if function == 1 else 18
+    return "\n".join(
+        [
+            name, "NONE", "01-Jan-26 00:00:00", "NONE", "NONE",
+            f"{function:5d}{1:10d}{0:5d}{0:10d} {'NONE':10s}{node:10d}{-2:4d} {'NONE':10s}{0:10d}{0:4d}",
+            f"{form:10d}{n:10d}{1:10d}{0.5:13.5E}{STEP_S:13.5E}{0.0:13.5E}",
+            f"{axis:10d}{0:5d}{0:5d}{0:5d} {'Time':20s} {'s':20s}",
+            f"{12:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {'m/s^2':20s}",
+            f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
+            f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}", "",
+        ]
+    )  # fmt: skip
+
+
+def as_text(name: str, values: np.ndarray, *, form: int = 2, **more: object) -> bytes:
+    width, per_line, written = (13, 6, "13.5E") if form == 2 else (20, 4, "20.12E")
+    cells = [f"{value:{written}}" for value in values]
+    assert all(len(cell) == width for cell in cells)
+    rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
+    body = header(name, len(values), form=form, **more) + "\n".join(rows)  # type: ignore[arg-type]
+    return f"    -1\n    58\n{body}\n    -1\n".encode()
+
+
+def as_binary(name: str, values: np.ndarray, *, form: int = 2, order: int = 1, **more: object) -> bytes:
+    data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
+    first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
+    return f"    -1\n{first}{header(name, len(values), form=form, **more)}".encode() + data + b"\n    -1\n"  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def read(tmp_path, limits):
+    def read(*sets: bytes, sources=(0,)):
+        path = tmp_path / "a.uff"
+        path.write_bytes(b"".join(sets))
+        return read_file(path, sources=list(sources), settings=limits), contents_of(path, settings=limits)
+
+    return read
+
+
+@pytest.mark.parametrize("form", [2, 4])
+@pytest.mark.parametrize("n", [1, 5, 6, 7, 100, 1001])
+def test_text_of_any_length_reads_to_its_digits(read, form, n):
+    values = np.random.default_rng(n).normal(scale=100.0, size=n)  # signs touch the numbers before them
+    raw, contents = read(as_text("one", values, form=form))
+    np.testing.assert_allclose(raw.columns[0], values, rtol=1e-5 if form == 2 else 1e-12)
+    assert raw.rate_hz == pytest.approx(2560.0)
+    assert raw.attrs["start_s"] == 0.5
+    assert contents.names == ("3-Y",)
+    assert contents.units == {"3-Y": "m/s^2"}
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("form", [2, 4])
+def test_binary_of_either_byte_order_reads_exactly_whatever_its_bytes_are(read, form, order):
+    values = np.frombuffer(b"\n    -1\n" * 500, dtype="<f4").astype(float)  # samples that look like a delimiter
+    values[~np.isfinite(values)] = 0.0
+    raw, contents = read(
+        as_binary("one", values, form=form, order=order), as_text("two", np.ones(9), node=4), sources=(0, 1)
+    )
+    np.testing.assert_array_equal(raw.columns[0], values.astype("f4" if form == 2 else "f8"))
+    assert contents.names == ("3-Y", "4-Y")
+    assert raw.columns[1].tolist() == [1.0] * 9
+
+
+def test_other_sets_are_passed_over_and_a_file_without_histories_says_what_it_holds(read):
+    spectrum = as_text("frf", np.ones(8), function=4)
+    units = b"    -1\n   164\n         1  SI units            2\n    -1\n"
+    _, contents = read(units, spectrum, as_text("one", np.ones(8)), as_text("again", np.ones(8)))
+    assert contents.names == ("3-Y", "3-Y (2)")
+    with pytest.raises(InputError, match=r"no time histories.*data set 164, function type 4 \(frequency"):
+        read(units, spectrum)
+
+
+def test_what_is_missing_at_the_end_is_told(read):
+    whole = as_binary("one", np.arange(1000.0))
+    raw, contents = read(whole[: len(whole) // 2])
+    assert 0 < raw.columns[0].size == contents.samples["3-Y"] < 1000
+    assert raw.columns[0].tolist() == list(range(raw.columns[0].size))
+    (flag,) = raw.flags
+    assert (flag["flag"], flag["severity"]) == ("missing_data", "suspect")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("         2", "         5", "are complex or unknown"),
+        ("  3.90625E-04", "  0.00000E+00", "uneven steps of time"),
+        ("1.00000E+00", "1.0000OE+00", "not a number"),
+        ("    1         1    0", "    x         1    0", "the header of a data set is wrong"),
+    ],
+)
+def test_damage_is_named(read, old, new, words):
+    data = as_text("one", np.ones(7)).decode()
+    assert old in data
+    with pytest.raises(InputError, match=words):
+        read(data.replace(old, new, 1).encode())
+
+
+def test_binary_numbers_of_another_machine_are_refused(read):
+    data = as_binary("one", np.ones(7))
+    with pytest.raises(InputError, match="of a kind that is not read"):
+        read(data.replace(b"     1     2          11", b"     1     3          11"))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_damaged_bytes_end_in_data_or_a_clear_error(read, seed):
+    rng = np.random.default_rng(seed)
+    whole = bytearray(as_binary("one", np.arange(50.0)) + as_text("two", np.arange(50.0), node=5))
+    for _ in range(rng.integers(1, 6)):
+        whole[rng.integers(len(whole))] = rng.integers(256)
+    try:
+        raw, _ = read(bytes(whole[: rng.integers(20, len(whole) + 1)]))
+    except InputError as error:
+        assert "a.uff" in str(error)
+    else:
+        assert raw.columns[0].ndim == 1
+
+
+def test_a_real_pair_of_text_and_binary_holds_the_same_signal(real_data, limits):
+    folder = real_data / "formats" / "uff"
+    text, binary = (
+        read_file(folder / f"Sample_UFF58{kind}.uff", sources=[0], settings=limits) for kind in ("_ascii", "b_bin")
+    )
+    assert text.rate_hz == pytest.approx(65536.0, rel=3e-6)
+    assert text.units == {0: "Pa"}
+    np.testing.assert_allclose(text.columns[0], binary.columns[0], rtol=1e-5, atol=1e-9)
+    assert text.columns[0].size == 79292
+
+
+def test_what_the_reference_reader_reads_is_read_the_same(real_data, limits):
+    pyuff = pytest.importorskip("pyuff", reason="pyuff, the reference, is not installed")
+    for path in sorted((real_data / "formats" / "uff").glob("*.uff")):
+        sets = pyuff.UFF(str(path)).read_sets()
+        sets = sets if isinstance(sets, list) else [sets]
+        histories = [one for one in sets if one["type"] == 58 and one["func_type"] == 1]
+        if not histories:
+            with pytest.raises(InputError, match="no time histories"):
+                contents_of(path, settings=limits)
+            continue
+        raw = read_file(path, sources=list(range(len(histories))), settings=limits)
+        for number, one in enumerate(histories):
+            np.testing.assert_allclose(raw.columns[number], np.real(one["data"])[: raw.columns[number].size], rtol=1e-6)
+            assert raw.rate_hz == pytest.approx(1.0 / one["abscissa_inc"], rel=1e-6)
