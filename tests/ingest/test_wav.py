@@ -1,12 +1,13 @@
 """WAV files: all sample formats, the calibration chunk, and every way to be cut short."""
 
 import struct
+import time
 import wave
 
 import numpy as np
 import pytest
 
-from crankorder.errors import InputError
+from crankorder.errors import InputError, UnsafeInputError
 from crankorder.ingest.formats import contents_of, read_file
 
 RNG = np.random.default_rng(21)
@@ -82,11 +83,120 @@ def test_a_calibration_is_applied_wherever_its_chunk_stands(tmp_path, limits, la
     assert dict(raw.units) == {"mic": "Pa", 1: "tr/min"}
 
 
-def test_a_calibration_that_is_not_understood_is_refused(tmp_path, limits):
-    table = calibration((1.0, "mic", "Pa", 3.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0))
-    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), (b"data", STEREO.tobytes()), table))
-    with pytest.raises(InputError, match=r"calibration \(LEA chunk\) is not understood.*offset 3"):
-        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+DATA = (b"data", STEREO.tobytes())
+
+
+@pytest.mark.parametrize(
+    ("chunk", "said"),
+    [
+        (calibration((1.0, "mic", "Pa", 3.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0)), "offset 3"),
+        (calibration((1.0, "mic", "Pa", 0.0, 1.0)), "for 1 channels, the samples have 2"),
+        ((b"LEA ", b"LE01" + bytes(40)), "begins with 'LE01"),
+        ((b"LEA ", b""), "begins with ''"),
+        ((b"LEA ", calibration((1.0, "mic", "Pa", 0.0, 1.0))[1][:-3]), "cut short"),
+        ((b"iXML", b"<BWFXML><SENSITIVITY>49.8 mV/Pa</SENSITIVITY></BWFXML>"), "iXML speaks of a calibration"),
+        ((b"LIST", b"INFOICMT" + struct.pack("<I", 24) + b"calibrated at 94 dB SPL\0"), "speaks of a calibration"),
+        ((b"cals", "Full-Scale: 10 V".encode("utf-16-le")), "speaks of a calibration"),
+    ],
+)
+@pytest.mark.parametrize("stray", [False, True])
+def test_a_calibration_that_is_not_understood_is_told(tmp_path, limits, chunk, said, stray):
+    content = riff(layout(1, 2, 16), DATA, *([] if stray else [chunk]))
+    if stray:  # behind the end that the file declares
+        content += chunk[0] + struct.pack("<I", len(chunk[1])) + chunk[1]
+    (tmp_path / "a.wav").write_bytes(content)
+    raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+    if stray and chunk[0] != b"LEA ":
+        return  # of what stands there a calibration of that family alone is a chunk
+    (told,) = raw.flags
+    assert (told["flag"], told["severity"]) == ("calibration_unknown", "suspect") and said in told["detail"]
+    assert raw.units[0] == "FS"
+
+
+def test_notes_that_speak_of_no_calibration_are_no_doubt(tmp_path, limits):
+    note = (b"LIST", b"INFOISFT" + struct.pack("<I", 14) + b"Lavf58.29.100\0")
+    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), note, (b"bext", bytes(602)), DATA))
+    assert not read_file(tmp_path / "a.wav", sources=[0], settings=limits).flags
+
+
+@pytest.mark.parametrize("riff_bytes", [0, 36, 0xFFFFFFFF, 0x7FFFF024])
+@pytest.mark.parametrize("data_bytes", [0, 0xFFFFFFFF, 0xFFFFFFDB, 0x7FFFF000])
+@pytest.mark.parametrize("with_lea", [False, True])
+def test_samples_of_a_program_that_streams_are_read_to_the_end(tmp_path, limits, riff_bytes, data_bytes, with_lea):
+    lea = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
+    content = bytearray(riff(layout(1, 2, 16), DATA))
+    struct.pack_into("<I", content, 4, riff_bytes)
+    struct.pack_into("<I", content, 40, data_bytes)
+    content += (lea[0] + struct.pack("<I", len(lea[1])) + lea[1]) * with_lea
+    (tmp_path / "a.wav").write_bytes(content)
+    raw = read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+    np.testing.assert_allclose(raw.columns[1], STEREO[:, 1] / 32768 * (2.0 if with_lea else 1.0), rtol=1e-6)
+    assert raw.units[1] == ("Pa" if with_lea else "FS")
+    (told,) = raw.flags
+    assert told["flag"] == "missing_data" and "did not fill in" in told["detail"] and "1000" in told["detail"]
+
+
+@pytest.mark.parametrize("riff_bytes", [0, 0xFFFFFFFF])
+def test_a_file_whose_own_length_alone_is_not_filled_in_is_whole(tmp_path, limits, riff_bytes):
+    content = bytearray(riff(layout(1, 2, 16), DATA))
+    struct.pack_into("<I", content, 4, riff_bytes)
+    (tmp_path / "a.wav").write_bytes(content)
+    raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+    assert raw.columns[0].size == 1000 and not raw.flags
+
+
+def test_a_file_without_samples_is_refused(tmp_path, limits):
+    for name, chunks in (("a", [(b"data", b"")]), ("b", [(b"data", b""), (b"LIST", b"INFO")])):
+        (tmp_path / f"{name}.wav").write_bytes(riff(layout(1, 2, 16), *chunks))
+        with pytest.raises(InputError, match="no samples"):
+            read_file(tmp_path / f"{name}.wav", sources=[0], settings=limits)
+
+
+@pytest.mark.parametrize("name", [b"RF64", b"BW64"])
+@pytest.mark.parametrize("cut", [0, 100, 2400])
+def test_lengths_of_64_bits_are_read(tmp_path, limits, name, cut):
+    lea = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
+    ds64 = struct.pack("<QQQI", 0, len(DATA[1]), 1000, 1) + struct.pack("<4sQ", b"LEA ", len(lea[1]))
+    content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), lea, DATA))
+    content[:8] = name + b"\xff" * 4
+    for chunk in (b"data", b"LEA "):
+        struct.pack_into("<I", content, content.rindex(chunk) + 4, 0xFFFFFFFF)
+    (tmp_path / "a.wav").write_bytes(content[: len(content) - cut])
+    if cut > 1000:
+        with pytest.raises(InputError, match=r"truncated: 400 of 1000 samples"):
+            read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+        return
+    raw = read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+    np.testing.assert_allclose(raw.columns[1], STEREO[: 1000 - cut // 4, 1] / 16384, rtol=1e-6)
+    assert raw.units[1] == "Pa" and [one["flag"] for one in raw.flags] == ["missing_data"] * (cut > 0)
+
+
+def test_impossible_lengths_of_64_bits_are_refused(tmp_path, limits):
+    for claimed in (2**64 - 1, 2**63 - 1, 2**40 + 1):
+        ds64 = struct.pack("<QQQI", 0, claimed, 1000, 0)
+        content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), DATA))
+        content[:4] = b"RF64"
+        struct.pack_into("<I", content, content.rindex(b"data") + 4, 0xFFFFFFFF)
+        (tmp_path / "a.wav").write_bytes(content)
+        with pytest.raises(InputError, match=r"truncated: 1000 of [0-9]{12,} samples"):
+            read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+
+
+def test_a_rate_that_the_byte_rate_contradicts_is_told(tmp_path, limits):
+    head = bytearray(layout(1, 2, 16, 48_000)[1])
+    struct.pack_into("<I", head, 8, 44_100 * 4)
+    (tmp_path / "a.wav").write_bytes(riff((b"fmt ", bytes(head)), DATA))
+    raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+    (told,) = raw.flags
+    assert told["flag"] == "header_rate_disagrees" and "48000 Hz" in told["detail"] and "44100 Hz" in told["detail"]
+
+
+def test_millions_of_chunks_are_refused_at_once(tmp_path, limits):
+    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16)) + b"junk\0\0\0\0" * 8_000_000)
+    begun = time.process_time()
+    with pytest.raises(UnsafeInputError, match=r"a\.wav: holds more than 10000 chunks"):
+        contents_of(tmp_path / "a.wav", settings=limits)
+    assert time.process_time() - begun < 2.0
 
 
 def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(tmp_path, limits):

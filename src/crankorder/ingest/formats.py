@@ -30,7 +30,6 @@ _UNREAD: tuple[tuple[bytes, str, str], ...] = (
     (b"CDF\x02", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"CDF\x05", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"\x0e\x03\x13\x01", "an HDF4 file", "not HDF5, not supported. Convert it with `h4toh5`"),
-    (b"RF64", "an RF64 file", f"not supported yet. {_EXPORT}"),
     (b"RIFX", "a big-endian RIFF file", f"not supported yet. {_EXPORT}"),
     (b"fLaC", "a FLAC file", f"not supported yet. {_EXPORT}"),
     (b"OggS", "an Ogg file", "lossy and not supported. Export the original"),
@@ -77,7 +76,7 @@ def _is_hdf5(path: Path, head: bytes) -> bool:
 
 
 def _is_wav(path: Path, head: bytes) -> bool:
-    return head.startswith(b"RIFF") and (head[8:12] == b"WAVE" or len(head) < 12)
+    return head.startswith((b"RIFF", b"RF64", b"BW64")) and (head[8:12] == b"WAVE" or len(head) < 12)
 
 
 def _is_xlsx(path: Path, head: bytes) -> bool:

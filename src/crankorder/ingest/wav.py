@@ -1,4 +1,4 @@
-"""WAV files, with the calibration that an ``LEA`` chunk states.
+"""WAV and RF64 files, with the calibration that an ``LEA`` chunk states.
 
 The chunks are walked here and not by a library: a truncated file must be told from a whole one, the chunk after the
 samples holds the calibration, and scipy's reader speaks of it through ``warnings``, which is not safe in threads.
@@ -6,6 +6,7 @@ samples holds the calibration, and scipy's reader speaks of it through ``warning
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from crankorder.errors import InputError
+from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     Contents,
     FloatArray,
@@ -33,7 +34,17 @@ from crankorder.settings import IngestSettings
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 # below this share of the declared samples a cut recording is refused, above it it is used and flagged
 _MIN_PRESENT = 0.9
+_COPY, _LEAVE_OUT = "Copy it again", "Leave it out"
 _LEA = b"LEA "
+_MOST_OF_CHUNK = 1_000_000
+# lengths so near below 2 and 4 GiB stand where a program that streams cannot know them (0x7FFFF000, 0xFFFFFFDB, …)
+_NEARLY = 8192
+_UNKNOWN_FROM = (1 << 31) - _NEARLY
+_IN_DS64 = 0xFFFFFFFF
+_SPEAKS_OF_SCALE = re.compile(
+    rb"[^<>\n]{0,20}(calib|sensitiv|full.?scale|scale.?factor|mV/|V/(Pa|g|EU|\(?m/s)|kalib|empfindlich)[^<>\n]{0,20}",
+    re.I,
+)
 # so many bytes behind the samples are looked through for a calibration that no chain of chunks leads to
 _TAIL_BYTES = 4_000_000
 
@@ -52,9 +63,9 @@ class _Header:
     n_bits: int
     is_float: bool
     data_start: int
-    n_declared: int
     n_present: int
     calibrations: tuple[_Calibration, ...]
+    flags: tuple[QualityFlag, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,7 +88,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     Integer samples become fractions of full scale (-1 to 1), times the calibration where the file has one; ``settings``
     give the byte limit; ``rows``: of its samples, None for all. Raises InputError for a truncated or damaged file.
     """
-    header = _header_of(path)
+    header = _header_of(path, settings)
     numbers = [header.names.index(named(source, header.names, path)) for source in sources]
     frame_bytes = header.n_channels * header.n_bits // 8
     check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
@@ -95,7 +106,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         columns=dict(zip(sources, room, strict=True)),
         units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
         rate_hz=float(header.rate_hz),
-        flags=_flags(header, path),
+        flags=list(header.flags),
     )
 
 
@@ -113,7 +124,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
-    header = _header_of(path)
+    header = _header_of(path, settings)
     check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
     return Contents(
         format="WAV",
@@ -124,49 +135,78 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     )
 
 
-def _header_of(path: Path) -> _Header:
+def _header_of(path: Path, settings: IngestSettings) -> _Header:
     size = path.stat().st_size
     layout: bytes | None = None
-    calibrations: tuple[_Calibration, ...] = ()
-    data_start, data_bytes = -1, 0
+    found = _Calibrated()
+    start, length, is_open = -1, 0, False
     with path.open("rb") as stream:
         declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
-        for name, start, length in _chunks(stream, size, declared):
+        for number, (name, begin, n_bytes) in enumerate(_chunks(stream, size, declared)):
+            if number > settings.max_objects:
+                raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", file=path, remedy=_LEAVE_OUT)
             if name == b"data":
-                data_start, data_bytes = start, length
-            elif start + length > size and (data_start < 0 or name == _LEA):
-                raise InputError(f"truncated: {size} of {start + length} bytes", file=path, remedy="Copy it again")
+                start, length = begin, n_bytes
+                is_open = not _is_filled_in(stream, start, length, size)
+                if is_open:
+                    break
+            elif begin + n_bytes > size and (start < 0 or name == _LEA):
+                raise InputError(f"truncated: {size} of {begin + n_bytes} bytes", file=path, remedy=_COPY)
             elif name == b"fmt ":
-                layout = stream.read(min(length, 64))
-            elif name == _LEA:
-                calibrations = _calibrations(stream.read(min(length, 1_000_000)), path)
-        if not calibrations and data_start > 0:
-            calibrations = _stray_calibrations(stream, data_start + data_bytes, size, path)
-    if layout is None or len(layout) < 16 or data_start < 0:
-        raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy="Copy it again")
-    if data_bytes in (0xFFFFFFFF, 0) and size > data_start:
-        raise InputError("was not closed by its writer: the length of the samples is not filled in", file=path)
-    if data_start + data_bytes <= size < declared - 1:  # the last byte may be that which fills up an odd chunk
-        raise InputError(f"truncated after the samples: {size} of {declared} bytes", file=path, remedy="Copy it again")
-    return _checked(path, layout, data_start, data_bytes, min(data_bytes, size - data_start), calibrations)
+                layout = stream.read(min(n_bytes, 64))
+            else:
+                found.look_into(name, stream.read(min(n_bytes, _MOST_OF_CHUNK)))
+        if layout is None or len(layout) < 16 or start < 0 or (length == 0 and not is_open):
+            raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy=_COPY)
+        stray = None if _LEA in found.seen else _stray_chunk(stream, start if is_open else start + length, size)
+    if stray is not None:
+        found.look_into(_LEA, stray[1])
+    if is_open:
+        length = (size if stray is None else stray[0]) - start
+    elif start + length <= size < declared - 1 < _UNKNOWN_FROM:  # the last byte may be that which fills up an odd chunk
+        raise InputError(f"truncated after the samples: {size} of {declared} bytes", file=path, remedy=_COPY)
+    return _checked(path, layout, start, length, min(length, size - start), found, is_open=is_open)
+
+
+def _is_filled_in(stream: BinaryIO, start: int, length: int, size: int) -> bool:
+    """Whether ``length`` of the samples, which begin at ``start``, is what a writer knew: who streams never does."""
+    if length == 0:
+        return start >= size or _is_chunk(stream, start, size)
+    return start + length <= size or not any(0 < full - length <= _NEARLY for full in (1 << 31, 1 << 32))
 
 
 def _chunks(stream: BinaryIO, size: int, declared: int) -> Iterator[tuple[bytes, int, int]]:
     """Name, first byte and length of each chunk of a file of ``size`` bytes, the ``stream`` standing at its first byte.
 
     Some programs leave out the byte that fills up an odd chunk, and write the calibration behind the end of the file
-    that they have ``declared``: of what stands there that alone is a chunk.
+    that they have ``declared``: of what stands there that alone is a chunk. Lengths of 64 bits (RF64) stand in a chunk
+    of their own.
     """
-    position = 12
+    position, is_behind_samples = 12, False
+    long: dict[bytes, int] = {}
     while position + 8 <= size:
         name, length = _head(stream, position)
-        if position >= declared and name != _LEA:
+        if position >= declared and name != _LEA and is_behind_samples:
             return
+        length = long.get(name, length) if length == _IN_DS64 else length
         stream.seek(position + 8)
+        if name == b"ds64":
+            long = _long_lengths(stream.read(min(length, _MOST_OF_CHUNK)))
+            stream.seek(position + 8)
         yield name, position + 8, length
+        is_behind_samples |= name == b"data"
         end = position + 8 + length
         filled = length % 2 and (_is_chunk(stream, end + 1, size) or not _is_chunk(stream, end, size))
         position = end + bool(filled)
+
+
+def _long_lengths(chunk: bytes) -> dict[bytes, int]:
+    """Lengths by name of the chunks of an RF64 file (EBU Tech 3306) whose own fields are too small for them."""
+    if len(chunk) < 28:
+        return {}
+    found = {b"data": struct.unpack_from("<Q", chunk, 8)[0]}
+    count = min(struct.unpack_from("<I", chunk, 24)[0], (len(chunk) - 28) // 12)
+    return found | dict(struct.iter_unpack("<4sQ", chunk[28 : 28 + 12 * count]))
 
 
 def _head(stream: BinaryIO, position: int) -> tuple[bytes, int]:
@@ -177,27 +217,52 @@ def _head(stream: BinaryIO, position: int) -> tuple[bytes, int]:
 
 def _is_chunk(stream: BinaryIO, position: int, size: int) -> bool:
     """Whether a chunk that the file holds begins at ``position``, as its name and length tell."""
+    if position + 8 > size:
+        return False
     name, length = _head(stream, position)
     return all(32 <= octet < 127 for octet in name) and name[:1].isalpha() and position + 8 + length <= size + 1
 
 
-def _stray_calibrations(stream: BinaryIO, data_end: int, size: int, path: Path) -> tuple[_Calibration, ...]:
-    """Calibrations of a chunk behind the samples, which end at ``data_end``, to which no other chunk leads."""
-    if data_end >= size:
-        return ()
-    stream.seek(data_end)
+def _stray_chunk(stream: BinaryIO, begin: int, size: int) -> tuple[int, bytes] | None:
+    """First byte and content of a chunk of calibrations behind ``begin``, to which no other chunk leads."""
+    if begin >= size:
+        return None
+    begin = max(begin, size - _TAIL_BYTES)
+    stream.seek(begin)
     tail = stream.read(_TAIL_BYTES)
     place = tail.find(_LEA)
-    if place < 0 or tail[place + 8 : place + 10] != b"le":
-        return ()
+    if place < 0 or len(tail) < place + 8:
+        return None
     length = struct.unpack_from("<I", tail, place + 4)[0]
-    return _calibrations(tail[place + 8 : place + 8 + length], path)
+    return (begin + place, tail[place + 8 : place + 8 + length]) if place + 8 + length <= len(tail) else None
+
+
+class _Calibrated:
+    """What the chunks beside the samples say of a calibration."""
+
+    def __init__(self) -> None:
+        self.calibrations: tuple[_Calibration, ...] = ()
+        self.seen: set[bytes] = set()
+        self.doubts: list[str] = []
+
+    def look_into(self, name: bytes, chunk: bytes) -> None:
+        """Take the calibrations of the ``chunk``, or note that it speaks of one that is not understood."""
+        self.seen.add(name)
+        shown = printable(name.decode("latin-1").strip(), 8)
+        if name == _LEA:
+            try:
+                self.calibrations = _calibrations(chunk)
+            except ValueError as error:
+                self.doubts.append(f"its calibration (chunk {shown}) is not understood: {error}")
+        elif (word := _SPEAKS_OF_SCALE.search(chunk.replace(b"\0", b""))) is not None:
+            spoken = printable(word[0].decode("latin-1"), 60)
+            self.doubts.append(f"its chunk {shown} speaks of a calibration that is not read: {spoken!r}")
 
 
 def _checked(
-    path: Path, layout: bytes, data_start: int, declared: int, present: int, calibrations: tuple[_Calibration, ...]
+    path: Path, layout: bytes, data_start: int, declared: int, present: int, found: _Calibrated, *, is_open: bool
 ) -> _Header:
-    code, n_channels, rate_hz, _, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
+    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
     if code == _EXTENSIBLE and len(layout) >= 26:
         code = struct.unpack_from("<H", layout, 24)[0]
     allowed = {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}.get(code, ())
@@ -219,29 +284,36 @@ def _checked(
         raise InputError(
             f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples",
             file=path,
-            remedy="Copy it again",
+            remedy=_COPY,
         )
+    n_declared, n_present = declared // frame_bytes, present // frame_bytes
+    flags = []
+    if n_present < n_declared:
+        flags.append(flag(path, "missing_data", "suspect", f"truncated: {n_present} of {n_declared} samples"))
+    if is_open:
+        detail = f"its writer did not fill in how many samples there are: {n_present} are there, and more may be lost"
+        flags.append(flag(path, "missing_data", "suspect", detail))
+    if byte_rate not in (0, rate_hz * frame_bytes):
+        detail = (
+            f"the header states {rate_hz} Hz, and {byte_rate} bytes per second, "
+            f"which are {byte_rate / frame_bytes:.6g} Hz; the first is taken"
+        )
+        flags.append(flag(path, "header_rate_disagrees", "suspect", detail))
+    calibrations, doubts = found.calibrations, list(found.doubts)
     if calibrations and len(calibrations) != n_channels:
-        raise InputError(
-            f"the calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}", file=path
-        )
-    return _Header(
-        rate_hz,
-        n_channels,
-        n_bits,
-        code == _FLOAT,
-        data_start,
-        declared // frame_bytes,
-        present // frame_bytes,
-        calibrations,
-    )
+        doubts.append(f"its calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}")
+        calibrations = ()
+    if doubts and not calibrations:
+        detail = f"{'; '.join(doubts[:3])}: levels are fractions of full scale; state a sensitivity"
+        flags.append(flag(path, "calibration_unknown", "suspect", detail))
+    return _Header(rate_hz, n_channels, n_bits, code == _FLOAT, data_start, n_present, calibrations, tuple(flags))
 
 
-def _calibrations(chunk: bytes, path: Path) -> tuple[_Calibration, ...]:
+def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
     """Calibrations of an ``LEA`` chunk, decoded from recordings of which the physical values are known.
 
     Per channel: ``le`` and two digits, length, float32 full scale, name and unit (each a length and its characters),
-    float32 offset (0 wherever seen), float32 factor.
+    float32 offset (0 wherever seen), float32 factor. Raises ValueError saying what is not so.
     """
     found: list[_Calibration] = []
     position = 0
@@ -255,17 +327,15 @@ def _calibrations(chunk: bytes, path: Path) -> tuple[_Calibration, ...]:
             name, unit = record[6 : 6 + n_name], record[8 + n_name : 8 + n_name + n_unit]
             scale = float(np.float64(full_scale) * np.float64(factor))
             if offset != 0.0 or not (np.isfinite(scale) and scale > 0):
-                raise InputError(
-                    "the calibration (LEA chunk) is not understood",
-                    file=path,
-                    place=f"channel {len(found)}",
-                    found=f"full scale {full_scale:g}, offset {offset:g}, factor {factor:g}",
-                    remedy="Export the recording as float WAV, and state a sensitivity",
+                raise ValueError(
+                    f"channel {len(found)} has full scale {full_scale:g}, offset {offset:g}, factor {factor:g}"
                 )
             found.append(_Calibration(name.decode("latin-1"), unit.decode("latin-1"), scale))
             position += 8 + length
     except struct.error:
-        raise InputError("the calibration (LEA chunk) is cut short", file=path, remedy="Copy it again") from None
+        raise ValueError(f"the record of channel {len(found)} is cut short") from None
+    if not found:
+        raise ValueError(f"begins with {printable(chunk[:8].decode('latin-1'), 20)!r}")
     return tuple(found)
 
 
@@ -287,10 +357,3 @@ def _decoded(data: bytes, header: _Header) -> np.ndarray[Any, np.dtype[Any]]:
         return (wide.view("<i4") >> 8).reshape(-1, header.n_channels)
     kind = "f" if header.is_float else "u" if header.n_bits == 8 else "i"
     return np.frombuffer(data, f"<{kind}{header.n_bits // 8}").reshape(-1, header.n_channels)
-
-
-def _flags(header: _Header, path: Path) -> list[QualityFlag]:
-    if header.n_present == header.n_declared:
-        return []
-    detail = f"truncated: {header.n_present} of {header.n_declared} samples"
-    return [flag(path, "missing_data", "suspect", detail)]
