@@ -259,9 +259,8 @@ class _Calibrated:
             self.doubts.append(f"its chunk {shown} speaks of a calibration that is not read: {spoken!r}")
 
 
-def _checked(
-    path: Path, layout: bytes, data_start: int, declared: int, present: int, found: _Calibrated, *, is_open: bool
-) -> _Header:
+def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]:
+    """Format code, channels, rate, bytes per second and per frame, and bits of a ``fmt`` chunk that is read."""
     code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
     if code == _EXTENSIBLE and len(layout) >= 26:
         code = struct.unpack_from("<H", layout, 24)[0]
@@ -280,6 +279,13 @@ def _checked(
             file=path,
             found=f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes",
         )
+    return code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits
+
+
+def _checked(
+    path: Path, layout: bytes, data_start: int, declared: int, present: int, found: _Calibrated, *, is_open: bool
+) -> _Header:
+    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = _layout_of(layout, path)
     if present < _MIN_PRESENT * declared:
         raise InputError(
             f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples",
@@ -287,26 +293,24 @@ def _checked(
             remedy=_COPY,
         )
     n_declared, n_present = declared // frame_bytes, present // frame_bytes
-    flags = []
-    if n_present < n_declared:
-        flags.append(flag(path, "missing_data", "suspect", f"truncated: {n_present} of {n_declared} samples"))
-    if is_open:
-        detail = f"its writer did not fill in how many samples there are: {n_present} are there, and more may be lost"
-        flags.append(flag(path, "missing_data", "suspect", detail))
-    if byte_rate not in (0, rate_hz * frame_bytes):
-        detail = (
-            f"the header states {rate_hz} Hz, and {byte_rate} bytes per second, "
-            f"which are {byte_rate / frame_bytes:.6g} Hz; the first is taken"
-        )
-        flags.append(flag(path, "header_rate_disagrees", "suspect", detail))
-    calibrations, doubts = found.calibrations, list(found.doubts)
+    doubts = list(found.doubts)
+    calibrations = found.calibrations
     if calibrations and len(calibrations) != n_channels:
         doubts.append(f"its calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}")
         calibrations = ()
+    told: dict[str, str] = {}
+    if n_present < n_declared or is_open:
+        lacks = f"its writer did not fill in how many samples there are: {n_present} are there, and more may be lost"
+        told["missing_data"] = lacks if is_open else f"truncated: {n_present} of {n_declared} samples"
+    if byte_rate not in (0, rate_hz * frame_bytes):
+        other = f"{byte_rate} bytes per second, which are {byte_rate / frame_bytes:.6g} Hz"
+        told["header_rate_disagrees"] = f"the header states {rate_hz} Hz, and {other}; the first is taken"
     if doubts and not calibrations:
-        detail = f"{'; '.join(doubts[:3])}: levels are fractions of full scale; state a sensitivity"
-        flags.append(flag(path, "calibration_unknown", "suspect", detail))
-    return _Header(rate_hz, n_channels, n_bits, code == _FLOAT, data_start, n_present, calibrations, tuple(flags))
+        told["calibration_unknown"] = (
+            f"{'; '.join(doubts[:3])}: levels are fractions of full scale; state a sensitivity"
+        )
+    flags = tuple(flag(path, name, "suspect", detail) for name, detail in told.items())
+    return _Header(rate_hz, n_channels, n_bits, code == _FLOAT, data_start, n_present, calibrations, flags)
 
 
 def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
