@@ -30,6 +30,7 @@ from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import DONE
 from crankorder.batch.store import json_bytes
+from crankorder.channel_units import with_real_units
 from crankorder.errors import InputError, RequestError
 from crankorder.findings import Findings
 from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, shaft_of, units_of
@@ -38,7 +39,8 @@ from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
-from crankorder.report.netcdf import findings_datasets, plain_attrs
+from crankorder.report.netcdf import plain_attrs
+from crankorder.report.published import findings_datasets, published, root_attrs
 from crankorder.settings import Settings, load_settings
 from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_shaft
@@ -210,7 +212,7 @@ def order_map(
     """
     orders = {"max_order": max_order, "revs_per_frame": revs_per_frame, "speed_bin_rpm": speed_bin_rpm}
     settings = _settings("order_map", recipe=recipe, orders={**orders, "tolerance": tol})
-    return _analysed(recordings, settings)[0]["order_map"]
+    return with_real_units(_analysed(recordings, settings)[0]["order_map"])
 
 
 def campbell_map(
@@ -235,7 +237,7 @@ def campbell_map(
     """
     campbell = {"max_frequency_hz": max_frequency_hz, "resolution_hz": resolution_hz}
     settings = _settings("campbell_map", recipe=recipe, campbell=campbell, orders={"speed_bin_rpm": speed_bin_rpm})
-    return _analysed(recordings, settings)[0]["campbell_map"]
+    return with_real_units(_analysed(recordings, settings)[0]["campbell_map"])
 
 
 def order_tracks(
@@ -260,7 +262,7 @@ def order_tracks(
     named = None if orders is None else tuple(np.atleast_1d(np.asarray(orders, dtype=np.float64)).tolist())
     results = ("order_tracks",) if named else ("order_tracks", "findings")
     asked = {"track_orders": named, "track_method": method}
-    return _analysed(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"]
+    return with_real_units(_analysed(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"])
 
 
 def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | None = None) -> xr.Dataset:
@@ -280,7 +282,7 @@ def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | Non
     if not bearings:
         raise RequestError("no bearing is named", file="crankorder.envelope", allowed="bearings=[{...}], one or more")
     settings = _settings("envelope_map", recipe=recipe)
-    return _analysed(recordings, settings, tables={"bearings": bearings})[0]["envelope_map"]
+    return with_real_units(_analysed(recordings, settings, tables={"bearings": bearings})[0]["envelope_map"])
 
 
 def diagnose(
@@ -363,10 +365,9 @@ def run(
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
     options = {"tables": tables, "engine": engine, "test": test, "strict": strict}
     groups, findings = _analysed(tests, settings, **options)  # type: ignore[arg-type]
-    tables_of = {name: plain_attrs(table) for name, table in findings_datasets(findings).items()}
-    return xr.DataTree.from_dict(
-        {**{name: plain_attrs(group) for name, group in groups.items()}, **tables_of}, name=test
-    )
+    root = xr.Dataset(attrs=root_attrs(findings, groups))
+    made = {name: plain_attrs(published(one)) for name, one in {**groups, **findings_datasets(findings)}.items()}
+    return xr.DataTree.from_dict({"/": root, **made}, name=test)
 
 
 def open(path: str | os.PathLike[str]) -> xr.DataTree:
