@@ -158,4 +158,4 @@ def _units_of(key: str) -> str:
 
 
 def _listed(values: Any) -> str:
-    return ", ".join(f"{value:.12g}" if isinstance(value, float) else str(value) for value in values)
+    return ", ".join(str(value) for value in values)
