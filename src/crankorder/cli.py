@@ -483,6 +483,25 @@ def compare(
 
 
 @main.command()
+@click.argument("result", type=FOLDER)
+@click.option("--to", required=True, type=click.Choice(["uff58", "csv", "parquet"]), help="What is written.")
+@click.option("--binary", is_flag=True, help="Universal files in binary form (58b).")
+@click.option(
+    "--out", type=FOLDER, default=Path("crankorder-export"), show_default=True, help="Folder; made if missing."
+)
+def export(result: Path, to: str, binary: bool, out: Path) -> None:
+    """Write RESULT (of a test, or of a whole --out) for other programs: a folder TEST-FORMAT in --out for each test.
+
+    uff58: order cuts against rpm and waterfalls of orders and frequencies. csv, parquet: tracks, modes, crossings,
+    lines and what else was found, each column with its unit; parquet also the maps.
+    """
+    from crankorder.batch.export import export_results
+
+    for path in export_results(result, out, to=to, binary=binary):
+        click.echo(str(path))
+
+
+@main.command()
 @click.argument("engine")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
 @click.option("--out", type=FOLDER, help="Folder for balance.json, pictures and balance.nc; made if missing.")

@@ -24,11 +24,12 @@ from crankorder.batch.balance import document_text as balance_text
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Progress, run_plans
+from crankorder.batch.export import export_results
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.result_folder import DONE
+from crankorder.batch.result_folder import RESULTS, result_folders
 from crankorder.batch.store import json_bytes
 from crankorder.channel_units import with_real_units
 from crankorder.errors import InputError, RequestError
@@ -383,11 +384,7 @@ def open(path: str | os.PathLike[str]) -> xr.DataTree:
     ['channel', 'order', 'speed']
     """
     given = Path(path)
-    files = [file for file in (given, given / "results.nc") if file.is_file()]
-    files = files or sorted(file for file in given.glob("*/results.nc") if (file.parent / DONE).is_file())
-    if not files:
-        allowed = "a results.nc, the folder of a test, or the --out of a run"
-        raise RequestError("no finished results here", file=given, allowed=allowed)
+    files = [given] if given.is_file() else [folder / RESULTS for folder in result_folders(given)]
     if len(files) == 1:
         return _tree(files[0])
     return xr.DataTree(name=given.name, children={file.parent.name: _tree(file) for file in files})
@@ -424,6 +421,24 @@ def compare(
     if out is not None:
         publish_comparison(made, Path(out))
     return _document(comparison_text(made))
+
+
+def export(result: str | os.PathLike[str], *, to: str, out: str | os.PathLike[str], binary: bool = False) -> list[Path]:
+    """Paths of the files for other programs that ``result`` became, in a folder ``<test>-<to>`` of ``out`` per test.
+
+    ``result``: a ``results.nc``, a test's folder, or a whole ``--out``. ``to``: "uff58" (a universal file of order cuts
+    and waterfalls; ``binary``: 58b), "csv" or "parquet" (a table each of tracks, modes, crossings, lines and what else
+    was found, with units; Parquet also of the maps, by pyarrow). Raises RequestError where there are no results or
+    ``out`` lies among them.
+
+    >>> import crankorder as co, tempfile
+    >>> with tempfile.TemporaryDirectory() as work:
+    ...     folders = co.synthesise("hard-two-revolutions", work + "/test", quick=True)
+    ...     tree = co.run(folders, out=work + "/out", recipe="maps")
+    ...     [path.name for path in co.export(work + "/out", to="uff58", out=work + "/for-others")]
+    ['results.uff']
+    """
+    return export_results(Path(result), Path(out), to=to, binary=binary)
 
 
 def balance(
