@@ -267,8 +267,8 @@ def judged(
     """Flags of the ``signals`` (channel, sample), of which what is lost becomes NaN in place and spikes are bridged.
 
     ``known`` faults by channel were found before; the recording, ``sampled`` so, lies at ``path``; ``settings`` say
-    what counts. A channel of which too much is lost is left out alone; where that is so of all channels they stay as they
-    are, for the recording is left out as a whole.
+    what counts. A channel of which too much is lost is left out alone; where that is so of all channels they stay as
+    they are, for the recording is left out as a whole.
     """
     faults = [
         [
