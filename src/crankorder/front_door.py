@@ -34,7 +34,19 @@ from crankorder.batch.store import json_bytes
 from crankorder.channel_units import with_real_units
 from crankorder.errors import InputError, RequestError
 from crankorder.findings import Findings
-from crankorder.ingest.arrays import CALL, Signals, check_times, column, columns_of, count, number, shaft_of, units_of
+from crankorder.ingest.arrays import (
+    CALL,
+    DEFAULT_UNIT,
+    Signals,
+    check_times,
+    column,
+    columns_of,
+    count,
+    number,
+    shaft_of,
+    told_by_timeseries,
+    units_of,
+)
 from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
@@ -62,7 +74,7 @@ def recording(
     *,
     rate_hz: float | None = None,
     samples_per_rev: int | None = None,
-    unit: str | Mapping[str, str] = "m/s2",
+    unit: str | Mapping[str, str] = DEFAULT_UNIT,
     pulse_times_s: ArrayLike | None = None,
     encoder: ArrayLike | None = None,
     speed_rpm: float | ArrayLike | None = None,
@@ -81,7 +93,8 @@ def recording(
     Parameters
     ----------
     signals : channels by name (a dict, a DataFrame), each (samples,); an array (samples,) or (channels, samples); or a
-        DataArray, of several channels with a dimension ``channel``
+        DataArray, of several channels with a dimension ``channel``; or time series of SDyPy (SEP 5: a list of dicts
+        with ``data``, ``name``, ``unit_str`` and ``fs`` or ``time``), which say their rate and units themselves
     rate_hz : samples per second of signals, encoder and index; > 0
     samples_per_rev : samples per crank revolution instead, where they were taken by crank angle
     unit : of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
@@ -106,7 +119,8 @@ def recording(
     >>> made["signal"].sizes["time"], made.attrs["rate_hz"]
     (40000, 10000.0)
     """
-    channels = columns_of(signals)
+    channels, settings = columns_of(signals), load_settings()
+    rate_hz, unit = told_by_timeseries(signals, rate_hz, unit, settings=settings.ingest)
     told = {"pulse_times_s": pulse_times_s, "encoder": encoder, "speed_rpm": speed_rpm}
     table, shaft = shaft_of(told, by_angle=rate_hz is None, without=cycle == "none")
     if "source" in shaft:
@@ -135,7 +149,6 @@ def recording(
         units=dict(enumerate(units.values())),
         attrs={"start_s": start},
     )
-    settings = load_settings()
     return recording_of(raw, Path(name), manifest, settings=settings.ingest, shaft=settings.shaft)
 
 

@@ -65,6 +65,7 @@ class IngestSettings(StageSettings):
     level_jump_ratio: Annotated[float, Field(gt=1)]
     gain_step_ratio: Annotated[float, Field(gt=1)]
     max_lost_fraction: Fraction
+    max_lost_at_ends_fraction: Fraction
     lost_margin_s: Annotated[float, Field(ge=0)]
     fewest_samples: Count
     rate_tolerance: Fraction

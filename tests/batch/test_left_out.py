@@ -75,13 +75,43 @@ def test_a_dead_channel_is_left_out_alone(tmp_path: Path) -> None:
 
 def test_a_lost_stretch_is_left_out_alone(tmp_path: Path) -> None:
     lost = signals(1500.0, 1)[0]
-    lost[20_000:25_000] = 0.0
+    lost[20_000:22_000] = 0.0
     status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": lost})
     [flag] = [flag for flag in findings["quality"] if flag["flag"] == "dropout"]
-    assert (flag["left_out"], flag["begin"], flag["end"]) == ("stretch", pytest.approx(4.0), pytest.approx(5.0))
+    assert (flag["left_out"], flag["begin"], flag["end"]) == ("stretch", pytest.approx(4.0), pytest.approx(4.4))
     assert status == 0
     for channel, size in (("X", 3.0), ("Y", 1.5)):
         assert amplitude(order_map, 1500.0, channel) == pytest.approx(size, rel=0.01)
+
+
+@pytest.mark.parametrize(("place", "left_out"), [((20_000, 23_000), "channel"), ((35_000, 50_000), "stretch")])
+def test_a_channel_goes_where_much_is_lost_between_sound_stretches_but_not_at_its_end(
+    tmp_path: Path, place: tuple[int, int], left_out: str
+) -> None:
+    lost = signals(1500.0, 1)[0]
+    lost[slice(*place)] = 0.7
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": lost})
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "dropout"]
+    assert (flag["left_out"], flag["severity"], status) == (left_out, "bad", 0)
+    assert np.isnan(amplitude(order_map, 1500.0, "X")) == (left_out == "channel")
+    assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
+
+
+def test_silence_before_the_recording_only_shortens_it(tmp_path: Path) -> None:
+    late = signals(1500.0, 1)[0]
+    late[:15_000] = 0.0
+    status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": late})
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "silence"]
+    assert (flag["left_out"], flag["severity"], status) == ("stretch", "suspect", 0)
+    assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_vibration_of_a_few_steps_of_its_converter_is_left_out(tmp_path: Path) -> None:
+    coarse = np.round(signals(1500.0, 1)[0] / 3.0) * 3.0
+    status, findings, _ = run(tmp_path / "in", tmp_path / "out", {"X": coarse})
+    [flag] = [flag for flag in findings["quality"] if flag["flag"] == "few_levels"]
+    assert (flag["channel"], flag["left_out"], flag["severity"], status) == ("X", "channel", "bad", 0)
+    assert "-3, 0, 3 alone" in flag["detail"]
 
 
 def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path: Path) -> None:
@@ -94,12 +124,12 @@ def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path: Pa
 
 def test_an_overload_is_left_out_with_its_way_back(tmp_path: Path) -> None:
     time = np.arange(round(RATE * SECONDS)) / RATE
-    row = signals(1500.0, 1)[0] + np.where(time < 3.0, 0.0, 100.0 * np.exp(-np.maximum(time - 3.0, 0.0) / 0.3))
+    row = signals(1500.0, 1)[0] + np.where(time < 3.0, 0.0, 100.0 * np.exp(-np.maximum(time - 3.0, 0.0) / 0.06))
     status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": row})
     assert status == 0
     [flag] = [flag for flag in findings["quality"] if flag["flag"] == "iepe_overload"]
     assert flag["left_out"] == "stretch"
-    assert flag["begin"] == pytest.approx(3.0, abs=0.05) and 3.8 < flag["end"] < 6.0
+    assert flag["begin"] == pytest.approx(3.0, abs=0.05) and 3.1 < flag["end"] < 3.6
     assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
 
 

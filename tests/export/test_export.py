@@ -23,7 +23,7 @@ from crankorder.export.uff58 import uff58_bytes
 from crankorder.findings import Findings
 from crankorder.report.netcdf import read_results, results_bytes
 from crankorder.report.published import findings_datasets, published, root_attrs
-from made.full_findings import full_findings
+from made.typed import findings_of
 
 pyuff = pytest.importorskip("pyuff", reason="pyuff is a development dependency")
 
@@ -71,11 +71,21 @@ def made_groups() -> dict[str, xr.Dataset]:
     return groups
 
 
+def made_findings() -> Findings:
+    """A mode, a crossing and a line."""
+    found = {"frequency_hz": 1.0 / 3.0, "frequency_hz_ci95": [0.3, 0.4], "damping_ratio": None, "channels": ["p", "Z"]}
+    channels = [{"name": "Block µ", "unit": "g"}, {"name": "p", "unit": "bar"}, {"name": "Z", "unit": "m/s2"}]
+    lines = [{"channel": "p", "order": 0.5, "amplitude": 0.7, "explained_by": "firing"}]
+    crossing = {"order": 2.0, "mode_hz": 1.0 / 3.0, "rpm": 10.0, "in_range": False, "excited": False}
+    given = {"schema_version": 1, "test": "some test", "channels": channels, "modes": [found], "crossings": [crossing]}
+    return findings_of({**given, "lines": lines, "orders": [{**lines[0], "unit": "bar", "speed_range_rpm": [1, 2]}]})
+
+
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished result folder of two quantities, with findings."""
     folder = tmp_path_factory.mktemp("out") / "some-test"
-    findings, groups = full_findings(), made_groups()
+    findings, groups = made_findings(), made_groups()
     data = results_bytes({**groups, **findings_datasets(findings)}, attrs=root_attrs(findings, groups))
     run = json_bytes({"schema_version": 1, "test": "some test"})
     publish(folder, {"results.nc": data, "findings.json": json_bytes(findings.as_dict()), "run.json": run}, key="k")
@@ -156,7 +166,7 @@ def test_tables_have_the_values_and_a_row_of_units(result: Path, tmp_path: Path)
             and not math.isnan(value)
         ]  # fmt: skip
         assert np.float32(value) == cell["amplitude"].item()
-    findings = full_findings()
+    findings = made_findings()
     with paths["modes.csv"].open(newline="") as file:
         names, unit, *rows = list(csv.reader(file))
     assert unit[names.index("frequency_hz")] == "Hz"
@@ -182,14 +192,10 @@ def test_a_text_cannot_become_a_formula_nor_a_row() -> None:
 
 
 def test_the_same_results_make_the_same_bytes(result: Path, tmp_path: Path) -> None:
-    for to in co_formats():
+    for to in ("uff58", "csv"):
         one = co.export(result, to=to, out=tmp_path / "one")
         again = co.export(result.parent, to=to, out=tmp_path / "again")
         assert [path.read_bytes() for path in one] == [path.read_bytes() for path in again]
-
-
-def co_formats() -> list[str]:
-    return ["uff58", "csv"]
 
 
 def test_what_cannot_be_is_refused(result: Path, tmp_path: Path) -> None:
@@ -221,4 +227,3 @@ def test_results_without_a_shaft_have_tables_of_the_map_alone() -> None:
     groups = {"campbell_map": made_groups()["campbell_map"]}
     assert tables_of({name: published(one) for name, one in groups.items()}) == {}
     assert uff58_bytes(groups, test="t").count(b"    58") == 3 * len(SPEEDS)
-    assert findings_datasets(Findings.from_dict(full_findings().as_dict())).keys() >= {"findings/modes"}

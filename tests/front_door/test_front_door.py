@@ -232,6 +232,27 @@ def test_tables_and_named_arrays_keep_their_names_and_masks_are_gaps() -> None:
     assert "gap" in made_of(masked).attrs["quality"] or "missing" in made_of(masked).attrs["quality"]
 
 
+def test_time_series_of_sdypy_say_their_rate_and_units() -> None:
+    one = {"name": "a", "data": line(3.0, 1.0), "unit_str": "g", "fs": RATE_HZ, "quantity": "acc"}
+    other = {"name": "b", "data": line(1.0, 2.0), "unit_str": "", "time": TIME + 5.0}
+    made = co.recording([one, other], speed_rpm=SPEED_RPM)
+    expected = co.recording(
+        {"a": line(3.0, 1.0), "b": line(1.0, 2.0)}, rate_hz=RATE_HZ, unit={"a": "g", "b": "m/s2"}, speed_rpm=SPEED_RPM
+    )
+    xr.testing.assert_identical(made, expected)
+    assert co.recording([one], unit="V", speed_rpm=SPEED_RPM)["unit"].values.tolist() == ["V"]
+    for wrong, match in (
+        ([one, other | {"time": 2.0 * TIME}], "fs of a is .* time of b says"),
+        ([one | {"fs": None}], "state fs, or time"),
+        ([one, one], "two channels have one name"),
+        ([one, other | {"data": TIME[:-1]}], "lengths differ"),
+    ):
+        with pytest.raises((RequestError, InputError), match=match):
+            co.recording(wrong, speed_rpm=SPEED_RPM)
+    with pytest.raises(RequestError, match="rate_hz is 50 Hz, fs of a says"):
+        co.recording([one], rate_hz=50.0, speed_rpm=SPEED_RPM)
+
+
 def test_what_is_suspect_is_warned_of() -> None:
     pulses = np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60)
     gapped = pulses[(np.arange(len(pulses)) % 60) < 58]

@@ -161,6 +161,29 @@ def test_a_stump_is_an_error_that_names_the_file(tmp_path, limits, name, content
         contents_of(tmp_path / name, settings=limits)
 
 
+HEAD_HDF = (
+    b"start of data: 8192\r\nnumber of channels: 2\r\nnbr of scans: 4410\r\nchannel definition: 1\r\ncalibration: 93.5"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.hdf", HEAD_HDF.ljust(8192, b" ") + bytes(8000), "HEAD acoustics file.*ArtemiS"),
+        ("a.dat", HEAD_HDF.ljust(500, b"\0") + bytes(8000), "HEAD acoustics file.*ArtemiS"),
+        ("a.hdf", b"abc\0" * 100, "HEAD .hdf is a format of its own"),
+        ("a.dxd", b"MULTI_STREAM_FILE_VER02106\0\0\0Dewesoft_Data_7.x__" + bytes(900), "Dewesoft file.*DewesoftX"),
+        ("a.d7d", b"\x01\x02\0\0DEWESoft 7" + bytes(900), "Dewesoft file.*DewesoftX"),
+        ("a.001", b"\0\0AVL I-FILE V2.1\0" + bytes(900), "AVL IFile.*Concerto"),
+        ("a.bin", b"\0multifile" + bytes(900), "content is not known"),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_how_to_export_it(tmp_path, limits, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=rf"(?s){re.escape(name)}: .*{said}"):
+        contents_of(tmp_path / name, settings=limits)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["TDMS", "MDF4", "UFF", "XLSX", "MATLAB 5"])
 @pytest.mark.filterwarnings("ignore:unclosed file", "ignore::pytest.PytestUnraisableExceptionWarning")  # by pyuff

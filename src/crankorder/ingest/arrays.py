@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.errors import RequestError
+from crankorder.ingest.sampling import read_time_column
+from crankorder.settings import IngestSettings
 
 CALL = "crankorder.recording"
 """What errors call the arguments of a recording."""
@@ -18,15 +21,24 @@ CALL = "crankorder.recording"
 INSIDE = 0.5
 """Share of the pulses, at least, that lies within the recording: others are counted in another unit."""
 
-Signals = ArrayLike | Mapping[str, ArrayLike]
+Signals = ArrayLike | Mapping[str, ArrayLike] | Sequence[Mapping[str, Any]]
+
+DEFAULT_UNIT = "m/s2"
+"""Unit of channels of which nobody says another."""
 
 
 def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
     """Copies of the channels of ``signals`` by name: what is mended later is not the caller's.
 
     ``signals``: a mapping or table (DataFrame) of channels by name; an xarray DataArray with a dimension ``channel``,
-    or one without; or an array (samples,) or (channels, samples). Raises RequestError where they are none of these.
+    or one without; time series of SDyPy (SEP 5); or an array (samples,) or (channels, samples). Raises RequestError
+    where they are none of these.
     """
+    if is_timeseries(signals):
+        names = [str(one["name"]) for one in signals]
+        if len(set(names)) < len(names):
+            raise RequestError("two channels have one name", file=CALL, place="signals", found=", ".join(names))
+        return {name: column(one["data"], name) for name, one in zip(names, signals, strict=True)}
     if isinstance(signals, xr.DataArray):
         return _of_data_array(signals)
     if hasattr(signals, "items") and hasattr(signals, "keys") and not hasattr(signals, "to_frame"):
@@ -46,6 +58,47 @@ def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
         raise RequestError("more channels than samples", file=CALL, found=rows.shape, allowed=allowed, remedy=remedy)
     names = ["signal"] if len(rows) == 1 else [f"signal {place + 1}" for place in range(len(rows))]
     return {name: column(row, name) for name, row in zip(names, rows, strict=True)}
+
+
+def is_timeseries(signals: Any) -> TypeGuard[Sequence[Mapping[str, Any]]]:
+    """Whether ``signals`` are time series as SDyPy exchanges them: dicts with ``data``, ``name``, ``unit_str``.
+
+    Source: SDyPy Enhancement Proposal 5.
+    """
+    return (
+        isinstance(signals, list | tuple)
+        and bool(signals)
+        and all(isinstance(one, Mapping) and {"data", "name", "unit_str"} <= set(one) for one in signals)
+    )
+
+
+def told_by_timeseries(
+    signals: Signals, rate_hz: float | None, unit: str | Mapping[str, str], *, settings: IngestSettings
+) -> tuple[float | None, str | Mapping[str, str]]:
+    """Sampling rate and units of ``signals`` that are time series of SDyPy; of others what the caller said.
+
+    A ``unit`` that the caller said goes before ``unit_str``; ``settings`` say how even times must be. Raises
+    RequestError where the rates of two of them, or of one and ``rate_hz``, differ; InputError where times are uneven.
+    """
+    if not is_timeseries(signals):
+        return rate_hz, unit
+    rates = {} if rate_hz is None else {"rate_hz": number(rate_hz, "rate_hz")}
+    for one in signals:
+        name = str(one["name"])
+        if one.get("fs") is not None:
+            rates[f"fs of {name}"] = number(one["fs"], f"fs of {name}")
+        if one.get("time") is not None:
+            times = read_time_column(column(one["time"], f"time of {name}"), Path(CALL), settings=settings)
+            rates[f"time of {name}"] = times.rate_hz
+    if not rates:
+        raise RequestError("state fs, or time", file=CALL, place="signals")
+    told, first = next(iter(rates.items()))
+    for other, rate in rates.items():
+        if abs(rate - first) > settings.rate_tolerance * first:
+            raise RequestError(f"{told} is {first:.12g} Hz, {other} says {rate:.12g} Hz", file=CALL, place="signals")
+    if unit != DEFAULT_UNIT:
+        return first, unit
+    return first, {str(one["name"]): str(one["unit_str"]).strip() or DEFAULT_UNIT for one in signals}
 
 
 def _of_data_array(signals: xr.DataArray) -> dict[str, NDArray[Any]]:

@@ -18,10 +18,11 @@ from crankorder.settings import IngestSettings
 UFF_SIGN = rb"\s{0,8}-1[ \t]*\r?\n\s{0,8}[0-9]{1,4}b?[ \t\r\n]"
 """First two lines of a universal file."""
 HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
-_BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".npy", ".dat")
+_BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".ide", ".npy", ".dat")
 _HEAD_BYTES = 8192
 # what the first bytes say, and what to do with a format that is not read
 _EXPORT = "Export the recording to HDF5, WAV or text"
+_IN_DEWESOFT = "Export it in DewesoftX as MDF4, TDMS, UFF58 or MATLAB"
 _UNREAD: tuple[tuple[bytes, str, str], ...] = (
     (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
     (b"MDF     3", "an MDF3 file", "not supported. Save it as MDF4"),
@@ -33,7 +34,7 @@ _UNREAD: tuple[tuple[bytes, str, str], ...] = (
     (b"RIFX", "a big-endian RIFF file", f"not supported yet. {_EXPORT}"),
     (b"fLaC", "a FLAC file", f"not supported yet. {_EXPORT}"),
     (b"OggS", "an Ogg file", "lossy and not supported. Export the original"),
-    (b"\x1aE\xdf\xa3", "an EBML file (such as enDAQ IDE)", f"not supported yet. {_EXPORT}"),
+    (b"MULTI_STREAM_FILE", "a Dewesoft file", f"not supported. {_IN_DEWESOFT}"),
     (b"\x1f\x8b", "a gzip archive", "not a recording. Unpack it"),
     (b"BZh", "a bzip2 archive", "not a recording. Unpack it"),
     (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", "not a recording. Unpack it"),
@@ -44,6 +45,20 @@ _UNREAD: tuple[tuple[bytes, str, str], ...] = (
     (b"Rar!", "a RAR archive", "not a recording. Unpack it"),
     (b"\xff\xfe", "UTF-16 text", "not supported. Save it as UTF-8"),
     (b"\xfe\xff", "UTF-16 text", "not supported. Save it as UTF-8"),
+)
+# signs in the head of binary files that have no signature to begin with
+_UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
+    (
+        rb"(?s)start of data\s*:.*(channel definition|delta value|n(umber|br) of (scans|channels?))",
+        "a HEAD acoustics file",
+        "not HDF5, not supported. Export it in ArtemiS as UFF58, WAV, MATLAB or text",
+    ),
+    (rb"(?i)dewesoft", "a Dewesoft file", f"not supported. {_IN_DEWESOFT}"),
+    (
+        rb"(?i)\bAVL\b|\bI-?FILE\b|IndiCom",
+        "an AVL IFile",
+        "not supported. Export it in Concerto or IndiCom as MDF4, MATLAB or text",
+    ),
 )
 
 
@@ -94,6 +109,14 @@ def _is_xlsx(path: Path, head: bytes) -> bool:
     return True
 
 
+def _is_ide(path: Path, head: bytes) -> bool:
+    if not head.startswith(b"\x1aE\xdf\xa3"):
+        return False
+    if b"mide" not in head[:256]:
+        _refuse(path, "an EBML file (such as a video)", f"not supported. {_EXPORT}")
+    return True
+
+
 def _is_uff(path: Path, head: bytes) -> bool:
     return re.match(UFF_SIGN, head) is not None
 
@@ -108,6 +131,7 @@ FORMATS = (
     Format("UFF", "uff", _is_uff),
     Format("TDMS", "tdms", _begins(b"TDSm")),
     Format("MDF4", "mdf", _begins(b"MDF     4")),
+    Format("IDE", "ide", _is_ide),
 )
 """Formats with a sign of their own, in the order in which they are tried; the rest is text, or refused."""
 
@@ -176,6 +200,9 @@ def _refuse(path: Path, kind: str, advice: str) -> NoReturn:
 def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
     """Refuse what has no signature of its own but is certainly no table of numbers."""
     suffix = path.suffix.lower()
+    for sign, kind, advice in _UNREAD_SIGNS:
+        if re.search(sign, head) and (b"\0" in head or suffix == ".hdf"):
+            _refuse(path, kind, advice)
     if not head.strip(b"\0"):
         raise InputError(f"holds only zeros (in its first {len(head)} bytes)", file=path, remedy="Copy it again")
     if size < 12 and (HDF5_SIGNATURE.startswith(head[:8]) or b"RIFF".startswith(head[:4])):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -267,11 +267,17 @@ def judged(
     """Flags of the ``signals`` (channel, sample), of which what is lost becomes NaN in place and spikes are bridged.
 
     ``known`` faults by channel were found before; the recording, ``sampled`` so, lies at ``path``; ``settings`` say
-    what counts. A channel of which most is lost is left out alone; where that is so of all channels they stay as they
-    are, for the recording is left out as a whole.
+    what counts. A channel of which too much is lost is left out alone; where that is so of all channels they stay as
+    they are, for the recording is left out as a whole.
     """
     faults = [
-        [fault for fault in own if not (fault.flag == "clipped" and _is_square(fault, quantity, signals.shape[1]))]
+        [
+            replace(fault, severity="suspect", is_lost=False)
+            if fault.flag == "few_levels" and quantity in _MAY_HAVE_LEVELS
+            else fault
+            for fault in own
+            if not (fault.flag == "clipped" and _is_square(fault, quantity, signals.shape[1]))
+        ]
         for own, quantity in zip(known, sampled.quantities, strict=True)
     ]
     size = block_size(sampled.rate_hz)
@@ -282,7 +288,7 @@ def judged(
                 faults[number] += _of_one(row, surveys[number], sampled.quantities[number], faults[number], settings)
         _beside_each_other(signals, surveys, faults, sampled, settings)
     lost = [_lost(own, signals.shape[1], sampled, settings) for own in faults]
-    is_out = [_share(runs, signals.shape[1]) > settings.max_lost_fraction for runs in lost]
+    is_out = [_is_out(runs, signals.shape[1], settings) for runs in lost]
     flags: list[QualityFlag] = []
     for number, own in enumerate(faults):
         if not all(is_out):
@@ -359,8 +365,15 @@ def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: In
     return Runs(np.concatenate(starts), np.concatenate(ends)).merged(within=margin, n_samples=n_samples)
 
 
-def _share(runs: Runs, n_samples: int) -> float:
-    return float(runs.lengths.sum()) / n_samples
+def _is_out(lost: Runs, n_samples: int, settings: IngestSettings) -> bool:
+    """Whether so much of ``n_samples`` is ``lost`` that nothing of the channel is kept.
+
+    A stretch at the start or the end makes a recording shorter; what comes and goes inside it leaves the rest in doubt.
+    """
+    at_end = (lost.starts == 0) | (lost.ends == n_samples)
+    kept = n_samples - int(lost.where(at_end).lengths.sum())
+    inside = int(lost.where(~at_end).lengths.sum())
+    return kept < (1.0 - settings.max_lost_at_ends_fraction) * n_samples or inside > settings.max_lost_fraction * kept
 
 
 def _leave_out(row: FloatArray, lost: Runs, *, whole: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -98,7 +99,7 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     ``settings`` limit what is read.
     """
     names = _sampled(contents)
-    values = _values(path, names, settings)
+    values = _values(path, names, contents, settings)
     found = _once_each([_judged(name, contents, values) for name in names])
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
@@ -134,13 +135,17 @@ def _source(name: str, contents: Contents) -> Source:
     return int(name) if unnamed and contents.format in ("text", "XLSX") else name
 
 
-def _values(path: Path, names: Sequence[str], settings: IngestSettings) -> dict[str, Floats]:
+def _values(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
     """Samples of the columns ``names`` by name, of promising ones alone where the file is large; none on a fault."""
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
-    try:
-        raw = read_file(path, sources=list(names), settings=settings)
-    except (CrankorderError, OSError, ValueError):
+    longest = max(contents.samples.values(), default=0)
+    alike = [name for name in names if contents.samples.get(name, longest) == longest]
+    raw = None
+    for some in (names, alike):  # columns of several rates cannot be read together
+        with contextlib.suppress(CrankorderError, OSError, ValueError):
+            raw = raw or read_file(path, sources=list(some), settings=settings)
+    if raw is None:
         return {}
     made = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
     return {name: column for name, column in made.items() if column.size > 2 and np.isfinite(column).any()}

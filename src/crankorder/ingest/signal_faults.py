@@ -56,6 +56,8 @@ def mend_signal(signal: FloatArray, *, settings: IngestSettings) -> list[SignalF
     if survey.low == survey.high:
         return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {survey.low:.6g}", is_lost=True)]
     # each fault needs so many samples that stand still: most signals have too few for any, and are done
+    if 2 * survey.n_still > signal.size and (levels := _few_levels(signal, settings)):
+        return [*flags, _coarse(levels)]
     if survey.n_still >= 2 * (settings.clip_run_samples - 1):
         flags += _clipping(signal, survey.low, survey.high, settings)
     if survey.n_still >= settings.dropout_samples - 1:
@@ -114,15 +116,41 @@ def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
         return np.asarray(held)
 
     runs = _runs(signal, still, least=settings.dropout_samples - 1)
-    if not runs.starts.size:
+    runs = Runs(np.maximum(runs.starts - 1, 0), runs.ends)
+    if not runs.starts.size or runs.lengths.max() < settings.dropout_fraction * signal.size:
         return []
-    longest = int(np.argmax(runs.lengths))
-    length = int(runs.lengths[longest]) + 1
-    if length < settings.dropout_fraction * signal.size:
-        return []
-    share = f"{length} samples ({length / signal.size:.1%})"
-    detail = f"the same value for {share} from sample {runs.starts[longest] - 1}"
-    return [SignalFault("dropout", "bad", detail, Runs(runs.starts - 1, runs.ends), is_lost=True)]
+    is_silent = (signal[runs.starts] == 0.0) & ((runs.starts == 0) | (runs.ends == signal.size))
+    silence, held = runs.where(is_silent), runs.where(~is_silent)
+    found: list[SignalFault] = []
+    if silence.starts.size:
+        count = int(silence.lengths.sum())
+        detail = (
+            f"zeros for {count} samples ({count / signal.size:.1%}) at its start or end: nothing was recorded there"
+        )
+        found.append(SignalFault("silence", "suspect", detail, silence, is_lost=True))
+    if held.starts.size and held.lengths.max() >= settings.dropout_fraction * signal.size:
+        longest = int(np.argmax(held.lengths))
+        length = int(held.lengths[longest])
+        detail = f"the same value for {length} samples ({length / signal.size:.1%}) from sample {held.starts[longest]}"
+        found.append(SignalFault("dropout", "bad", detail, held, is_lost=True))
+    return found
+
+
+def _few_levels(signal: FloatArray, settings: IngestSettings) -> list[float]:
+    """The values that ``signal`` takes, where they are so few that its converter or a switch makes them; else none."""
+    levels: set[float] = set()
+    for part in blocks(signal.size):
+        piece = signal[part]
+        levels.update((np.unique(piece[np.isfinite(piece)]) + 0.0).tolist())
+        if len(levels) > settings.dead_steps:
+            return []
+    return sorted(levels)
+
+
+def _coarse(levels: list[float]) -> SignalFault:
+    shown = ", ".join(f"{level:.4g}" for level in levels)
+    detail = f"takes the values {shown} alone: a switch, or a signal smaller than the steps of its converter"
+    return SignalFault("few_levels", "bad", detail, is_lost=True)
 
 
 def _missing(signal: FloatArray) -> Mask:

@@ -1,0 +1,153 @@
+"""IDE recordings (enDAQ, Slam Stick), read by idelib in a process of its own."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crankorder.errors import EnvironmentFailure, InputError
+from crankorder.ingest.child import in_child
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
+from crankorder.ingest.sampling import TimeColumn, read_time_column
+from crankorder.quantities import QualityFlag
+from crankorder.settings import IngestSettings
+
+_US = 1e-6
+_JITTER = 8.0
+"""Samples that a stamp may lie off an even grid: a sensor's own clock wanders so much against that of the recorder."""
+_MOST_PER_BYTE = 8
+"""Bytes of samples that a byte of the file may become: nothing in it is compressed."""
+_ROUGH = 0.5
+"""Samples off an even grid from which on lines are smeared."""
+
+
+def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Channels that ``sources`` ask for, by name or number from 0, from the IDE file at ``path``, calibrated.
+
+    The stamps of a sensor's blocks give its rate; blocks that are missing are NaN. ``settings`` give the byte limit.
+    Raises InputError for damage, a missing name or channels of several sensors, EnvironmentFailure where idelib is
+    missing, UnsafeInputError where the parser goes beyond its limits.
+    """
+    parser = _parser(path)
+    most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
+    columns, units, stamps = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
+    if stamps is None:
+        return RawFile(columns, units)
+    times = read_time_column(stamps, path, settings=_lenient(settings))
+    return RawFile(
+        columns={source: times.on_grid(column) for source, column in columns.items()},
+        units=units,
+        rate_hz=times.rate_hz,
+        attrs={"start_s": times.start_s, "rate_uncertainty": times.rate_uncertainty},
+        flags=_graded(times),
+    )
+
+
+def _lenient(settings: IngestSettings) -> IngestSettings:
+    return settings.model_copy(update={"max_time_jitter_samples": _JITTER})
+
+
+def _graded(times: TimeColumn) -> list[QualityFlag]:
+    """Flags of ``times``; stamps that wander further than lines bear are suspect."""
+    off = 0.5 * times.rate_uncertainty * (times.n_rows - 1)
+    for one in times.flags:
+        if one["flag"] == "time_jitter" and off > _ROUGH:
+            one["severity"] = "suspect"
+            one["detail"] = (
+                f"the sensor's clock wanders against the recorder's by up to {off:.2g} samples; a uniform grid is used"
+            )
+    return times.flags
+
+
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names, lengths, units and rates of the channels of the IDE file at ``path``.
+
+    ``settings`` are those of :func:`read`, whose errors it raises.
+    """
+    parser = _parser(path)
+    found: Contents = in_child(lambda: _contents(parser, path), path, n_bytes=path.stat().st_size)
+    return found
+
+
+def _parser(path: Path) -> Any:
+    """idelib, loaded here so that no child needs to."""
+    try:
+        import idelib
+    except ModuleNotFoundError:
+        raise EnvironmentFailure(
+            "reading IDE files needs the package idelib", file=path, remedy="Run: pip install 'crankorder[ide]'"
+        ) from None
+    return idelib.importFile
+
+
+def _channels(file: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values over time of the channels that hold any, of the first session."""
+    if len(file.sessions) > 1:
+        raise InputError(
+            f"holds {len(file.sessions)} sessions", file=file.filename, remedy="Export each to a file of its own"
+        )
+    for channel in file.channels.values():
+        for part in channel.subchannels:
+            values = part.getSession()
+            if len(values):
+                yield str(part.displayName or part.name), values
+
+
+def _named(file: Any) -> dict[str, Any]:
+    found = list(_channels(file))
+    return dict(zip(distinct([name for name, _ in found]), (values for _, values in found), strict=True))
+
+
+def _contents(parser: Any, path: Path) -> Contents:
+    with parser(str(path), quiet=True) as file:
+        channels = _named(file)
+        rates: dict[str, float] = {}
+        for name, values in channels.items():
+            first, last = values.getInterval()
+            if len(values) > 2 and last > first:
+                rates[name] = float(f"{(len(values) - 1) / (_US * (last - first)):.12g}")
+        return Contents(
+            format="IDE",
+            names=tuple(channels),
+            samples={name: len(values) for name, values in channels.items()},
+            units={name: unit for name, values in channels.items() if (unit := _unit(values))},
+            rates_hz=rates,
+            rate_uncertainty=max((2.0 * _JITTER / len(channels[name]) for name in rates), default=0.0),
+        )
+
+
+def _unit(values: Any) -> str:
+    return html.unescape(str(values.units[1])) if values.units else ""
+
+
+def _read(
+    parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
+) -> tuple[dict[Source, Any], dict[Source, str], Any]:
+    """Columns and units by source, and the stamps that the columns share in s, None for single numbers.
+
+    Raises InputError where two of them have stamps of their own.
+    """
+    columns: dict[Source, Any] = {}
+    stamps: Any = None
+    with parser(str(path), quiet=True) as file:
+        channels = _named(file)
+        chosen = {source: channels[named(source, tuple(channels), path)] for source in sources}
+        check_budget(sum(8 * len(values) for values in chosen.values()), path, max_bytes=settings.max_bytes)
+        for source, channel in chosen.items():
+            times, values = channel.arraySlice()
+            columns[source] = np.array(values, dtype=np.float64)
+            if values.size < 3:
+                continue
+            if stamps is not None and not np.array_equal(stamps, times):
+                raise InputError(
+                    f"channels differ in their times: {sources[0]} and {source} are of two sensors",
+                    file=path,
+                    remedy="Name channels of one sensor alone, or export all at one rate",
+                )
+            stamps = np.array(times, dtype=np.float64)
+        units = {source: unit for source, values in chosen.items() if (unit := _unit(values))}
+    return columns, units, None if stamps is None else _US * stamps

@@ -1,0 +1,114 @@
+"""IDE recordings: what idelib, the format's own library, reads; blocks that are missing; files that are none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crankorder.errors import CrankorderError, InputError
+from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.formats import contents_of, read_file
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+
+idelib = pytest.importorskip("idelib", reason="the package idelib (extra ide) is not installed")
+
+FILES = ("SSX66115.IDE", "XS5E25D40.IDE")
+
+
+@pytest.fixture(params=FILES)
+def path(request, real_data) -> Path:
+    return real_data / "formats" / "ide" / request.param
+
+
+def test_all_channels_are_those_of_the_formats_own_library(path, limits):
+    told = contents_of(path, settings=limits)
+    with idelib.importFile(str(path), quiet=True) as file:
+        number = 0
+        for channel in file.channels.values():
+            for part in channel.subchannels:
+                times, values = part.getSession().arraySlice()
+                name, number = told.names[number], number + 1
+                raw = read_file(path, sources=[name], settings=limits)
+                np.testing.assert_array_equal(raw.columns[name], values)
+                assert told.samples[name] == values.size
+                if values.size > 2:
+                    assert raw.rate_hz == pytest.approx(1e6 * (values.size - 1) / (times[-1] - times[0]), rel=1e-9)
+                    assert raw.attrs["start_s"] == pytest.approx(1e-6 * times[0])
+        assert number == len(told.names) > 10
+
+
+def test_a_draft_names_one_sensor_and_can_be_run(path, tmp_path, settings):
+    (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
+    manifest = load_manifest(tmp_path)
+    assert [(channel.name, channel.unit) for channel in manifest.channels] == [
+        (f"Acceleration: {axis}", "g") for axis in "XYZ"
+    ]
+    recording = read_recording(tmp_path / path.name, manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert recording.attrs["rate_hz"] == pytest.approx(5000.0, rel=1e-4)
+
+
+def test_channels_of_two_sensors_are_refused(path, limits):
+    names = contents_of(path, settings=limits).names
+    with pytest.raises(InputError, match=r"channels differ in their times.*one sensor"):
+        read_file(path, sources=[names[0], names[3]], settings=limits)
+
+
+def test_a_clock_that_wanders_far_is_told(real_data, limits):
+    path = real_data / "formats" / "ide" / "XS5E25D40.IDE"
+    (told,) = read_file(path, sources=["Acceleration: X (40g)"], settings=limits).flags
+    assert (told["flag"], told["severity"]) == ("time_jitter", "suspect")
+    assert "3.4 samples" in told["detail"]
+    (told,) = read_file(path, sources=["Acceleration: X (25g)"], settings=limits).flags
+    assert (told["flag"], told["severity"]) == ("time_jitter", "info")
+
+
+def test_a_lost_block_is_a_gap(real_data, tmp_path, limits):
+    whole = (real_data / "formats" / "ide" / "SSX66115.IDE").read_bytes()
+    expected = read_file(real_data / "formats" / "ide" / "SSX66115.IDE", sources=[0], settings=limits).columns[0]
+    # a block of channel 8 (ChannelDataBlock 0xA1, its channel 0xB0 81 08) becomes one that nobody reads (Void)
+    blocks = [
+        place
+        for place in range(len(whole) - 9)
+        if whole[place] == 0xA1 and whole[place + 3 : place + 6] == b"\xb0\x81\x08"
+    ]
+    chosen = blocks[len(blocks) // 2]
+    (tmp_path / "a.IDE").write_bytes(whole[:chosen] + b"\xec" + whole[chosen + 1 :])
+    raw = read_file(tmp_path / "a.IDE", sources=[0], settings=limits)
+    lost = np.isnan(raw.columns[0])
+    assert 300 < lost.sum() < 2000 and np.ptp(np.flatnonzero(lost)) == lost.sum() - 1
+    assert "time_gap" in [one["flag"] for one in raw.flags]
+    assert abs(raw.columns[0].size - expected.size) <= 2
+    first = int(np.flatnonzero(lost)[0])
+    np.testing.assert_allclose(raw.columns[0][:first], expected[:first], atol=0.02)
+
+
+def test_another_file_of_its_container_is_named(tmp_path, limits):
+    (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3\x9fB\x86\x81\x01B\x82\x84webm" + bytes(100))
+    with pytest.raises(InputError, match=r"a\.ide: is an EBML file \(such as a video\)"):
+        contents_of(tmp_path / "a.ide", settings=limits)
+
+
+@pytest.mark.slow
+def test_a_mutation_ends_in_data_or_in_an_error_of_ours(real_data, tmp_path, limits):
+    whole = (real_data / "formats" / "ide" / "XS5E25D40.IDE").read_bytes()
+    path = tmp_path / "a.IDE"
+    read = 0
+    for seed in range(1000):
+        rng = np.random.default_rng(seed)
+        data = bytearray(whole[: rng.integers(8, len(whole) + 1)] if seed % 3 == 0 else whole)
+        for place in rng.integers(0, min(len(data), 20_000) if seed % 2 else len(data), size=rng.integers(1, 9)):
+            data[place] = rng.integers(256)
+        path.write_bytes(data)
+        try:
+            names = contents_of(path, settings=limits).names
+            column = read_file(path, sources=[names[0]], settings=limits).columns[names[0]]
+        except CrankorderError as error:
+            assert "a.IDE" in str(error)
+        else:
+            assert column.ndim == 1 and column.dtype == np.float64
+            read += 1
+    assert read > 100
