@@ -18,9 +18,9 @@ from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
 from crankorder.cli import main
 from crankorder.errors import RequestError
-from crankorder.export.tables import Column, csv_bytes, tables_of
-from crankorder.export.uff58 import uff58_bytes
 from crankorder.findings import Findings
+from crankorder.interchange.tables import Column, csv_bytes, tables_of
+from crankorder.interchange.uff58 import uff58_bytes
 from crankorder.report.netcdf import read_results, results_bytes
 from crankorder.report.published import findings_datasets, published, root_attrs
 from made.typed import findings_of
