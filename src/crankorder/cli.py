@@ -419,6 +419,20 @@ def init(folder: Path, save: bool) -> None:
 
 
 @main.command()
+@click.option("--out", required=True, type=FOLDER, help="Folder for accuracy.json and accuracy.txt; made if missing.")
+@click.option("--on", type=FOLDER, metavar="RESULT", help="Results of a test: its synthetic twin is analysed.")
+@click.option("--draws", type=click.IntRange(1, 100), default=1, show_default=True, help="Twins that are drawn.")
+def accuracy(out: Path, on: Path | None, draws: int) -> None:
+    """Measure speed against error here, or how well a test of yours can be analysed: by a twin whose truth is known."""
+    from crankorder.batch.accuracy import publish_accuracy
+
+    paths, text = publish_accuracy(out, on=on, draws=draws)
+    click.echo(text, nl=False)
+    for path in paths:
+        click.echo(str(path), err=True)
+
+
+@main.command()
 @click.argument("out", type=FOLDER)
 def clean(out: Path) -> None:
     """Remove from OUT what `run` keeps of single recordings, so that it need not compute them again; results stay."""
