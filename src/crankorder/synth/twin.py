@@ -59,7 +59,7 @@ class TwinRecording:
 
 
 def probe_orders(twin: Twin) -> Floats:
-    """Orders of the probes: on bins of the order map, spread over it, clear of the test's orders and of half orders."""
+    """Orders of the probes for ``twin``: on bins of its order map, clear of the test's and of half orders."""
     axis = twin.order_map["order"].values
     taken = np.unique(np.append(twin.tracks["order"].values, np.arange(0.0, axis[-1] + 1.0, 0.5)))
     own = twin.tracks["order"].values
@@ -73,7 +73,7 @@ def probe_orders(twin: Twin) -> Floats:
 
 
 def probe_amplitudes(twin: Twin, rng: np.random.Generator, n_probes: int) -> Floats:
-    """Amplitudes (channels, probes): rungs of ``LADDER`` dealt out at random, times the median standard error."""
+    """Amplitudes (channels, ``n_probes``): ``LADDER`` dealt by ``rng``, times the standard error of ``twin``."""
     error = np.nanmedian(twin.order_map["standard_error"].values, axis=(1, 2))
     rungs: Floats = rng.permutation(LADDER)[:n_probes]
     return np.outer(error, rungs)
@@ -83,6 +83,8 @@ def twin_recordings(
     twin: Twin, probes: Floats, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[TwinRecording]:
     """The recordings of a ``twin``, with ``probes`` (orders) of constant ``amplitudes`` (channels, probes).
+
+    Noise and phases that are not known come from ``rng``.
 
     Raises RequestError where the speeds of the test are not known.
     """
