@@ -365,8 +365,7 @@ class _Attributes:
 
     def rate_hz(self, dataset: Any, path: Path) -> float | None:
         """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
-        rates, steps = (self._numbers(dataset, names) for names in (_RATE_NAMES, _STEP_NAMES))
-        stated = rates | {name: 1.0 / step if step else 0.0 for name, step in steps.items()}
+        stated = _as_rates(self._numbers(dataset, (*_RATE_NAMES, *_STEP_NAMES)))
         value = next(iter(stated.values()), None)
         if value is not None and any(abs(other - value) > _SAME_RATE * abs(value) for other in stated.values()):
             found = ", ".join(f"{name}: {other:.9g} Hz" for name, other in stated.items())
@@ -406,20 +405,12 @@ class _Attributes:
                 kind = "text" if isinstance(value, (bytes, str)) else f"{np.size(value)} numbers, one for each column"
                 yield "scale_unusual", f"{dataset.name}: its {name} is {kind}; taken as such"
         for place in (dataset.name.rpartition("/")[0] or "/", "/"):
-            for name, other in self._rates_at(place, dataset).items():
+            for name, other in _as_rates(self._numbers_at(place, dataset, (*_RATE_NAMES, *_STEP_NAMES))).items():
                 if rate_hz is not None and abs(other - rate_hz) > _SAME_RATE * rate_hz:
                     yield (
                         "header_rate_disagrees",
                         f"{dataset.name} states {rate_hz:.9g} Hz, {name} of {place} {other:.9g} Hz; the first is taken",
                     )
-
-    def _rates_at(self, place: str, dataset: Any) -> dict[str, float]:
-        attrs = self._at(place, dataset)
-        found = {name: attrs.get(_plain(name)) for name in (*_RATE_NAMES, *_STEP_NAMES)}
-        numbers = {name: number for name, value in found.items() if (number := _number_of(value)) is not None}
-        return {
-            name: number if name in _RATE_NAMES else 1.0 / number for name, number in numbers.items() if number > 0.0
-        }
 
     def number(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, of ``dataset``, else of its group, else of the file."""
@@ -430,15 +421,12 @@ class _Attributes:
         places = [dataset.name]
         if inherited:
             places += [dataset.name.rpartition("/")[0] or "/", "/"]
-        for place in places:
-            attrs, found = self._at(place, dataset), dict[str, float]()
-            for name in names:
-                value = _number_of(attrs.get(_plain(name)))
-                if value is not None:
-                    found[name] = value
-            if found:
-                return found
-        return {}
+        return next((found for place in places if (found := self._numbers_at(place, dataset, names))), {})
+
+    def _numbers_at(self, place: str, dataset: Any, names: Sequence[str]) -> dict[str, float]:
+        attrs = self._at(place, dataset)
+        found = {name: _number_of(attrs.get(_plain(name))) for name in names}
+        return {name: value for name, value in found.items() if value is not None}
 
     def text(self, dataset: Any, names: Sequence[str]) -> str:
         """First of the attributes ``names`` of ``dataset`` that is text, else ""."""
@@ -458,6 +446,11 @@ class _Attributes:
             item = dataset if place == dataset.name else self._file[place]
             self._of[place] = _readable(item)
         return self._of[place]
+
+
+def _as_rates(stated: dict[str, float]) -> dict[str, float]:
+    """Samples per second that rates and time steps ``stated`` mean, by name."""
+    return {name: value if name in _RATE_NAMES else 1.0 / value if value else 0.0 for name, value in stated.items()}
 
 
 def _number_of(value: Any) -> float | None:
