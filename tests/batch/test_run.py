@@ -289,7 +289,7 @@ class TestWhatIsLeftOut:
 
         whole = amplitude("whole")
         with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
-            file["acc_z"][100_000:150_000] = 0.0
+            file["acc_z"][100_000 : 100_000 + len(file["acc_z"]) // 30] = 0.0
         np.testing.assert_allclose(amplitude("holed"), whole, rtol=0.05)
         flags = {(flag["flag"], flag["severity"]) for flag in findings_in(tmp_path / "holed")["quality"]}
         assert ("dropout", "bad") in flags

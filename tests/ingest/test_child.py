@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import struct
 import time
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -104,3 +106,24 @@ def test_a_workbook_of_endless_shared_strings_is_refused(tmp_path, limits):
     _refused(tmp_path / "bomb.xlsx", limits)
     with pytest.raises(CrankorderError):
         contents_of(tmp_path / "bomb.xlsx", settings=limits)
+
+
+@pytest.mark.parametrize("code", [1, 2])
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_matlab_variable_of_four_million_empty_arrays_is_refused_at_once(tmp_path, limits, code, packed):
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    fields = struct.pack("<Ii", 4 << 16 | 5, 4) + element(1, b"a\0\0\0")
+    head = element(6, struct.pack("<II", code, 0)) + element(5, struct.pack("<ii", 1, 4_000_000)) + element(1, b"s")
+    variable = element(14, head + (fields if code == 2 else b"") + element(14, b"") * 4_000_000)
+    if packed:
+        deflated = zlib.compress(variable, 1)
+        variable = struct.pack("<II", 15, len(deflated)) + deflated
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + variable)
+    begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(UnsafeInputError, match=r"bomb\.mat: a variable holds more than 20000 arrays"):
+        contents_of(path, settings=limits)
+    assert time.process_time() - begun < 5.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB

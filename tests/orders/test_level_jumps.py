@@ -189,3 +189,32 @@ def test_a_gain_switched_for_good_leaves_open_which_was_meant_unless_one_recordi
         assert not undecided and list(rows) == [0 if after == 1 else 5]
     rows, undecided = left_out([GainStep(0, 2, step), GainStep(0, 4, -step)], 8, 0)
     assert not undecided and list(rows) == [2, 3]
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize(("factor", "said"), [(9.80665, "g beside m/s2"), (0.1, "sensitivity"), (1e-3, "V beside mV")])
+@pytest.mark.parametrize("names", [NAMES, ("X",)])
+def test_a_recording_in_another_unit_is_asked_about(
+    seed: int, factor: float, said: str, names: tuple[str, ...]
+) -> None:
+    rng = np.random.default_rng(seed)
+    levels = []
+    for number, one in enumerate(stepped(rng)):
+        floor = {name: 1.1**number * rng.lognormal(0.0, 0.01) for name in names}
+        levels.append(RecordedLevel(one.recording, one.speed_rpm, {name: one.rms[name] for name in names}, floor))
+    assert not [flag for flag in level_jumps(levels, ratio=3.0) if flag["flag"] == "unit_doubt"]
+    chosen = levels[rng.integers(1, len(levels) - 1)]
+    for name in names:
+        chosen.floor[name] *= factor
+    [flag] = [flag for flag in level_jumps(levels, ratio=3.0) if flag["flag"] == "unit_doubt"]
+    assert (flag["recording"], flag["severity"]) == (chosen.recording, "suspect")
+    assert "unit?" in flag["detail"] and said in flag["detail"] and "left_out" not in flag
+
+
+def test_one_channel_in_another_unit_is_asked_about() -> None:
+    levels = stepped(np.random.default_rng(5))
+    for one in levels:
+        one.floor.update(dict.fromkeys(NAMES, 1.0))
+    levels[2].floor["Y"] *= 1000.0
+    [flag] = level_jumps(levels, ratio=3.0)
+    assert flag["left_out"] == "channel" and "(unit? as V beside mV, or m beside mm)" in flag["detail"]

@@ -15,6 +15,7 @@ from crankorder.batch.index import BATCH, INDEX, refuse_foreign_index
 from crankorder.batch.result_folder import Owner, finished_tests, owner_recorded, refuse_foreign, refuse_others
 from crankorder.batch.store import text_sha256
 from crankorder.errors import CrankorderError, ManyErrors, RequestError, printable
+from crankorder.ingest.checksums import checksum_faults
 from crankorder.ingest.folder import natural_key, recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.settings import Settings, load_settings
@@ -51,6 +52,16 @@ class CampaignPlan:
         if path.is_relative_to(self.folder):
             return path.relative_to(self.folder).as_posix()
         return path.name if path.is_absolute() else path.as_posix()
+
+    def without_altered(self, sha256: Mapping[Path, str | None]) -> tuple[CampaignPlan, list[CrankorderError]]:
+        """This plan without recordings of which a list of checksums says that they are others, and their faults.
+
+        ``sha256``: of its files, None where one could not be read.
+        """
+        faults = checksum_faults(self.folder, self.files, self.manifest.recordings.files, sha256_of=sha256.get)
+        at_fault = {Path(fault.file) for fault in faults}
+        kept = [path for path in self.recordings if not at_fault.intersection(self.files_of(path))]
+        return replace(self, recordings=kept, faults=[*self.faults, *faults]), faults
 
     @property
     def files(self) -> list[Path]:

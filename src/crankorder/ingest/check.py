@@ -21,6 +21,7 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
         return faults
     manifest = load_manifest(folder, manifest_path)
     # only a right manifest is worth the time of the heavy imports below
+    from crankorder.ingest.checksums import checksum_faults
     from crankorder.ingest.folder import recordings_of
 
     try:
@@ -39,6 +40,8 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
                 remedy='Name one, or state cycle = "none" for a structure without a shaft',
             )
         )
+    files = [*found.paths, *(pulses for path in found.paths if (pulses := manifest.encoder.beside(path)) is not None)]
+    faults += checksum_faults(folder, files, manifest.recordings.files)
     for path in found.paths:
         faults += check_recording(path, manifest, settings=settings)
     return faults

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError, printable
-from crankorder.ingest.folder import is_leftover, natural_key
+from crankorder.ingest.folder import is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
 from crankorder.ingest.rawfile import Contents, RawFile, Source
@@ -204,7 +204,12 @@ def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], lis
     groups: dict[str, list[tuple[Contents, Path]]] = {}
     faults: list[CrankorderError] = []
     for path in sorted(folder.iterdir(), key=natural_key):
-        if is_leftover(path.name) or path.suffix.lower() in (".toml", ".md", ".json") or path.is_dir():
+        if (
+            is_leftover(path.name)
+            or is_companion(path.name)
+            or path.suffix.lower() in (".toml", ".md", ".json")
+            or path.is_dir()
+        ):
             continue
         try:
             contents = contents_of(path, settings=settings)

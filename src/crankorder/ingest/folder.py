@@ -19,13 +19,14 @@ from crankorder.errors import (
     RequestError,
     UnsafeInputError,
 )
+from crankorder.ingest.checksums import is_checksum_list
 from crankorder.ingest.manifest import MANIFEST_NAME, Manifest
 
 _LEFTOVER = re.compile(
     r"\..*|.*~|~\$.*|.*\.(part|partial|tmp|temp|crdownload|filepart|download|swp|bak|lock)|thumbs\.db|desktop\.ini",
     re.IGNORECASE,
 )
-_COMPANIONS = (MANIFEST_NAME, "truth.json", "manifest-sha256.txt")
+_COMPANIONS = (MANIFEST_NAME, "truth.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,11 @@ class Folder:
 def is_leftover(name: str) -> bool:
     """Whether a file ``name`` is what an editor, a copy program or a file manager leaves behind."""
     return _LEFTOVER.fullmatch(name) is not None
+
+
+def is_companion(name: str) -> bool:
+    """Whether a file ``name`` goes with recordings and holds none: a manifest, a truth, a list of checksums."""
+    return name in _COMPANIONS or is_checksum_list(name)
 
 
 def natural_key(path: Path) -> list[tuple[int, int, str]]:
@@ -73,7 +79,7 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
                     continue
                 if is_leftover(path.name):
                     ignored.append(path.name)
-                elif path.name not in _COMPANIONS or pattern == path.name:
+                elif not is_companion(path.name) or pattern == path.name:
                     check_regular(path, folder)
                     chosen[path] = None
             except CrankorderError as error:

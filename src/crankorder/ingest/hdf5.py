@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from crankorder.errors import CrankorderError, InputError, UnsafeInputError
+from crankorder.errors import CrankorderError, InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     HDF5_SIGNATURE,
     Contents,
@@ -22,6 +22,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     common_rate,
+    flag,
     float_type_for,
     named,
     part_of,
@@ -48,6 +49,8 @@ _SPEED_NAMES = ("speed_rpm", "rpm", "shaft_speed_rpm", "nominal_rpm", "engine_sp
 _UNIT_NAMES = ("units", "unit", "unit_string")
 _START_NAMES = ("start_s", "wf_start_offset")
 _PACKING_NAMES = ("_FillValue", "missing_value", "scale_factor", "add_offset")
+_TEXT_NUMBER = re.compile(r"([+-]?[0-9.]{1,30}(?:[eE][+-]?[0-9]{1,3})?)\s*([kMmµu]?)(?:Hz|S/s|s|sec)?")
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
 _SAME_RATE = 1e-4  # a time step is often written with few decimals
 
 
@@ -97,11 +100,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         start = next(
             (value for ds in used.values() if (value := attributes.number(ds, _START_NAMES)) is not None), None
         )
+        common_hz = common_rate(_stated(rates), path, tolerance=settings.rate_tolerance)
+        doubts = {doubt: None for ds in used.values() for doubt in attributes.doubts(ds, common_hz)}
         return RawFile(
             columns=dict(zip(sources, values, strict=True)),
             units={source: unit for source, unit in units.items() if unit},
-            rate_hz=common_rate(_stated(rates), path, tolerance=settings.rate_tolerance),
+            rate_hz=common_hz,
             attrs={} if start is None else {"start_s": start},
+            flags=[flag(path, name, "suspect", detail) for name, detail in doubts],
         )
 
 
@@ -309,8 +315,8 @@ def _read_columns(
                 found=str(error).split("\n")[0],
                 remedy="Copy the file again",
             ) from None
-        for _, row, _ in asked:
-            _unpack(row, dataset, attributes)
+        for index, row, _ in asked:
+            _unpack(row, dataset, index, attributes, path)
     return room
 
 
@@ -336,14 +342,14 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 
 
-def _unpack(row: FloatArray, dataset: Any, attributes: _Attributes) -> None:
-    """Undo the packing conventions of NetCDF: fill value, scale and offset."""
+def _unpack(row: FloatArray, dataset: Any, index: int | None, attributes: _Attributes, path: Path) -> None:
+    """Undo the packing conventions of NetCDF: fill value, scale and offset of the column ``index`` of ``dataset``."""
     fill = attributes.number(dataset, ("_FillValue", "missing_value"), inherited=False)
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
-    scale = attributes.number(dataset, ("scale_factor",), inherited=False)
-    offset = attributes.number(dataset, ("add_offset",), inherited=False)
+    scale = attributes.packing(dataset, "scale_factor", index, path)
+    offset = attributes.packing(dataset, "add_offset", index, path)
     if scale is not None:
         row *= scale
     if offset is not None:
@@ -359,8 +365,7 @@ class _Attributes:
 
     def rate_hz(self, dataset: Any, path: Path) -> float | None:
         """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
-        rates, steps = (self._numbers(dataset, names) for names in (_RATE_NAMES, _STEP_NAMES))
-        stated = rates | {name: 1.0 / step if step else 0.0 for name, step in steps.items()}
+        stated = _as_rates(self._numbers(dataset, (*_RATE_NAMES, *_STEP_NAMES)))
         value = next(iter(stated.values()), None)
         if value is not None and any(abs(other - value) > _SAME_RATE * abs(value) for other in stated.values()):
             found = ", ".join(f"{name}: {other:.9g} Hz" for name, other in stated.items())
@@ -369,6 +374,43 @@ class _Attributes:
         if value is not None and not (value > 0 and np.isfinite(value)):
             raise InputError("the sampling rate must be above 0", file=path, place=dataset.name, found=value)
         return value
+
+    def packing(self, dataset: Any, name: str, index: int | None, path: Path) -> float | None:
+        """The number that the attribute ``name`` states for the column ``index`` of ``dataset``, None without it.
+
+        It may be written as text, or one for each column. Raises InputError where it is neither: the scale of the
+        samples is then not known.
+        """
+        value = self._at(dataset.name, dataset).get(_plain(name))
+        if value is None:
+            return None
+        with suppress(TypeError, ValueError, UnicodeDecodeError):
+            numbers = np.atleast_1d(_number_in(value))
+            n_columns = 1 if index is None else min(dataset.shape)
+            if numbers.ndim == 1 and numbers.size in (1, n_columns) and np.isfinite(numbers).all():
+                return float(numbers[(index or 0) if numbers.size > 1 else 0])
+        raise InputError(
+            f"its {name} is not a number",
+            file=path,
+            place=dataset.name,
+            found=printable(repr(value), 60),
+            remedy="Mend the attribute, or export the samples as floats in their unit",
+        )
+
+    def doubts(self, dataset: Any, rate_hz: float | None) -> Iterator[tuple[str, str]]:
+        """Flags and details of what the attributes about ``dataset``, whose rate is ``rate_hz``, contradict or hide."""
+        for name in ("scale_factor", "add_offset"):
+            value = self._at(dataset.name, dataset).get(_plain(name))
+            if value is not None and (isinstance(value, (bytes, str)) or np.size(value) > 1):
+                kind = "text" if isinstance(value, (bytes, str)) else f"{np.size(value)} numbers, one for each column"
+                yield "scale_unusual", f"{dataset.name}: its {name} is {kind}; taken as such"
+        for place in (dataset.name.rpartition("/")[0] or "/", "/"):
+            for name, other in _as_rates(self._numbers_at(place, dataset, (*_RATE_NAMES, *_STEP_NAMES))).items():
+                if rate_hz is not None and abs(other - rate_hz) > _SAME_RATE * rate_hz:
+                    yield (
+                        "header_rate_disagrees",
+                        f"{dataset.name} states {rate_hz:.9g} Hz, {name} of {place} {other:.9g} Hz; the first is taken",
+                    )
 
     def number(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, of ``dataset``, else of its group, else of the file."""
@@ -379,15 +421,12 @@ class _Attributes:
         places = [dataset.name]
         if inherited:
             places += [dataset.name.rpartition("/")[0] or "/", "/"]
-        for place in places:
-            attrs, found = self._at(place, dataset), dict[str, float]()
-            for name in names:
-                value = attrs.get(_plain(name))
-                if value is not None and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
-                    found[name] = float(np.asarray(value).reshape(()))
-            if found:
-                return found
-        return {}
+        return next((found for place in places if (found := self._numbers_at(place, dataset, names))), {})
+
+    def _numbers_at(self, place: str, dataset: Any, names: Sequence[str]) -> dict[str, float]:
+        attrs = self._at(place, dataset)
+        found = {name: _number_of(attrs.get(_plain(name))) for name in names}
+        return {name: value for name, value in found.items() if value is not None}
 
     def text(self, dataset: Any, names: Sequence[str]) -> str:
         """First of the attributes ``names`` of ``dataset`` that is text, else ""."""
@@ -407,6 +446,36 @@ class _Attributes:
             item = dataset if place == dataset.name else self._file[place]
             self._of[place] = _readable(item)
         return self._of[place]
+
+
+def _as_rates(stated: dict[str, float]) -> dict[str, float]:
+    """Samples per second that rates and time steps ``stated`` mean, by name."""
+    return {name: value if name in _RATE_NAMES else 1.0 / value if value else 0.0 for name, value in stated.items()}
+
+
+def _number_of(value: Any) -> float | None:
+    """The one number that an attribute's ``value`` is, or says as text; None where it is none."""
+    if value is None or np.size(value) != 1:
+        return None
+    with suppress(TypeError, ValueError, UnicodeDecodeError):
+        return float(np.asarray(_number_in(value), dtype=np.float64).reshape(()))
+    return None
+
+
+def _number_in(value: Any) -> Any:
+    """``value`` of an attribute as numbers, where it is text those that it says in Hz or s: "51.2 kHz"."""
+    if isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "SUO":
+        value = value.reshape(-1)[0]
+    if isinstance(value, bytes):
+        value = value.decode("utf-8")
+    if not isinstance(value, str):
+        if np.asarray(value).dtype.kind not in "iuf":
+            raise TypeError("no number")
+        return np.asarray(value, dtype=np.float64)
+    found = _TEXT_NUMBER.fullmatch(value.strip(" \0"))
+    if found is None:
+        raise ValueError("no number")
+    return float(found[1]) * _PREFIXES[found[2] or ""]
 
 
 def _readable(item: Any) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,9 @@ _HEAD_BYTES = 4096
 
 _MOST_COLUMNS = 1000
 
+_MOST_PARTS = 20_000
+"""Elements of one variable: each costs far more memory than its bytes in the file."""
+
 # last part of a name, in small letters and without anything but letters
 _RATE_NAMES = frozenset(("sr", "fs", "sampfreq", "samplefreq", "samplerate", "samplingrate", "samplingfrequency"))
 
@@ -59,6 +63,10 @@ class DamagedFileError(Exception):
     def __init__(self, problem: str, *, place: str = "") -> None:
         self.place = place
         super().__init__(problem)
+
+
+class TooManyPartsError(Exception):
+    """A variable holds more arrays than any recording has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +249,9 @@ def matrix_of(element: Element, *, partial: bool = False) -> Matrix | None:
         return None
     if not len(element.body):
         return Matrix("", 6, (0, 0), False, [], element.order)  # how an empty field is written
-    inner = list(elements(element.body, 0, len(element.body), element.order, partial=partial))
+    inner = list(islice(elements(element.body, 0, len(element.body), element.order, partial=partial), _MOST_PARTS + 1))
+    if len(inner) > _MOST_PARTS:
+        raise TooManyPartsError(f"a variable holds more than {_MOST_PARTS} arrays")
     if len(inner) < 3 or len(inner[0].body) != 8 or inner[0].code != 6:
         raise DamagedFileError("a variable without a head")
     flags = int(inner[0].numbers()[0])
@@ -323,6 +333,8 @@ def _opened(path: Path) -> Iterator[Buffer]:
         data = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
     try:
         yield data  # unmapped when the last view of it is gone
+    except TooManyPartsError as error:
+        raise UnsafeInputError(str(error), file=path, remedy="Save the signals as variables of their own") from None
     except DamagedFileError as error:
         raise InputError(
             f"damaged or truncated: {error}", file=path, place=error.place, remedy="Copy the file again"

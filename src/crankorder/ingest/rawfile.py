@@ -20,6 +20,9 @@ FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
 
 
+_LOOKED_AT, _SIZES = 8192, 16
+"""Samples that are looked at, and how many different whole numbers are no levels of a switch."""
+
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes of an HDF5 file, or of its superblock behind a user block."""
 
@@ -138,6 +141,13 @@ def rows_for(
     on_disk = sum(n_samples * np.dtype(dtype).itemsize for n_samples, dtype in kinds) > in_memory_bytes
     room = {kind: iter(empty((kinds.count(kind), kind[0]), kind[1], on_disk=on_disk)) for kind in dict.fromkeys(kinds)}
     return [next(room[kind]) for kind in kinds]
+
+
+def looks_counted(values: FloatArray) -> bool:
+    """Whether ``values`` (sample,) are whole numbers of many sizes, as a converter counts; looks at some of them."""
+    some = values[:: max(1, values.size // _LOOKED_AT)][:_LOOKED_AT]
+    some = some[np.isfinite(some)]
+    return bool((some == np.rint(some)).all()) and np.unique(some).size >= _SIZES
 
 
 def check_budget(n_bytes: int, path: Path, *, max_bytes: int) -> None:

@@ -59,9 +59,10 @@ _PULSES = 5
 VIBRATION = frozenset({"acceleration", "velocity", "displacement"})
 """Quantities without a level or plateaus of their own: what shows either is a fault."""
 
-_MAY_HAVE_LEVELS = frozenset(
+MAY_HAVE_LEVELS = frozenset(
     {"voltage", "current", "counts", "full scale", "ratio", "angle", "rotational speed", "strain", "torque"}
 )
+"""Quantities of which a signal may stand at a few levels."""
 
 _IMPACTS = frozenset({"force"})
 
@@ -273,7 +274,7 @@ def judged(
     faults = [
         [
             replace(fault, severity="suspect", is_lost=False)
-            if fault.flag == "few_levels" and quantity in _MAY_HAVE_LEVELS
+            if fault.flag == "few_levels" and quantity in MAY_HAVE_LEVELS
             else fault
             for fault in own
             if not (fault.flag == "clipped" and _is_square(fault, quantity, signals.shape[1]))
@@ -351,7 +352,7 @@ def _beside_each_other(
 
 def _is_square(fault: SignalFault, quantity: str, n_samples: int) -> bool:
     """Whether what looks clipped is a signal of two levels, such as that of a pickup."""
-    return quantity in _MAY_HAVE_LEVELS and int(fault.at.lengths.sum()) > 0.5 * n_samples
+    return quantity in MAY_HAVE_LEVELS and int(fault.at.lengths.sum()) > 0.5 * n_samples
 
 
 def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Runs:

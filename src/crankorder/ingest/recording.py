@@ -15,8 +15,8 @@ from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.manifest import Channel, Manifest
-from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, named
-from crankorder.ingest.record_faults import Sampled, judged
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named
+from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import (
@@ -549,6 +549,13 @@ def _to_analysed_unit(
 ) -> None:
     """Turn ``signal`` in place from the file's unit into the channel's."""
     scaling = file_to_analysed(channel, file_unit, path)
+    stated = channel.sensitivity is not None or channel.offset is not None or file_unit not in STATES_NO_UNIT
+    if not stated and channel.analysed_unit.quantity not in MAY_HAVE_LEVELS and looks_counted(signal):
+        detail = (
+            f"channel {channel.name}: whole numbers without unit or scale in the file, taken as "
+            f'{channel.analysed_unit.name}: if they are counts of a converter, state unit = "counts" or a sensitivity'
+        )
+        flags.append(flag(path, "counts_without_unit", "suspect", detail))
     if scaling.remark:
         flags.append(flag(path, "unit_unknown", "info", scaling.remark))
     if scaling.offset != 0.0:

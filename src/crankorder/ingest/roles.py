@@ -13,9 +13,9 @@ import numpy as np
 
 from crankorder.errors import CrankorderError
 from crankorder.ingest.formats import read_file
-from crankorder.ingest.rawfile import Contents, Source
+from crankorder.ingest.rawfile import Contents, Source, looks_counted
 from crankorder.ingest.recording import STATES_NO_UNIT
-from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix
+from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
 
@@ -167,6 +167,8 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
     elif stated not in STATES_NO_UNIT and unit is None:
         doubt = f"the file states the unit {stated!r}, which is not known"
         role = "unused" if stated.strip() in _SLOW_UNITS else role
+    elif unit is None and role == "channel" and name in values and looks_counted(values[name]):
+        unit, doubt = unit_of("counts"), "whole numbers without a unit: counts of a converter, or m/s2, g, Pa, …"
     first, step = 0.0, 0.0
     if role == "angle":
         first, step = float(values[name][0]), float(np.median(np.diff(values[name])))

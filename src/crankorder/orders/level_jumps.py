@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.quantities import WHICH_IS_RIGHT, Floats, QualityFlag
+from crankorder.settings import STANDARD_GRAVITY_M_S2
 
 _STAYS = 0.25
 """Share of the jump by which what does not jump may move: the other channels, and the same channel elsewhere."""
@@ -47,6 +48,13 @@ _LIKE_SPEED = 0.02
 
 _OTHERS_STAY = 0.25
 """Share of the jump that the others may move by: a load moves them all."""
+
+_UNIT_FACTORS = (
+    (STANDARD_GRAVITY_M_S2, "as g beside m/s2, or a sensitivity of 10 beside 100"),
+    (1000.0, "as V beside mV, or m beside mm"),
+)
+_UNIT_NEAR = 0.05
+"""Share by which a factor may lie off that of two units, and channels off each other."""
 
 _EVIDENCE = ("blocks", "lines")
 
@@ -267,10 +275,30 @@ def level_jumps(
             for row, jump, undecided in _wrong_of(rows, beside, len(group)):
                 one = group[row]
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
-                what += f" at {np.mean(one.speed_rpm):.4g} rpm"
+                what += f" at {np.mean(one.speed_rpm):.4g} rpm{_unit_doubt(math.exp(jump))}"
                 found[one.recording, name] = _flag(one.recording, name, what, undecided=undecided)
     proven = {} if proven_ratio is None else _proven(steady, ratio=proven_ratio)
-    return list((proven | by_floor | found).values())
+    return [*(proven | by_floor | found).values(), *_unit_jumps(steady)]
+
+
+def _unit_doubt(factor: float) -> str:
+    """What the ``factor`` of a level may be, where it is that of two units; else ""."""
+    off, what = min((abs(abs(math.log(factor)) - math.log(known)), what) for known, what in _UNIT_FACTORS)
+    return f" (unit? {what})" if off < _UNIT_NEAR else ""
+
+
+def _unit_jumps(steady: Sequence[RecordedLevel]) -> list[QualityFlag]:
+    """Flags of recordings all channels of which lie by one factor, and that of two units, off those next in speed."""
+    flags = []
+    for row, logs in enumerate(_floors_apart(steady)[2]):
+        doubt = _unit_doubt(math.exp(float(np.mean(logs))))
+        if doubt and float(np.ptp(logs)) < 2.0 * _UNIT_NEAR:
+            factor = math.exp(float(np.mean(logs)))
+            detail = f"all floors are {factor:.3g} times those of the recordings next in speed{doubt}"
+            flags.append(
+                QualityFlag(recording=steady[row].recording, flag="unit_doubt", severity="suspect", detail=detail)
+            )
+    return flags
 
 
 def _proven(steady: Sequence[RecordedLevel], *, ratio: float) -> dict[tuple[str, str], QualityFlag]:
@@ -318,11 +346,29 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
 
     A resonance raises the floor of a part of the spectrum, a load that of all channels: a gain that of one, everywhere.
     """
+    names, apart, _ = _floors_apart(steady)
+    if len(names) < 2:
+        return []
+    flags = []
+    for row, column in zip(*np.nonzero(np.abs(apart) > math.log(ratio)), strict=True):
+        if np.abs(np.delete(apart[row], column)).max() >= _OTHERS_STAY * abs(apart[row, column]):
+            continue
+        factor = math.exp(apart[row, column])
+        what = f"its noise floor is {factor:.3g} times that of the recordings next in speed{_unit_doubt(factor)}"
+        flags.append(_flag(steady[row].recording, names[column], what))
+    return flags
+
+
+def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, Floats]:
+    """Channels, and how far the floor (recording, channel) lies off those next in speed: at least, and in the mean.
+
+    Logarithms; 0 where the two next in speed do not agree.
+    """
     names = [
         name for name in (steady[0].floor if steady else ()) if all(one.floor.get(name, 0.0) > 0.0 for one in steady)
     ]
-    if len(names) < 2 or len(steady) < 3:
-        return []
+    if not names or len(steady) < 3:
+        return names, (none := np.empty((0, len(names)))), none
     logs = np.log([[one.floor[name] for name in names] for one in steady])
     below, above = logs[1:-1] - logs[:-2], logs[1:-1] - logs[2:]
     # at either end two neighbours on one side must agree, and what grows from the one to the other must not explain it
@@ -331,14 +377,8 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
     inner = np.stack([below, above, below])
     parts = np.concatenate([ends[0][:, None], inner, ends[1][:, None]], axis=1)
     agree = (np.sign(parts) == np.sign(parts[0])).all(axis=0)
-    apart = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
-    flags = []
-    for row, column in zip(*np.nonzero(np.abs(apart) > math.log(ratio)), strict=True):
-        if np.abs(np.delete(apart[row], column)).max() >= _OTHERS_STAY * abs(apart[row, column]):
-            continue
-        what = f"its noise floor is {math.exp(apart[row, column]):.3g} times that of the recordings next in speed"
-        flags.append(_flag(steady[row].recording, names[column], what))
-    return flags
+    least = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
+    return names, least, np.where(agree, 0.5 * (parts[0] + parts[1]), 0.0)
 
 
 def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floats:
