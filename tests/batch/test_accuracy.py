@@ -1,0 +1,56 @@
+"""Accuracy as a command: what was put in is known, and the numbers that are said follow from it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import crankorder as co
+from crankorder.batch import accuracy
+from crankorder.batch.accuracy import accuracy_on, publish_accuracy, speed_against_error
+from crankorder.errors import RequestError
+
+
+def test_every_map_keeps_the_error_that_it_foretells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy, "TOLERANCES", (1e-2, 1e-6))
+    monkeypatch.setattr(accuracy, "REPEATS", 1)
+    timed = list(speed_against_error())
+    for one in timed:
+        assert one.error < one.tolerance
+        assert one.samples_per_s > 0.0
+    assert timed[1].error < 1e-3 * timed[0].tolerance
+
+
+@pytest.mark.slow
+def test_a_twin_tells_what_could_be_found(tmp_path: Path) -> None:
+    (folder,) = co.synthesise("hard-two-revolutions", tmp_path / "test", quick=True)
+    tree = co.run(folder, out=tmp_path / "out")
+    if not tree["order_tracks"].sizes["order"]:
+        pytest.skip("no order was found in the scene")
+    made = accuracy_on(tmp_path / "out")
+    assert [one.channel for one in made.channels] == [str(name) for name in tree["order_map"]["channel"].values]
+    for one in made.channels:
+        assert 0 <= one.orders_found <= one.orders_put_in
+        if one.least_found is not None and one.most_missed is not None:
+            assert one.least_found > one.most_missed
+        if one.coverage_percent is not None:
+            assert 0.0 <= one.coverage_percent <= 100.0
+            assert np.isfinite(one.coverage_percent)
+
+
+def test_without_results_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="no finished results"):
+        publish_accuracy(tmp_path / "acc", on=tmp_path)
+    assert not (tmp_path / "acc").exists()
+
+
+def test_what_is_written_is_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy, "TOLERANCES", (1e-3,))
+    monkeypatch.setattr(accuracy, "REPEATS", 1)
+    paths, text = publish_accuracy(tmp_path / "acc")
+    (row,) = json.loads(paths[0].read_bytes())["speed_against_error"]
+    assert (row["tolerance"], paths[1].read_text()) == (1e-3, text)
+    assert f"{row['error']:.1e}" in text
