@@ -419,6 +419,20 @@ def init(folder: Path, save: bool) -> None:
 
 
 @main.command()
+@click.option("--out", required=True, type=FOLDER, help="Folder for accuracy.json and accuracy.txt; made if missing.")
+@click.option("--on", type=FOLDER, metavar="RESULT", help="Results of a test: its synthetic twin is analysed.")
+@click.option("--draws", type=click.IntRange(1, 100), default=1, show_default=True, help="Twins that are drawn.")
+def accuracy(out: Path, on: Path | None, draws: int) -> None:
+    """Measure speed against error here, or how well a test of yours can be analysed: by a twin whose truth is known."""
+    from crankorder.batch.accuracy import publish_accuracy
+
+    paths, text = publish_accuracy(out, on=on, draws=draws)
+    click.echo(text, nl=False)
+    for path in paths:
+        click.echo(str(path), err=True)
+
+
+@main.command()
 @click.argument("out", type=FOLDER)
 def clean(out: Path) -> None:
     """Remove from OUT what `run` keeps of single recordings, so that it need not compute them again; results stay."""
@@ -480,6 +494,25 @@ def compare(
         for found in (one for one in made.document["confounds"] if one["severity"] == "invalid"):
             click.echo(f"crankorder: not comparable: {found['what']}: {found['words']}", err=True)
         sys.exit(4)
+
+
+@main.command()
+@click.argument("result", type=FOLDER)
+@click.option("--to", required=True, type=click.Choice(["uff58", "csv", "parquet"]), help="What is written.")
+@click.option("--binary", is_flag=True, help="Universal files in binary form (58b).")
+@click.option(
+    "--out", type=FOLDER, default=Path("crankorder-export"), show_default=True, help="Folder; made if missing."
+)
+def export(result: Path, to: str, binary: bool, out: Path) -> None:
+    """Write RESULT (of a test, or of a whole --out) for other programs: a folder TEST-FORMAT in --out for each test.
+
+    uff58: order cuts against rpm and waterfalls of orders and frequencies. csv, parquet: tracks, modes, crossings,
+    lines and what else was found, each column with its unit; parquet also the maps.
+    """
+    from crankorder.batch.export import export_results
+
+    for path in export_results(result, out, to=to, binary=binary):
+        click.echo(str(path))
 
 
 @main.command()

@@ -24,12 +24,14 @@ from crankorder.batch.balance import document_text as balance_text
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Progress, run_plans
+from crankorder.batch.export import export_results
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.result_folder import DONE
+from crankorder.batch.result_folder import RESULTS, result_folders
 from crankorder.batch.store import json_bytes
+from crankorder.channel_units import with_real_units
 from crankorder.errors import InputError, RequestError
 from crankorder.findings import Findings
 from crankorder.ingest.arrays import (
@@ -50,7 +52,8 @@ from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
-from crankorder.report.netcdf import findings_datasets, plain_attrs
+from crankorder.report.netcdf import plain_attrs
+from crankorder.report.published import findings_datasets, published, root_attrs
 from crankorder.settings import Settings, load_settings
 from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_shaft
@@ -223,7 +226,7 @@ def order_map(
     """
     orders = {"max_order": max_order, "revs_per_frame": revs_per_frame, "speed_bin_rpm": speed_bin_rpm}
     settings = _settings("order_map", recipe=recipe, orders={**orders, "tolerance": tol})
-    return _analysed(recordings, settings)[0]["order_map"]
+    return with_real_units(_analysed(recordings, settings)[0]["order_map"])
 
 
 def campbell_map(
@@ -248,7 +251,7 @@ def campbell_map(
     """
     campbell = {"max_frequency_hz": max_frequency_hz, "resolution_hz": resolution_hz}
     settings = _settings("campbell_map", recipe=recipe, campbell=campbell, orders={"speed_bin_rpm": speed_bin_rpm})
-    return _analysed(recordings, settings)[0]["campbell_map"]
+    return with_real_units(_analysed(recordings, settings)[0]["campbell_map"])
 
 
 def order_tracks(
@@ -273,7 +276,7 @@ def order_tracks(
     named = None if orders is None else tuple(np.atleast_1d(np.asarray(orders, dtype=np.float64)).tolist())
     results = ("order_tracks",) if named else ("order_tracks", "findings")
     asked = {"track_orders": named, "track_method": method}
-    return _analysed(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"]
+    return with_real_units(_analysed(recordings, _settings(*results, recipe=recipe, orders=asked))[0]["order_tracks"])
 
 
 def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | None = None) -> xr.Dataset:
@@ -293,7 +296,7 @@ def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | Non
     if not bearings:
         raise RequestError("no bearing is named", file="crankorder.envelope", allowed="bearings=[{...}], one or more")
     settings = _settings("envelope_map", recipe=recipe)
-    return _analysed(recordings, settings, tables={"bearings": bearings})[0]["envelope_map"]
+    return with_real_units(_analysed(recordings, settings, tables={"bearings": bearings})[0]["envelope_map"])
 
 
 def diagnose(
@@ -376,10 +379,9 @@ def run(
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
     options = {"tables": tables, "engine": engine, "test": test, "strict": strict}
     groups, findings = _analysed(tests, settings, **options)  # type: ignore[arg-type]
-    tables_of = {name: plain_attrs(table) for name, table in findings_datasets(findings).items()}
-    return xr.DataTree.from_dict(
-        {**{name: plain_attrs(group) for name, group in groups.items()}, **tables_of}, name=test
-    )
+    root = xr.Dataset(attrs=root_attrs(findings, groups))
+    made = {name: plain_attrs(published(one)) for name, one in {**groups, **findings_datasets(findings)}.items()}
+    return xr.DataTree.from_dict({"/": root, **made}, name=test)
 
 
 def open(path: str | os.PathLike[str]) -> xr.DataTree:
@@ -395,11 +397,7 @@ def open(path: str | os.PathLike[str]) -> xr.DataTree:
     ['channel', 'order', 'speed']
     """
     given = Path(path)
-    files = [file for file in (given, given / "results.nc") if file.is_file()]
-    files = files or sorted(file for file in given.glob("*/results.nc") if (file.parent / DONE).is_file())
-    if not files:
-        allowed = "a results.nc, the folder of a test, or the --out of a run"
-        raise RequestError("no finished results here", file=given, allowed=allowed)
+    files = [given] if given.is_file() else [folder / RESULTS for folder in result_folders(given)]
     if len(files) == 1:
         return _tree(files[0])
     return xr.DataTree(name=given.name, children={file.parent.name: _tree(file) for file in files})
@@ -436,6 +434,24 @@ def compare(
     if out is not None:
         publish_comparison(made, Path(out))
     return _document(comparison_text(made))
+
+
+def export(result: str | os.PathLike[str], *, to: str, out: str | os.PathLike[str], binary: bool = False) -> list[Path]:
+    """Paths of the files for other programs that ``result`` became, in a folder ``<test>-<to>`` of ``out`` per test.
+
+    ``result``: a ``results.nc``, a test's folder, or a whole ``--out``. ``to``: "uff58" (a universal file of order cuts
+    and waterfalls; ``binary``: 58b), "csv" or "parquet" (a table each of tracks, modes, crossings, lines and what else
+    was found, with units; Parquet also of the maps, by pyarrow). Raises RequestError where there are no results or
+    ``out`` lies among them.
+
+    >>> import crankorder as co, tempfile
+    >>> with tempfile.TemporaryDirectory() as work:
+    ...     folders = co.synthesise("hard-two-revolutions", work + "/test", quick=True)
+    ...     tree = co.run(folders, out=work + "/out", recipe="maps")
+    ...     [path.name for path in co.export(work + "/out", to="uff58", out=work + "/for-others")]
+    ['results.uff']
+    """
+    return export_results(Path(result), Path(out), to=to, binary=binary)
 
 
 def balance(

@@ -81,6 +81,15 @@ def record(kind: type[R]) -> type[R]:
     return dataclass(frozen=True, slots=True, kw_only=True)(kind)
 
 
+@dataclass(frozen=True)
+class Column:
+    """A field of records as a column of a table: its ``key``, what it is in words, and the ``kind`` of its values."""
+
+    key: str
+    text: str
+    kind: Literal["bool", "number", "interval", "text"]
+
+
 class Record:
     """Base of the records: their way from and to JSON."""
 
@@ -142,6 +151,11 @@ class Record:
         return made
 
     @classmethod
+    def columns(cls) -> dict[str, Column]:
+        """The fields as columns of a table of such records, by key; lists are text."""
+        return {_key(one): Column(_key(one), _text(one), _kind(cls._types()[one.name])) for one in cls._said()}
+
+    @classmethod
     def json_schema(cls) -> Document:
         """The JSON Schema of such a record."""
         named = {_key(one): _schema(cls._types()[one.name], one) for one in cls._said()}
@@ -164,6 +178,19 @@ def _as_json(value: object) -> object:
     if isinstance(value, tuple):
         return [_as_json(item) for item in value]
     return dict(value) if isinstance(value, Mapping) else value
+
+
+def _text(one: Field[Any]) -> str:
+    return one.metadata["text"] or f"95 % interval of {one.name.removesuffix('_ci95')}: low, high"
+
+
+def _kind(kind: Any) -> Literal["bool", "number", "interval", "text"]:
+    inner, _ = _without_none(kind)
+    if inner is bool:
+        return "bool"
+    if inner in (int, float):
+        return "number"
+    return "interval" if inner in (Interval, Ends) else "text"
 
 
 def _without_none(kind: Any) -> tuple[Any, bool]:
@@ -232,7 +259,7 @@ def _allowed(kind: Any, one: Field[Any]) -> str:
 def _schema(kind: Any, one: Field[Any]) -> Document:
     """Schema of the field ``one`` of the type ``kind``."""
     inner, optional = _without_none(kind)
-    text = one.metadata["text"] or f"95 % interval of {one.name.removesuffix('_ci95')}: low, high"
+    text = _text(one)
     made = _schema_of_type(inner) | one.metadata["limits"]
     if optional and not one.metadata["left_out"]:
         if "enum" in made:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
@@ -118,17 +118,29 @@ def stage(function: Stage) -> Stage:
 
     @functools.wraps(function)
     def checked(*inputs: Any, **named: Any) -> Any:
-        for name, dataset in {**dict(zip(names, inputs, strict=False)), **named}.items():
+        given = {**dict(zip(names, inputs, strict=False)), **named}
+        for name, dataset in given.items():
             if name in schemas:
                 check_dataset(dataset, schemas[name])
         result = function(*inputs, **named)
         if "return" in schemas:
             check_dataset(result, schemas["return"])
-            history = [result.attrs.get("history", ""), f"{function.__name__}: from {', '.join(names)}"]
-            result.attrs["history"] = "\n".join(line for line in history if line)
+            told = [*_told(given.values()), *_told([result]), f"{function.__name__}: from {', '.join(names)}"]
+            result.attrs["history"] = "\n".join(dict.fromkeys(told))
         return result
 
     return checked  # type: ignore[return-value]
+
+
+def _told(inputs: Iterable[Any]) -> Iterator[str]:
+    """Lines of the history of every dataset among ``inputs``; of a list those that all of its datasets have."""
+    for one in inputs:
+        if isinstance(one, xr.Dataset):
+            yield from str(one.attrs.get("history", "")).splitlines()
+        elif isinstance(one, list) and one:
+            lines = [list(_told([item])) for item in one]
+            yield from (line for line in lines[0] if all(line in others for others in lines))
+            yield f"{len(one)} recordings joined"
 
 
 @stage

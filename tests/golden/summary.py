@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
+
+from crankorder.report.netcdf import read_results
 
 SAMPLES = 50
 """Values kept of each variable, drawn by a seed that its name makes."""
@@ -22,15 +23,16 @@ Summary = dict[str, Any]
 
 
 def summary_of_results(file: Path) -> Summary:
-    """Each variable of each group of the NetCDF ``file``: its type, dims and shape, range, and samples."""
+    """Each variable of each group of the NetCDF ``file``: its type, dims and shape, range, and samples.
+
+    Channels are not parted by quantity, as :func:`crankorder.report.netcdf.read_results` has them.
+    """
     made: Summary = {}
-    tree = xr.open_datatree(file, engine="h5netcdf")
-    for node in tree.subtree:
-        for name, variable in sorted({**node.to_dataset(inherit=False).variables}.items()):
-            path = f"{node.path}/{name}".lstrip("/")
+    for group, dataset in read_results(file).items():
+        for name, variable in sorted(dataset.variables.items()):
+            path = f"{group}/{name}"
             column = _column(path, np.asarray(variable.values))
             made[path] = {"dims": list(variable.dims), "shape": list(variable.shape), **column}
-    tree.close()
     return made
 
 

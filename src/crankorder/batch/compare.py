@@ -124,15 +124,15 @@ def publish_comparison(comparison: Comparison, out: Path, *, report: dict[str, A
     ``comparison`` as :func:`compare_results` makes it; ``report``: settings of the report by key, before the defaults.
     Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
     """
-    _refuse_results(out, comparison.folders)
+    refuse_results(out, comparison.folders)
     files = _files(comparison, load_settings(asked={"report": report or {}}).report)
     marks = [file_sha256(folder / name) for folder in comparison.folders for name in ("results.nc", "findings.json")]
     publish(out, files, key=text_sha256(version("crankorder"), json.dumps(comparison.document, default=str), *marks))
     return [out / name for name in files]
 
 
-def _refuse_results(out: Path, folders: Sequence[Path]) -> None:
-    """Refuse a folder of results, or one inside: results are never replaced by what was made of them."""
+def refuse_results(out: Path, folders: Sequence[Path]) -> None:
+    """Refuse an ``out`` that is one of results, of ``folders``, or inside: results are never replaced by others."""
     where = out.resolve()
     if out.exists() and not out.is_dir():
         raise RequestError("is a file, not a folder", file=out, remedy="Choose another --out")
@@ -141,9 +141,9 @@ def _refuse_results(out: Path, folders: Sequence[Path]) -> None:
     inside = any(folder in (where, *where.parents) for folder in held)
     if inside or (out / "results.nc").exists() or (out / "batch.json").exists():
         raise RequestError(
-            "the comparison would lie among the results of a run",
+            "would lie among the results of a run",
             file=out,
-            allowed="a new folder, or that of an earlier comparison",
+            allowed="a new folder, or one that the same command made",
             remedy="Choose another --out",
         )
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from crankorder.batch.store import LIBRARIES
+from crankorder.batch.store import library_versions
+from crankorder.fft.plans import fft_library
 from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import hann
 
@@ -20,7 +21,7 @@ def examine(out: Path) -> tuple[list[str], bool]:
     ``out`` is the folder whose disk is asked for free space.
     """
     lines = [f"crankorder {version('crankorder')}, Python {platform.python_version()}"]
-    lines += [f"{name} {version(name)}" for name in LIBRARIES]
+    lines += [f"{name} {number}" for name, number in library_versions().items() if name != "crankorder"]
     try:
         lines.append(f"openpyxl {version('openpyxl')}: XLSX recordings can be read")
     except PackageNotFoundError:
@@ -29,7 +30,8 @@ def examine(out: Path) -> tuple[list[str], bool]:
     lines.append(f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB")
     error = _known_answer()
     healthy = error < 1e-12
-    lines.append(f"FFTW known answer: a cosine of amplitude 1 is found to {error:.1e}: {'good' if healthy else 'BAD'}")
+    said = f"a cosine of amplitude 1 is found to {error:.1e}: {'good' if healthy else 'BAD'}"
+    lines.append(f"known answer ({fft_library()}): {said}")
     return lines, healthy
 
 

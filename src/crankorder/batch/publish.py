@@ -9,8 +9,9 @@ from crankorder.batch.plan import folder_name
 from crankorder.batch.store import json_bytes
 from crankorder.batch.workers import FORKS, each
 from crankorder.findings import Findings
-from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes
+from crankorder.report.netcdf import as_stored, results_bytes
 from crankorder.report.page import report_page
+from crankorder.report.published import findings_datasets, root_attrs
 from crankorder.settings import ReportSettings
 
 if TYPE_CHECKING:
@@ -55,13 +56,13 @@ def files_of_test(
     """
     from crankorder.report.pictures import pictures_of
 
-    attrs = {"title": findings.test, "source": f"crankorder {provenance['versions']['crankorder']}"}
     stored, taken, data = as_stored(groups), set[str](), dict[str, bytes]()
     planned = pictures_of(stored, findings, settings=settings, name_of=lambda channel: folder_name(channel, taken))
     captions = [(name, page.caption) for name, page in planned.items()]
 
     def write() -> None:
         page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
+        attrs = root_attrs(findings, groups)
         data["results.nc"] = results_bytes({**stored, **findings_datasets(findings)}, attrs=attrs)
         data["findings.json"] = json_bytes(findings.as_dict())
         data["report.html"] = page.encode("utf-8", "backslashreplace")

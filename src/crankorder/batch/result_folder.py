@@ -24,7 +24,7 @@ from crankorder.errors import EnvironmentFailure, InputError, RequestError, prin
 from crankorder.findings import SCHEMA_VERSION, Findings
 from crankorder.ingest.folder import is_leftover
 
-DONE = "done.json"
+DONE, RESULTS = "done.json", "results.nc"
 TIMINGS = "timings.json"
 """Seconds of the stages: no result, and not the same in a second run."""
 
@@ -286,6 +286,22 @@ def finished_tests(out: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
             marker = marker_of(folder)
             if marker:
                 yield folder, marker
+
+
+def result_folders(result: Path) -> list[Path]:
+    """Folders with finished results at ``result``: a ``results.nc``, the folder of a test, or the ``--out`` of a run.
+
+    Raises RequestError where there are none.
+    """
+    if result.name == RESULTS and result.is_file():
+        return [result.parent]
+    if (result / RESULTS).is_file():
+        return [result]
+    found = sorted(file.parent for file in result.glob(f"*/{RESULTS}") if (file.parent / DONE).is_file())
+    if not found:
+        allowed = f"a {RESULTS}, the folder of a test, or the --out of a run"
+        raise RequestError("no finished results here", file=result, allowed=allowed)
+    return found
 
 
 def read_document(path: Path) -> dict[str, Any]:

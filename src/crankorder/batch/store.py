@@ -18,6 +18,8 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from crankorder.fft.plans import fft_library
+
 CHUNK = 1 << 18
 
 _BEYOND_ASCII = re.compile(r"[^\x00-\x7e]")
@@ -147,8 +149,9 @@ def code_sha256() -> str:
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of the program and of the ``LIBRARIES``, by name."""
-    return {name: version(name) for name in ("crankorder", *LIBRARIES)}
+    """Versions of the program and of the ``LIBRARIES``, by name; "not used" where scipy transforms instead of FFTW."""
+    used = [name for name in LIBRARIES if name != "pyfftw" or fft_library() == "fftw"]
+    return {name: version(name) if name in ("crankorder", *used) else "not used" for name in ("crankorder", *LIBRARIES)}
 
 
 def write_atomically(path: Path, data: bytes) -> None:

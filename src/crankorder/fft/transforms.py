@@ -9,9 +9,9 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-import pyfftw
 from numpy.typing import NDArray
 
+from crankorder.fft.plans import Plan, fft_library, forward
 from crankorder.fft.windows import Window
 from crankorder.quantities import Bools, Floats, Ints
 
@@ -52,7 +52,7 @@ def _squares(parts, out):  # type: ignore[no-untyped-def]
 class FrameTransform:
     """Spectra, in peak amplitude of a tone, of windowed frames of real signals in float32 or float64.
 
-    FFTW plans are made by estimate, never by measurement, so that the same input gives the same bytes; each thread
+    Plans are made by estimate, never by measurement, so that the same input gives the same bytes; each thread
     keeps its own plans because a plan holds its buffers.
     """
 
@@ -114,18 +114,15 @@ class FrameTransform:
             plan.execute()
             yield first, count, spectra
 
-    def _plan(self, n_frames: int, dtype: np.dtype[Any]) -> pyfftw.FFTW:
+    def _plan(self, n_frames: int, dtype: np.dtype[Any]) -> Plan:
         """Plan of this thread for as many frames at a time as fit the cache, and no more than ``n_frames`` need."""
         fit = max(1, min(MOST_FRAMES, BATCH_BYTES // (dtype.itemsize * self.n_fft)))
         batch = min(1 << (fit.bit_length() - 1), 1 << max(0, n_frames - 1).bit_length())
-        plans: OrderedDict[Any, pyfftw.FFTW] = _of_thread.__dict__.setdefault("plans", OrderedDict())
-        key = (self.n_fft, batch, dtype.char)
+        plans: OrderedDict[Any, Plan] = _of_thread.__dict__.setdefault("plans", OrderedDict())
+        key = (self.n_fft, batch, dtype.char, fft_library())
         if key not in plans:
-            frames = pyfftw.zeros_aligned((batch, self.n_fft), dtype=dtype)
-            kind = "complex64" if dtype == np.float32 else "complex128"
-            spectra = pyfftw.zeros_aligned((batch, self.n_fft // 2 + 1), dtype=kind)
             with _planner:
-                plans[key] = pyfftw.FFTW(frames, spectra, axes=(1,), flags=("FFTW_ESTIMATE",))
+                plans[key] = forward((batch, self.n_fft), dtype)
             if len(plans) > MOST_PLANS:
                 plans.popitem(last=False)
         plans.move_to_end(key)

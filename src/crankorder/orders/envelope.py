@@ -58,6 +58,13 @@ SURE_OF_COMB = 0.01
 SPECTRA = ("amplitude", "floor")
 """Variables (channel, speed, order) whose fourth powers, the powers of a squared envelope's lines, are averaged."""
 
+_WORDS = {
+    "level": {"units": "see unit", "long_name": "root mean square in the band"},
+    "band_low": {"units": "Hz", "long_name": "lower end of the band"},
+    "band_high": {"units": "Hz", "long_name": "upper end of the band"},
+    "n_independent": {"units": "1", "long_name": "independent power spectra"},
+    "revs_per_frame": {"units": "1", "long_name": "revolutions of a frame"},
+}
 _OF_CHANNEL = ("level", "n_independent", "band_low", "band_high")
 
 
@@ -378,12 +385,13 @@ def _dataset(
         )
     }
     level = np.sqrt([[one.mean_square / 2.0] for one in chosen])
+    independent = np.array([[frames.n_independent * one.share] for one in chosen])
     variables |= {
-        "level": (of_channel, level, {"units": "see unit", "long_name": "root mean square in the band"}),
-        "band_low": (of_channel, np.array([[one.band.low_hz] for one in chosen]), {"units": "Hz"}),
-        "band_high": (of_channel, np.array([[one.band.high_hz] for one in chosen]), {"units": "Hz"}),
-        "n_independent": (of_channel, np.array([[frames.n_independent * one.share] for one in chosen]), {"units": "1"}),
-        "revs_per_frame": (("speed",), np.array([frames.revs]), {"units": "1"}),
+        "level": (of_channel, level, _WORDS["level"]),
+        "band_low": (of_channel, np.array([[one.band.low_hz] for one in chosen]), _WORDS["band_low"]),
+        "band_high": (of_channel, np.array([[one.band.high_hz] for one in chosen]), _WORDS["band_high"]),
+        "n_independent": (of_channel, independent, _WORDS["n_independent"]),
+        "revs_per_frame": (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"]),
     }
     if combs:
         variables |= looks_of(combs, bands, order=frames.order, looks=np.stack([one.looks for one in chosen]))
@@ -423,11 +431,11 @@ def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, re
         {
             "amplitude": spectrum,
             "floor": spectrum,
-            "level": (*of_channel, {"units": "see unit"}),
-            "band_low": (*of_channel, {"units": "Hz"}),
-            "band_high": (*of_channel, {"units": "Hz"}),
-            "n_independent": (*of_channel, {"units": "1"}),
-            "revs_per_frame": (("speed",), np.zeros(0, dtype=np.int64), {"units": "1"}),
+            "level": (*of_channel, _WORDS["level"]),
+            "band_low": (*of_channel, _WORDS["band_low"]),
+            "band_high": (*of_channel, _WORDS["band_high"]),
+            "n_independent": (*of_channel, _WORDS["n_independent"]),
+            "revs_per_frame": (("speed",), np.zeros(0, dtype=np.int64), _WORDS["revs_per_frame"]),
         },
         coords=_coords(recording, np.zeros(0), np.zeros(0)),
         attrs=_attrs(recording, shaft, settings),

@@ -7,10 +7,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyfftw
 from numba import njit
 from numpy.typing import NDArray
 
+from crankorder.fft.plans import Plan, forward, inverse
 from crankorder.quantities import Floats, Ints
 
 BLOCK_SAMPLES = 65_536
@@ -161,7 +161,7 @@ def envelopes_of(
                 np.multiply(spectrum[at : at + len(taper)], taper, out=into[: len(taper)])
             plan.execute()
             ratio = n_out / BLOCK_SAMPLES
-            # FFTW's inverse is a plain sum; the analytic signal is twice the sum over the block's length
+            # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
             weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
             places = local * ratio + 0.5
             _gather(plan.output_array.view(np.float32), places, weight, squared, rows.start, steps.start)
@@ -199,25 +199,21 @@ def _size_from(least: int) -> int:
     return next(size for eighths in (8, 9, 10, 12, 16) if (size := power * eighths // 8) >= least)
 
 
-def _forward() -> Any:
+def _forward() -> Plan:
     """Plan of this thread for the transform of a block of real samples."""
     if "forward" not in _of_thread.__dict__:
-        into = pyfftw.zeros_aligned(BLOCK_SAMPLES, dtype=np.float32)
-        out = pyfftw.zeros_aligned(BLOCK_SAMPLES // 2 + 1, dtype=np.complex64)
-        _of_thread.forward = pyfftw.FFTW(into, out, flags=("FFTW_ESTIMATE",))
-    return _of_thread.forward
+        _of_thread.forward = forward((BLOCK_SAMPLES,), np.float32)
+    plan: Plan = _of_thread.forward
+    return plan
 
 
-def _inverse(rows: int, n_out: int) -> Any:
+def _inverse(rows: int, n_out: int) -> Plan:
     """Plan of this thread for the inverse transforms of ``rows`` of ``n_out`` bins."""
-    plans: dict[tuple[int, int], Any] = _of_thread.__dict__.setdefault("plans", {})
+    plans: dict[tuple[int, int], Plan] = _of_thread.__dict__.setdefault("plans", {})
     if (rows, n_out) not in plans:
         if len(plans) >= MOST_PLANS:
             plans.clear()
-        into, out = (pyfftw.zeros_aligned((rows, n_out), dtype=np.complex64) for _ in range(2))
-        plans[rows, n_out] = pyfftw.FFTW(
-            into, out, axes=(1,), direction="FFTW_BACKWARD", flags=("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT")
-        )
+        plans[rows, n_out] = inverse((rows, n_out), np.complex64)
     return plans[rows, n_out]
 
 

@@ -341,7 +341,8 @@ def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
         made[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
     for end in ("low", "high"):
         edges = np.array([group[0][f"look_band_{end}"].values[0, _nearest(group[0], like)] for group in groups])
-        made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, {"units": "Hz"})
+        about = {"units": "Hz", "long_name": f"{end} end of the band"}
+        made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, about)
     return made
 
 

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
+from crankorder.fft.plans import can_transform_uneven
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
@@ -320,14 +321,18 @@ def order_methods(samples: TimeSamples, *, settings: OrderSettings) -> list[Orde
     """
     tolerance = METHOD_SHARE * settings.tolerance
     methods = []
+    uneven = settings.method != "resample" and can_transform_uneven()
+    if settings.method == "nufft" and not uneven:
+        problem = "finufft is not installed, or CRANKORDER_FFT=scipy leaves it out"
+        raise RequestError(problem, place="orders.method", found="nufft", allowed="auto, resample")
     if settings.method != "nufft":
         try:
             kernel = kernel_for(samples, tolerance)
             methods = [OrderMethod("resample", kernel.predicted_error, kernel.margin, samples.content, kernel)]
         except RequestError:
-            if settings.method == "resample":
+            if not uneven:
                 raise
-    if settings.method != "resample":
+    if uneven:
         methods.append(OrderMethod("nufft", max(tolerance, LEAST_TOLERANCE), 0, MOST_CARRIED))
     return methods
 

@@ -430,7 +430,8 @@ def order_tracks(
         tracks[name] = (("channel", "order", "speed"), np.moveaxis(shown, 0, 1), words)
     method = np.array(["vold_kalman" if reader.follows(order) else "frames" for order in orders], dtype="<U16")
     tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
-    tracks.attrs = {key: order_map.attrs[key] for key in ("amplitude_scaling", "phase_reference", "cycle_known")}
+    carried = ("amplitude_scaling", "phase_reference", "cycle_known", "window")
+    tracks.attrs = {key: order_map.attrs[key] for key in carried if key in order_map.attrs}
     tracks.attrs |= {"band_width_orders": settings.band_width_orders, "speed_bin_rpm": settings.speed_bin_rpm}
     flags = flags_of(order_map)
     return with_flags(tracks, flags + [flag for item in reader.items for flag in flags_of(item) if flag not in flags])

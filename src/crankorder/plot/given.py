@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.channel_units import by_channel
 from crankorder.errors import RequestError, SchemaError
 from crankorder.findings import Findings
 from crankorder.quantities import check_dataset
@@ -36,7 +37,9 @@ def dataset_of(given: object, noun: str, picture: str) -> xr.Dataset:
     """
     dataset = given.to_dataset() if isinstance(given, _TREE) else given
     wanted, place = _NOUNS[noun], f"crankorder.plot.{picture}"
-    if not isinstance(dataset, xr.Dataset):
+    if isinstance(dataset, xr.Dataset):
+        dataset = by_channel(dataset)
+    else:
         raise RequestError("this is no dataset", file=place, found=type(given).__name__, allowed=wanted)
     try:
         check_dataset(dataset, noun)

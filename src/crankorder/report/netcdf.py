@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from functools import cache
 from io import BytesIO
 from itertools import count
 from pathlib import Path
@@ -15,9 +14,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.channel_units import by_channel
 from crankorder.errors import InputError, UnsafeInputError, printable
-from crankorder.findings import Findings
-from crankorder.records import Document
 from crankorder.report.netcdf_layout import (
     BARE_DIMENSION,
     Variable,
@@ -28,8 +26,8 @@ from crankorder.report.netcdf_layout import (
     write_attrs,
     write_variables,
 )
+from crankorder.report.published import CONVENTIONS, published
 
-CONVENTIONS = "CF-1.11"
 COMPRESSION_LEVEL = (
     1  # level 4: 1.1 % smaller at the same time for a campaign (0.155 s either way), slower on wide bands
 )
@@ -42,30 +40,21 @@ _DOUBLE = (
     "cycle_angle",
 )  # axes keep 64 bits; estimates carry less than 24
 _MAX_BYTES = 2_000_000_000  # of all variables of a results file that is read back
-_UNIT_OF = {
-    "_hz": "Hz", "_rpm": "min-1", "_deg": "degree", "_g": "g", "_gmm": "g mm", "_s": "s", "order": "1",
-    "order_expected": "1", "damping_ratio": "1", "rpm": "min-1", "unexplained_energy_fraction": "1",
-    "speed_exponent": "1", "amplification": "1", "amplification_predicted": "1", "slip_percent": "percent",
-    "_mm": "mm",
-}  # fmt: skip
-
-
-_IN_ATTRIBUTES = ("levels", "speed_swing")
-"""Tables of the findings that stand as text in the attributes of their group."""
 
 
 def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any]) -> bytes:
     """Bytes of a NetCDF-4 file with one group per dataset; publish them whole.
 
-    ``groups`` datasets by group name such as ``"order_map"`` or ``"findings/orders"``; complex variables become two
-    with ``_real`` and ``_imag``, estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of
-    the file: text and numbers stay, None is left out, anything else becomes JSON. No time of writing is stored.
+    ``groups`` datasets by group name such as ``"order_map"`` or ``"findings/orders"``, stored as
+    :func:`crankorder.report.published.published` has them; complex variables become two with ``_real`` and ``_imag``,
+    estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of the file: text and numbers
+    stay, None is left out, anything else becomes JSON. No time of writing is stored.
     """
     file = netcdf4_file()
     write_attrs(file.id, {"Conventions": CONVENTIONS, **_plain(attrs)})
     number = count()
     for name in sorted(groups):
-        _write_group(file.require_group(name), groups[name], number)
+        _write_group(file.require_group(name), published(groups[name]), number)
     return file_image(file)
 
 
@@ -156,66 +145,11 @@ def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def findings_datasets(findings: Findings) -> dict[str, xr.Dataset]:
-    """Small tables for the groups ``findings/orders``, ``findings/modes`` … from the records of ``findings``.
-
-    Every key is a column over ``record``; an interval is a column over (record, bound) with the low end first; a
-    missing number is NaN. Single numbers and texts become attributes of the group ``findings``, the balance ones of
-    ``findings/balance``.
-    """
-    single = {key: value for key, value in findings.as_dict().items() if key not in (*_tables(), "balance")}
-    tables = {"findings": xr.Dataset(attrs=single)}
-    for table in _tables():
-        records = getattr(findings, table) or ()
-        if records:
-            tables[f"findings/{table}"] = _table([one.as_dict() for one in records])
-    if findings.balance is not None:
-        tables["findings/balance"] = xr.Dataset(attrs=findings.balance.as_dict())
-    return tables
-
-
-@cache
-def _tables() -> tuple[str, ...]:
-    """Fields of the findings that are tables of their own: those whose records hold nothing but columns."""
-    return tuple(name for name, kind in Findings.tables().items() if name not in _IN_ATTRIBUTES)
-
-
-def _table(records: list[Document]) -> xr.Dataset:
-    keys = list(dict.fromkeys(key for record in records for key in record))
-    return xr.Dataset({key.replace("/", "_"): _column(key, [record.get(key) for record in records]) for key in keys})
-
-
-def _column(key: str, values: list[Any]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-    given = [value for value in values if value is not None]
-    units = next((unit for tail, unit in _UNIT_OF.items() if key.removesuffix("_ci95").endswith(tail)), "")
-    about = {"units": units} if units else {}
-    if given and all(isinstance(value, bool | np.bool_) for value in given):
-        return ("record",), np.array([-1 if value is None else int(value) for value in values], dtype=np.int8), about
-    if given and all(isinstance(value, int | float) for value in given):
-        return ("record",), np.array([np.nan if value is None else value for value in values], dtype=np.float64), about
-    if given and all(_is_pair(value) for value in given):
-        pairs = [[np.nan if end is None else end for end in (value or (None, None))] for value in values]
-        return ("record", "bound"), np.array(pairs, dtype=np.float64), about
-    texts = [value if isinstance(value, str) else "" if value is None else _as_text(value) for value in values]
-    return ("record",), np.array(texts, dtype=object), {}
-
-
-def _is_pair(value: Any) -> bool:
-    return (
-        isinstance(value, list | tuple)
-        and len(value) == 2
-        and all(end is None or isinstance(end, int | float) for end in value)
-    )
-
-
-def _as_text(value: Any) -> str:
-    if isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
-        return ", ".join(value)
-    return json.dumps(value, ensure_ascii=False, sort_keys=True, default=str)
-
-
 def read_results(path: Path) -> dict[str, xr.Dataset]:
-    """Datasets of a results file by group name, loaded; ``_real``/``_imag`` pairs are complex again.
+    """Datasets of a results file by group name, loaded, with one variable for all channels, as the program has them.
+
+    ``_real``/``_imag`` pairs are complex again, and parts by quantity one variable
+    (:func:`crankorder.channel_units.by_channel`).
 
     ``path`` of a file that :func:`results_bytes` made. Raises InputError where it cannot be read or is no results file,
     UnsafeInputError where it reaches outside itself or claims more than 2 GB.
@@ -256,7 +190,7 @@ def _read_group(group: h5py.Group) -> xr.Dataset:
     ]:
         (dims, real, attrs), (_, imaginary, _) = variables.pop(f"{name}_real"), variables.pop(f"{name}_imag")
         variables[name] = (dims, real + 1j * imaginary, attrs)
-    return xr.Dataset(variables, attrs=read_attrs(group)).set_coords(sorted(coords & set(variables)))
+    return by_channel(xr.Dataset(variables, attrs=read_attrs(group)).set_coords(sorted(coords & set(variables))))
 
 
 def _text(values: NDArray[Any]) -> NDArray[Any]:

@@ -1,0 +1,366 @@
+"""Accuracy measured here: speed against error of the order transform, and that of a twin of one's own test."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from crankorder.batch.compare import refuse_results
+from crankorder.batch.in_memory import analysed, engine_of
+from crankorder.batch.result_folder import publish, read_document, result_folders
+from crankorder.batch.store import json_bytes, text_sha256
+from crankorder.errors import CrankorderError, RequestError
+from crankorder.findings import Findings
+from crankorder.ingest.manifest import manifest_head, manifest_of
+from crankorder.ingest.rawfile import RawFile
+from crankorder.ingest.recording import recording_of
+from crankorder.quantities import Floats
+from crankorder.report.netcdf import read_results
+from crankorder.report.text_table import paragraph, text_table
+from crankorder.settings import Settings, load_settings
+from crankorder.synth.twin import Twin, TwinRecording, probe_amplitudes, probe_orders, twin_recordings
+
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+RATE_HZ, SECONDS, SPEED_RPM, PULSES = 20_000.0, 20.0, 1500.0, 360
+LINES = {0.5: 0.3, 1.0: 1.0, 2.0: 4.0, 5.5: 0.2, 11.0: 0.05}
+"""Amplitude, m/s², by order, of the signal whose map is timed."""
+
+REPEATS = 3
+"""Times that a map is made; the fastest counts."""
+
+SAMPLES_PER_HZ = 2.56
+"""Sampling rate of a twin over the highest frequency that its test was looked at, the usual one of analysers."""
+
+SURE = 5.0
+"""Standard errors from which on the bias of an amplitude is counted: below it noise alone lifts amplitudes."""
+
+
+@dataclass(frozen=True)
+class Timed:
+    """An order map made at a tolerance: by which method, how long it took, and by how much it was wrong."""
+
+    tolerance: float
+    method: str
+    predicted_error: float
+    error: float
+    samples_per_s: float
+
+
+@dataclass(frozen=True)
+class ChannelAccuracy:
+    """How the analysis did on a channel of the twin."""
+
+    channel: str
+    unit: str
+    bias_percent: float | None
+    scatter_percent: float | None
+    intervals: int
+    coverage_percent: float | None
+    orders_put_in: int
+    orders_found: int
+    least_found: float | None
+    """Least amplitude from which on every probe was found; None where some of the largest were not."""
+
+    most_missed: float | None
+    """Largest amplitude of a probe that was not found; None where all were."""
+
+
+@dataclass(frozen=True)
+class TwinAccuracy:
+    """How the analysis did on the twin of a test: by channel, what it named that was not there, and what it was of."""
+
+    test: str
+    draws: int
+    rate_hz: float
+    channels: tuple[ChannelAccuracy, ...]
+    missed_orders: tuple[str, ...]
+    false_orders: tuple[str, ...]
+
+
+def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tuple[list[Path], str]:
+    """Paths of ``accuracy.json`` and ``accuracy.txt`` written into ``out``, and the text.
+
+    Without ``on`` the speed against error of the order transform on this machine; with it that of a twin of the test
+    whose results are there, drawn ``draws`` times. Raises RequestError where ``on`` holds no results of one test with
+    known speeds or ``out`` lies among results.
+    """
+    refuse_results(out, [] if on is None else result_folders(on))
+    if on is None:
+        timed = list(speed_against_error())
+        document: dict[str, Any] = {"speed_against_error": [asdict(one) for one in timed]}
+        text = _speed_text(timed)
+    else:
+        made = accuracy_on(on, draws=draws)
+        document, text = {"twin": asdict(made)}, _twin_text(made)
+    document = {"schema_version": 1, "crankorder": version("crankorder"), **document}
+    files = {"accuracy.json": json_bytes(document), "accuracy.txt": text.encode()}
+    publish(out, files, key=text_sha256(json.dumps(document)))
+    return [out / name for name in files], text
+
+
+def speed_against_error() -> Iterator[Timed]:
+    """Order maps of one recording at each tolerance, timed, against the amplitudes and phases that were put in."""
+    rng = np.random.default_rng(1)
+    phases = rng.uniform(-np.pi, np.pi, (3, len(LINES)))
+    seconds = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
+    signals = [
+        np.array(list(LINES.values())) @ np.cos(2 * np.pi * np.outer(list(LINES), _turns(seconds)) + row[:, None])
+        for row in phases
+    ]
+    per_rev = np.arange(round(float(_turns(np.array(SECONDS))) * PULSES)) / PULSES
+    one = TwinRecording("speed", np.array(signals), _times(per_rev), _times(np.arange(per_rev[-1])), SPEED_RPM)
+    channels = [{"name": name, "source": place, "unit": "m/s2"} for place, name in enumerate("XYZ")]
+    recording = _recording(one, channels, "four-stroke", RATE_HZ, PULSES, load_settings())
+    wanted = np.array(list(LINES.values())) * np.exp(1j * phases)
+    for tolerance in TOLERANCES:
+        asked: dict[str, dict[str, Any]] = {"report": {"results": ("order_map",)}, "orders": {"tolerance": tolerance}}
+        settings = load_settings(asked=asked)
+        taken = []
+        for _ in range(REPEATS):
+            start = time.perf_counter()
+            made = analysed(recording, settings, tables={})[0]["order_map"]
+            taken.append(time.perf_counter() - start)
+        row = made.isel(speed=int(np.argmax(made["n_frames"].values))).sel(order=list(LINES))
+        got = row["coherent_amplitude"].values * np.exp(1j * np.radians(row["phase"].values))
+        error = float(np.max(np.abs(got - wanted) / np.abs(wanted)))
+        samples = signals[0].size * len(signals)
+        predicted = float(made.attrs["predicted_error"])
+        yield Timed(tolerance, str(made.attrs["method"]), predicted, error, samples / min(taken))
+
+
+def _turns(seconds: Floats) -> Floats:
+    """Revolutions of a shaft whose speed swings by 4 rpm in 5 s about the mean."""
+    return SPEED_RPM / 60.0 * seconds + 4.0 / 60.0 * 5.0 / (2 * np.pi) * np.sin(2 * np.pi * seconds / 5.0)
+
+
+def _times(turns: Floats) -> Floats:
+    """Seconds at which the shaft has made ``turns``, by Newton's iteration."""
+    seconds = turns / (SPEED_RPM / 60.0)
+    for _ in range(6):
+        speed = SPEED_RPM / 60.0 + 4.0 / 60.0 * np.cos(2 * np.pi * seconds / 5.0)
+        seconds = seconds - (_turns(seconds) - turns) / speed
+    return seconds
+
+
+def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
+    """How well the analysis of the results in ``result``, a test's folder, does on ``draws`` twins of it.
+
+    Raises RequestError where it holds no results of one test that has orders, a Campbell map and speeds over time.
+    """
+    folders = result_folders(result)
+    if len(folders) > 1:
+        found = ", ".join(folder.name for folder in folders)
+        raise RequestError("holds several tests", file=result, found=found, remedy="Name the folder of one")
+    folder = folders[0]
+    run, groups = read_document(folder / "run.json"), read_results(folder / "results.nc")
+    missing = [name for name in ("order_tracks", "order_map", "campbell_map", "shaft") if name not in groups]
+    if missing or not groups["order_tracks"].sizes["order"]:
+        found = f"without {', '.join(missing)}" if missing else "no order was found"
+        allowed = "results with orders, an order map and a Campbell map, as `crankorder run` makes them"
+        raise RequestError("no twin can be made of this test", file=folder, found=found, allowed=allowed)
+    asked = {**run["settings"], "report": {**run["settings"]["report"], "results": _RESULTS}}
+    settings = load_settings(asked={stage: values for stage, values in asked.items() if isinstance(values, dict)})
+    twin, made = _twin(groups, run, settings), []
+    for draw in range(draws):
+        rng = np.random.default_rng([draw, 18])
+        probes = probe_orders(twin)
+        amplitudes = probe_amplitudes(twin, rng, len(probes))
+        made.append(_draw(twin, run, settings, probes, amplitudes, rng))
+    return _judged(twin, str(run["test"]), made)
+
+
+_RESULTS = ("order_map", "campbell_map", "order_tracks", "findings")
+
+
+def _twin(groups: dict[str, xr.Dataset], run: dict[str, Any], settings: Settings) -> Twin:
+    manifest, shaft = run["manifest"], groups["shaft"]
+    encoder, sampling = manifest.get("encoder") or {}, manifest.get("sampling") or {}
+    fastest_hz = float(np.nanmax(shaft["speed_max"].values)) / 60.0
+    highest_hz = max(float(groups["campbell_map"]["frequency"].values[-1]), settings.orders.max_order * fastest_hz)
+    stated = sampling.get("rate_hz")
+    rate = min(float(stated or np.inf), SAMPLES_PER_HZ * highest_hz)
+    pulses = round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0))
+    step = 1.0 / float(stated) if stated and encoder.get("kind") == "square" else 0.0
+    used = bool(np.nan_to_num(shaft["n_pulses"].values).max() > 0)
+    return Twin(
+        groups["order_tracks"], groups["campbell_map"], groups["order_map"], shaft, rate, pulses if used else 0, step
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Draw:
+    """A twin that was analysed: its tracks and findings, and what probes (orders) it had of what size."""
+
+    tracks: xr.Dataset
+    findings: Findings
+    probes: Floats
+    amplitudes: Floats
+
+
+def _draw(
+    twin: Twin, run: dict[str, Any], settings: Settings, probes: Floats, amplitudes: Floats, rng: np.random.Generator
+) -> _Draw:
+    manifest = run["manifest"]
+    coords = twin.tracks.coords
+    rows = zip(coords["channel"].values.astype(str), coords["unit"].values.astype(str), strict=True)
+    channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(rows)]
+    cycle = str(manifest["test"].get("cycle") or "rotor")
+    recordings = [
+        _recording(one, channels, cycle, twin.rate_hz, twin.pulses_per_rev, settings)
+        for one in twin_recordings(twin, probes, amplitudes, rng)
+    ]
+    tables = {key: manifest.get(key) for key in ("bearings", "gears", "motor") if manifest.get(key)}
+    groups, findings, _ = analysed(
+        recordings, settings, tables=tables, engine=_known_engine(manifest["test"].get("engine"))
+    )
+    return _Draw(groups["order_tracks"], findings, probes, amplitudes)
+
+
+def _known_engine(name: str | None) -> str | None:
+    """``name`` of a shipped engine; None for one that lay beside the recordings."""
+    try:
+        engine_of(name)
+    except CrankorderError:
+        return None
+    return name
+
+
+def _recording(
+    one: TwinRecording,
+    channels: list[dict[str, Any]],
+    cycle: str,
+    rate_hz: float,
+    pulses_per_rev: int,
+    settings: Settings,
+) -> xr.Dataset:
+    """Recording of a twin, checked as that of a file is."""
+    columns: dict[str | int, Floats] = dict(enumerate(one.signals))
+    encoder: dict[str, Any] = {"kind": "constant", "speed_rpm": one.speed_rpm}
+    if pulses_per_rev:
+        columns |= {len(channels): one.pulse_times_s, len(channels) + 1: one.mark_times_s}
+        encoder = {"kind": "pulse_times", "source": len(channels), "index": len(channels) + 1, "index_to_tdc_deg": 0.0}
+        encoder |= {"pulses_per_rev": pulses_per_rev}
+    head = manifest_head("twin", cycle, channels)
+    manifest = manifest_of({**head, "sampling": {"rate_hz": rate_hz}, "encoder": encoder}, Path("twin"))
+    raw = RawFile(columns, attrs={"start_s": 0.0})
+    return recording_of(raw, Path(one.name), manifest, settings=settings.ingest, shaft=settings.shaft)
+
+
+def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
+    own = twin.tracks["order"].values
+    near = 0.5 * float(np.diff(twin.order_map["order"].values[:2])[0])
+    missed: dict[str, int] = {}
+    false: dict[str, int] = {}
+    for draw in draws:
+        found = np.unique([line.order for line in draw.findings.orders])
+        for order in own:
+            if np.abs(found - order).min(initial=np.inf) > near:
+                missed[f"{order:.4g}"] = missed.get(f"{order:.4g}", 0) + 1
+        known = np.concatenate([own, draw.probes])
+        for order in found:
+            if np.abs(known - order).min() > near:
+                false[f"{order:.4g}"] = false.get(f"{order:.4g}", 0) + 1
+    names, units = twin.tracks["channel"].values.astype(str), twin.tracks["unit"].values.astype(str)
+    channels = tuple(
+        _of_channel(twin, draws, number, name, unit, near)
+        for number, (name, unit) in enumerate(zip(names, units, strict=True))
+    )
+    counted = [tuple(f"{order} ({count} of {len(draws)})" for order, count in one.items()) for one in (missed, false)]
+    return TwinAccuracy(test, len(draws), twin.rate_hz, channels, *counted)
+
+
+def _of_channel(twin: Twin, draws: list[_Draw], number: int, name: str, unit: str, near: float) -> ChannelAccuracy:
+    off: list[Floats] = []
+    inside: list[Floats] = []
+    probes: list[tuple[float, bool]] = []
+    put_in = found = 0
+    for draw in draws:
+        lines = np.array([line.order for line in draw.findings.orders if line.channel == name])
+        for order in draw.tracks["order"].values:
+            for estimate, truth, error, low, high in _beside(twin, draw, number, float(order), near):
+                inside.append(np.array([low <= truth <= high]))
+                if truth > SURE * error:
+                    off.append(np.array([estimate / truth - 1.0]))
+        for order, amplitude in zip(draw.probes, draw.amplitudes[number], strict=True):
+            probes.append((float(amplitude), bool(np.abs(lines - order).min(initial=np.inf) <= near)))
+        own = twin.tracks["order"].values
+        put_in += len(own)
+        found += sum(bool(np.abs(lines - order).min(initial=np.inf) <= near) for order in own)
+    lost = [size for size, seen in probes if not seen]
+    seen = sorted(size for size, seen in probes if seen and size > max(lost, default=0.0))
+    errors = 100.0 * np.concatenate(off) if off else np.array([])
+    return ChannelAccuracy(
+        name,
+        unit,
+        float(np.median(errors)) if errors.size else None,
+        float(np.percentile(np.abs(errors), 68.3)) if errors.size else None,
+        len(inside),
+        100.0 * float(np.mean(inside)) if inside else None,
+        put_in,
+        found,
+        seen[0] if seen else None,
+        max(lost) if lost else None,
+    )
+
+
+def _beside(twin: Twin, draw: _Draw, channel: int, order: float, near: float) -> Iterator[tuple[float, ...]]:
+    """Estimate, truth, standard error and interval of an ``order`` at each speed where both are known."""
+    own = twin.tracks["order"].values
+    place = int(np.abs(own - order).argmin())
+    one = draw.tracks.isel(channel=channel).sel(order=order)
+    if abs(own[place] - order) <= near:
+        known = twin.tracks["amplitude"].isel(channel=channel, order=place).values.astype(float)
+        truth = np.interp(one["speed"].values, twin.tracks["speed"].values, known)
+    else:
+        probe = np.flatnonzero(np.abs(draw.probes - order) <= near)
+        if not probe.size:
+            return
+        truth = np.full(one.sizes["speed"], draw.amplitudes[channel, probe[0]])
+    bounds = [one[name].values for name in ("standard_error", "amplitude_low", "amplitude_high")]
+    columns = (one["amplitude"].values, truth, *bounds)
+    yield from (row for row in np.array(columns, dtype=float).T.tolist() if np.isfinite(row).all())
+
+
+def _speed_text(timed: list[Timed]) -> str:
+    rows = [
+        (f"{one.tolerance:.0e}", f"{one.predicted_error:.1e}", f"{one.error:.1e}", one.samples_per_s / 1e6, one.method)
+        for one in timed
+    ]
+    heads = ("asked for", "predicted", "error", "million samples/s", "method")
+    return "\n".join(text_table("Order map of 3 channels, from samples to amplitudes and phases", heads, rows)) + "\n"
+
+
+def _twin_text(made: TwinAccuracy) -> str:
+    rows = [
+        (one.channel, f"{one.orders_found} of {one.orders_put_in}", *map(_rounded, (
+            one.bias_percent, one.scatter_percent, one.coverage_percent, one.intervals, one.least_found,
+            one.most_missed)), one.unit)
+        for one in made.channels
+    ]  # fmt: skip
+    heads = ("channel", "orders found", "bias %", "scatter %", "inside 95 %", "intervals", "found from", "missed up to",
+             "unit")  # fmt: skip
+    title = f"A synthetic twin of {made.test}, {made.draws} times: same speeds, channels, pulses, floor and orders"
+    lines = [
+        *text_table(title, heads, rows, kept=2),
+        "",
+        *paragraph(f"Orders that were put in and named in no channel: {', '.join(made.missed_orders) or 'none'}."),
+        *paragraph(f"Orders that were named and not put in: {', '.join(made.false_orders) or 'none'}."),
+        *paragraph(
+            "Bias and scatter: of amplitudes over 5 standard errors. Found from, missed up to: amplitude of orders "
+            "that were added at every speed; an order smaller than the first may be there although none is shown. "
+            "Natural frequencies, bearing strikes, tones and faults of the recordings are not in the twin."
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.3g}")

@@ -1,0 +1,1 @@
+"""Results as files of other programs: universal files, tables as CSV and Parquet."""

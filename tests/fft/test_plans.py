@@ -1,0 +1,98 @@
+"""FFTW and scipy carry out the same plans; without FFTW nothing of it is loaded."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from crankorder.errors import RequestError
+from crankorder.fft import plans
+from crankorder.fft.plans import VARIABLE, can_transform_uneven, fft_library, forward, inverse
+from crankorder.fft.transforms import FrameTransform
+from crankorder.fft.windows import hann
+
+_WITHOUT_FFTW = """
+import sys
+for name in ("pyfftw", "finufft"):
+    if sys.argv[1] == "absent":
+        sys.modules[name] = None
+import importlib.util
+real = importlib.util.find_spec
+if sys.argv[1] == "absent":
+    importlib.util.find_spec = lambda name, *rest: None if name in ("pyfftw", "finufft") else real(name, *rest)
+import numpy as np
+import crankorder as co
+from crankorder.batch.store import library_versions
+time = np.arange(80_000) / 10_000.0
+made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+peak = float(co.order_map(made)["amplitude"].sel(order=3.0).item())
+co.envelope(made, bearings=[{"name": "a", "bpfo": 3.58}])
+co.campbell_map(made, max_frequency_hz=200.0)
+assert abs(peak - 2.0) < 1e-5, peak
+assert not any(name.split(".")[0] in ("pyfftw", "finufft") and one for name, one in sys.modules.items())
+assert library_versions()["pyfftw"] == "not used"
+"""
+
+
+@pytest.fixture(params=["fftw", "scipy"])
+def library(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    if request.param == "fftw":
+        pytest.importorskip("pyfftw", reason="pyfftw is not installed here")
+    monkeypatch.setenv(VARIABLE, request.param)
+    yield request.param
+
+
+@pytest.mark.parametrize(("kind", "error"), [(np.float32, 2e-7), (np.float64, 1e-15)])
+def test_a_spectrum_is_the_sum_that_defines_it(library: str, kind: type, error: float) -> None:
+    plan = forward((3, 60), kind)
+    plan.input_array[...] = np.random.default_rng(1).standard_normal((3, 60))
+    matrix = np.exp(-2j * np.pi * (np.outer(np.arange(60), np.arange(31)) % 60) / 60)
+    wanted = plan.input_array.astype(float) @ matrix
+    plan.execute()
+    assert fft_library() == library
+    assert np.abs(plan.output_array - wanted).max() < error * 60
+    assert plan.output_array.dtype == (np.complex64 if kind is np.float32 else np.complex128)
+
+
+def test_an_inverse_is_a_plain_sum(library: str) -> None:
+    plan = inverse((2, 48), np.complex64)
+    plan.input_array[...] = 0.0
+    plan.input_array[1, 5] = 1.0
+    plan.execute()
+    np.testing.assert_allclose(plan.output_array[1], np.exp(2j * np.pi * 5 * np.arange(48) / 48), atol=1e-6)
+
+
+def test_frames_are_the_same_by_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyfftw", reason="pyfftw is not installed here")
+    signal, made = np.random.default_rng(2).standard_normal((2, 5000)), {}
+    for name in ("fftw", "scipy"):
+        monkeypatch.setenv(VARIABLE, name)
+        made[name] = FrameTransform(hann(720)).spectra(signal, np.array([0, 360, 4000]))
+    np.testing.assert_allclose(made["scipy"], made["fftw"], atol=1e-14)
+
+
+@pytest.mark.parametrize("how", ["absent", "not wanted"])
+def test_without_fftw_nothing_of_it_is_loaded(how: str) -> None:
+    environment = {"PATH": "/usr/bin:/bin", "HOME": "/tmp"} | ({} if how == "absent" else {VARIABLE: "scipy"})
+    command = [sys.executable, "-c", _WITHOUT_FFTW, how]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+def test_a_library_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "mkl")
+    with pytest.raises(RequestError, match=r"CRANKORDER_FFT.*mkl.*fftw, scipy"):
+        fft_library()
+    monkeypatch.setattr(plans, "find_spec", lambda name: None)
+    plans._library.cache_clear()
+    monkeypatch.setenv(VARIABLE, "fftw")
+    with pytest.raises(RequestError, match="not installed"):
+        fft_library()
+    monkeypatch.delenv(VARIABLE)
+    assert fft_library() == "scipy"
+    assert not can_transform_uneven()
+    plans._library.cache_clear()

@@ -1,0 +1,229 @@
+"""Exported files hold the values of the results, as readers of others have them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import crankorder as co
+from crankorder.batch.result_folder import publish
+from crankorder.batch.store import json_bytes
+from crankorder.cli import main
+from crankorder.errors import RequestError
+from crankorder.findings import Findings
+from crankorder.interchange.tables import Column, csv_bytes, tables_of
+from crankorder.interchange.uff58 import uff58_bytes
+from crankorder.report.netcdf import read_results, results_bytes
+from crankorder.report.published import findings_datasets, published, root_attrs
+from made.typed import findings_of
+
+pyuff = pytest.importorskip("pyuff", reason="pyuff is a development dependency")
+
+SPEEDS = np.array([600.0, 1000.0 / 3.0 * 2.5, 1200.0, 1500.0])
+ORDERS = [0.5, 2.0]
+
+
+def _coords(direction: list[str] | None = None) -> dict[str, Any]:
+    columns = {"unit": ["g", "bar", "m/s2"], "quantity": ["acceleration", "cylinder pressure", "acceleration"]}
+    columns["direction"] = direction or ["+X", "", "-Z"]
+    return {"channel": ["Block µ", "p", "Z"], **{key: ("channel", values) for key, values in columns.items()}}
+
+
+def made_groups() -> dict[str, xr.Dataset]:
+    """Tracks and maps of an acceleration in g, a pressure in bar and an acceleration in m/s2, of random values."""
+    rng = np.random.default_rng(5)
+    see, rpm = {"units": "see unit", "long_name": "peak amplitude"}, ("speed", SPEEDS, {"units": "min-1"})
+    dims, shape = ("channel", "order", "speed"), (3, len(ORDERS), len(SPEEDS))
+    amplitude = rng.gamma(2.0, size=shape).astype(np.float32)
+    amplitude[1, 0, 1] = np.nan  # not measured
+    phase = rng.uniform(-180, 180, shape).astype(np.float32)
+    phase[2, 1, 3] = np.nan  # measured, with a phase that nobody knows
+    tracks = xr.Dataset(
+        {
+            "amplitude": (dims, amplitude, see),
+            "amplitude_low": (dims, 0.9 * amplitude, see),
+            "phase": (dims, phase, {"units": "degree", "long_name": "phase"}),
+        },
+        {**_coords(), "speed": rpm, "order": ("order", ORDERS, {"units": "1"})},
+        {"phase_reference": "tdc", "amplitude_scaling": "peak"},
+    )
+    groups = {"order_tracks": tracks}
+    for name, along, axis in (
+        ("order_map", "order", np.arange(33) / 3.0),
+        ("campbell_map", "frequency", np.arange(0.0, 50.0, 0.5)),
+    ):
+        values = rng.gamma(2.0, size=(3, len(SPEEDS), len(axis))).astype(np.float32)
+        values[0, 2, 5] = np.nan
+        units = {"units": "1" if along == "order" else "Hz"}
+        groups[name] = xr.Dataset(
+            {"amplitude": (("channel", "speed", along), values, see)},
+            {**_coords(), "speed": rpm, along: (along, axis, units)},
+            {"amplitude_scaling": "peak", "window": "hann"},
+        )
+    return groups
+
+
+def made_findings() -> Findings:
+    """A mode, a crossing and a line."""
+    found = {"frequency_hz": 1.0 / 3.0, "frequency_hz_ci95": [0.3, 0.4], "damping_ratio": None, "channels": ["p", "Z"]}
+    channels = [{"name": "Block µ", "unit": "g"}, {"name": "p", "unit": "bar"}, {"name": "Z", "unit": "m/s2"}]
+    lines = [{"channel": "p", "order": 0.5, "amplitude": 0.7, "explained_by": "firing"}]
+    crossing = {"order": 2.0, "mode_hz": 1.0 / 3.0, "rpm": 10.0, "in_range": False, "excited": False}
+    given = {"schema_version": 1, "test": "some test", "channels": channels, "modes": [found], "crossings": [crossing]}
+    return findings_of({**given, "lines": lines, "orders": [{**lines[0], "unit": "bar", "speed_range_rpm": [1, 2]}]})
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished result folder of two quantities, with findings."""
+    folder = tmp_path_factory.mktemp("out") / "some-test"
+    findings, groups = made_findings(), made_groups()
+    data = results_bytes({**groups, **findings_datasets(findings)}, attrs=root_attrs(findings, groups))
+    run = json_bytes({"schema_version": 1, "test": "some test"})
+    publish(folder, {"results.nc": data, "findings.json": json_bytes(findings.as_dict()), "run.json": run}, key="k")
+    return folder
+
+
+def sets_of(path: Path) -> list[dict[str, Any]]:
+    read: list[dict[str, Any]] = pyuff.UFF(str(path)).read_sets()
+    return read
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_another_reader_finds_every_number_of_the_results(result: Path, tmp_path: Path, binary: bool) -> None:
+    (path,) = co.export(result, to="uff58", binary=binary, out=tmp_path)
+    sets, groups = sets_of(path), read_results(result / "results.nc")
+    assert [one["type"] for one in sets[:3]] == [151, 164, 58]
+    assert (sets[1]["units_code"], sets[1]["length"], sets[1]["force"]) == (1, 1.0, 1.0)
+    kinds = [one["func_type"] for one in sets[2:]]
+    assert (kinds.count(27), kinds.count(12)) == (3 * len(ORDERS), 2 * 3 * len(SPEEDS))
+    factor, share = (9.80665, 1e5, 1.0), 1e-7 if binary else 1e-11
+    cuts = [one for one in sets[2:] if one["func_type"] == 27]
+    for one, (channel, order) in zip(cuts, np.ndindex(3, len(ORDERS)), strict=True):
+        row = groups["order_tracks"].isel(channel=channel, order=order)
+        known = np.isfinite(row["amplitude"].values)
+        np.testing.assert_allclose(one["x"], SPEEDS[known], rtol=5e-6)  # six digits
+        wanted = factor[channel] * row["amplitude"].values[known].astype(float)
+        np.testing.assert_allclose(np.abs(one["data"]), wanted, rtol=share)
+        if (channel, order) == (2, 1):
+            assert not np.iscomplexobj(one["data"])
+            assert "phase not known" in one["id4"]
+        else:
+            turned = np.angle(one["data"] * np.exp(-1j * np.radians(row["phase"].values[known].astype(float))))
+            np.testing.assert_allclose(turned, 0.0, atol=10 * share)
+        assert (one["z_axis_value"], one["abscissa_spec_data_type"]) == (ORDERS[order], 19)
+    for name, kind in (("order_map", 20), ("campbell_map", 18)):
+        rows = [one for one in sets[2:] if one["func_type"] == 12 and one["abscissa_spec_data_type"] == kind]
+        axis = groups[name][groups[name]["amplitude"].dims[-1]].values
+        for one, (channel, speed) in zip(rows, np.ndindex(3, len(SPEEDS)), strict=True):
+            row = groups[name]["amplitude"].values[channel, speed]
+            known = np.isfinite(row)
+            np.testing.assert_allclose(one["x"], axis[known], rtol=5e-6)
+            np.testing.assert_allclose(one["data"], factor[channel] * row[known].astype(float), rtol=share)
+            assert one["z_axis_value"] == pytest.approx(SPEEDS[speed], rel=5e-6)
+            assert one["z_axis_spec_data_type"] == 19
+
+
+def test_a_universal_file_says_what_its_numbers_are() -> None:
+    text = uff58_bytes(made_groups(), test="Prüfstand\n    -1\n").decode("ascii")
+    assert all(len(line) <= 80 for line in text.splitlines())
+    blocks = text.split(f"{-1:6d}\n{-1:6d}\n")
+    assert len(blocks) == 2 + 3 * 2 + 2 * 3 * 4  # no name ends a dataset
+    cut = blocks[2].splitlines()
+    assert cut[1] == "Block u: order 0.5, peak amplitude".ljust(80)
+    assert cut[4].strip() == "A cos(2 pi order angle + phase), angle from top dead centre"
+    assert cut[5].strip() == "9.80665 x the values of the results, which are in g"
+    assert cut[9].split() == ["12", "1", "0", "0", "Amplitude", "m/s2"]
+    pressure = blocks[4].splitlines()
+    assert pressure[9].split() == ["15", "-2", "1", "0", "Amplitude", "Pa"]
+    assert pressure[6].split()[5:7] == ["2", "0"]  # node, and no direction
+
+
+def test_tables_have_the_values_and_a_row_of_units(result: Path, tmp_path: Path) -> None:
+    paths = {path.name: path for path in co.export(result, to="csv", out=tmp_path)}
+    assert {"tracks.csv", "modes.csv", "crossings.csv", "lines.csv", "orders.csv"} <= set(paths)
+    table = pd.read_csv(paths["tracks.csv"], header=[0, 1])
+    units = {name: unit for name, unit in table.columns if not unit.startswith("Unnamed")}
+    assert units["amplitude_acceleration_m_s2"] == "m/s2"
+    assert units["amplitude_acceleration_g"] == "standard_free_fall"
+    assert (units["amplitude_cylinder_pressure"], units["speed"], units["phase"]) == ("bar", "min-1", "degree")
+    tracks = read_results(result / "results.nc")["order_tracks"]
+    assert len(table) == int(np.isfinite(tracks["amplitude"]).sum())
+    table.columns = table.columns.get_level_values(0)
+    for row in table.itertuples():
+        cell = tracks.sel(channel=row.channel, order=row.order, speed=row.speed)  # to the last digit
+        (value,) = [
+            value for name, value in row._asdict().items()
+            if name in ("amplitude_acceleration_m_s2", "amplitude_acceleration_g", "amplitude_cylinder_pressure")
+            and not math.isnan(value)
+        ]  # fmt: skip
+        assert np.float32(value) == cell["amplitude"].item()
+    findings = made_findings()
+    with paths["modes.csv"].open(newline="") as file:
+        names, unit, *rows = list(csv.reader(file))
+    assert unit[names.index("frequency_hz")] == "Hz"
+    found = [float(row[names.index("frequency_hz_ci95_low")]) for row in rows]
+    assert found == [one.frequency_hz_ci95[0] for one in findings.modes]
+
+
+def test_parquet_has_the_units_in_its_fields_and_the_maps(result: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is an optional dependency")
+    paths = {path.name: path for path in co.export(result, to="parquet", out=tmp_path)}
+    field = parquet.read_schema(paths["tracks.parquet"]).field("speed")
+    assert field.metadata[b"units"] == b"min-1"
+    table = pd.read_parquet(paths["campbell_map.parquet"])
+    wanted = made_groups()["campbell_map"]["amplitude"].values
+    assert len(table) == np.isfinite(wanted).sum()
+    np.testing.assert_array_equal(table[table["channel"] == "Z"]["amplitude_acceleration_m_s2"], wanted[2].ravel())
+
+
+def test_a_text_cannot_become_a_formula_nor_a_row() -> None:
+    names = np.array(["=1+1", "@SUM(A1)", "+Z", "-X", "-2+3|'/C calc'!A0", 'a,"b"\nc', "plain"], dtype=object)
+    cells = [row[0] for row in csv.reader(csv_bytes([Column("name", "", "", names)]).decode().splitlines(True))][2:]
+    assert cells == ["'=1+1", "'@SUM(A1)", "+Z", "-X", "'-2+3|'/C calc'!A0", 'a,"b"\nc', "plain"]
+
+
+def test_the_same_results_make_the_same_bytes(result: Path, tmp_path: Path) -> None:
+    for to in ("uff58", "csv"):
+        one = co.export(result, to=to, out=tmp_path / "one")
+        again = co.export(result.parent, to=to, out=tmp_path / "again")
+        assert [path.read_bytes() for path in one] == [path.read_bytes() for path in again]
+
+
+def test_what_cannot_be_is_refused(result: Path, tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="no finished results"):
+        co.export(tmp_path, to="csv", out=tmp_path / "o")
+    with pytest.raises(RequestError, match="uff58, csv, parquet"):
+        co.export(result, to="xlsx", out=tmp_path / "o")
+    with pytest.raises(RequestError, match="among the results"):
+        co.export(result, to="csv", out=result / "inside")
+    with pytest.raises(RequestError, match="binary"):
+        co.export(result, to="csv", binary=True, out=tmp_path / "o")
+    assert not (tmp_path / "o").exists()
+    mine = tmp_path / "mine" / "some-test-csv"
+    mine.mkdir(parents=True)
+    (mine / "tracks.csv").write_text("mine")
+    with pytest.raises(RequestError, match="no earlier run wrote"):
+        co.export(result, to="csv", out=tmp_path / "mine")
+    assert (mine / "tracks.csv").read_text() == "mine"
+
+
+def test_the_command_names_what_it_wrote(result: Path, tmp_path: Path) -> None:
+    ended = CliRunner().invoke(main, ["export", str(result), "--to", "uff58", "--out", str(tmp_path)])
+    assert ended.exit_code == 0, ended.output
+    assert ended.output.splitlines() == [str(tmp_path / "some-test-uff58" / "results.uff")]
+    assert CliRunner().invoke(main, ["export", str(tmp_path / "no"), "--to", "csv"]).exit_code == 2
+
+
+def test_results_without_a_shaft_have_tables_of_the_map_alone() -> None:
+    groups = {"campbell_map": made_groups()["campbell_map"]}
+    assert tables_of({name: published(one) for name, one in groups.items()}) == {}
+    assert uff58_bytes(groups, test="t").count(b"    58") == 3 * len(SPEEDS)
