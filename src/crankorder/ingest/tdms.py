@@ -10,11 +10,23 @@ import numpy as np
 
 from crankorder.errors import EnvironmentFailure
 from crankorder.ingest.child import in_child
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, common_rate, distinct, flag, named
+from crankorder.ingest.rawfile import (
+    Contents,
+    RawFile,
+    Source,
+    check_budget,
+    common_rate,
+    distinct,
+    flag,
+    float_type_for,
+    named,
+)
 from crankorder.settings import IngestSettings
 
 _UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit", "units")
 _REALS = "iufb"
+_MOST_PER_BYTE = 8
+"""Bytes of samples that a byte of the file may become: its integers are widened, nothing is compressed."""
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -24,17 +36,15 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     ``settings`` give the byte limit. Raises InputError for damage or a missing name, EnvironmentFailure where nptdms is
     missing, UnsafeInputError where the parser goes beyond its limits.
     """
-    told = contents(path, settings=settings)
-    names = [named(source, told.names, path) for source in sources]
-    n_bytes = sum(8 * told.samples[name] for name in names)
-    check_budget(n_bytes, path, max_bytes=settings.max_bytes)
     parser = _parser(path)
-    columns, incomplete, start_s = in_child(lambda: _read(parser, path, names), path, n_bytes=n_bytes)
+    most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
+    told, columns, incomplete, start_s = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
+    names = {source: named(source, told.names, path) for source in sources}
     flags = [flag(path, "missing_data", "suspect", "the last segment was not written to its end")] if incomplete else []
-    rates = {name: told.rates_hz[name] for name in names if name in told.rates_hz}
+    rates = {name: told.rates_hz[name] for name in names.values() if name in told.rates_hz}
     return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: told.units[name] for source, name in zip(sources, names, strict=True) if name in told.units},
+        columns={source: columns[name] for source, name in names.items()},
+        units={source: told.units[name] for source, name in names.items() if name in told.units},
         rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance),
         attrs={"start_s": start_s},
         flags=flags,
@@ -76,33 +86,41 @@ def _channels(file: Any) -> dict[str, Any]:
 
 def _contents(parser: Any, path: Path) -> Contents:
     with parser.open(path) as file:
-        channels = _channels(file)
-        steps = {name: channel.properties.get("wf_increment") for name, channel in channels.items()}
-        units = {
-            name: str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
-            for name, channel in channels.items()
-        }
-        return Contents(
-            format="TDMS",
-            names=tuple(channels),
-            samples={name: len(channel) for name, channel in channels.items()},
-            units={name: unit for name, unit in units.items() if unit},
-            rates_hz={name: float(f"{1.0 / float(step):.12g}") for name, step in steps.items() if _is_step(step)},
-        )
+        return _told(_channels(file))
+
+
+def _told(channels: dict[str, Any]) -> Contents:
+    steps = {name: channel.properties.get("wf_increment") for name, channel in channels.items()}
+    units = {
+        name: str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
+        for name, channel in channels.items()
+    }
+    return Contents(
+        format="TDMS",
+        names=tuple(channels),
+        samples={name: len(channel) for name, channel in channels.items()},
+        units={name: unit for name, unit in units.items() if unit},
+        rates_hz={name: float(f"{1.0 / float(step):.12g}") for name, step in steps.items() if _is_step(step)},
+    )
 
 
 def _is_step(step: Any) -> bool:
     return isinstance(step, (int, float)) and bool(np.isfinite(step)) and step > 0
 
 
-def _read(parser: Any, path: Path, names: Sequence[str]) -> tuple[dict[str, Any], bool, float]:
+def _read(
+    parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
+) -> tuple[Contents, dict[str, Any], bool, float]:
+    """What the file holds, columns by name, whether its last segment is cut short, and the first time."""
     with parser.open(path) as file:
         channels = _channels(file)
+        told = _told(channels)
+        names = list(dict.fromkeys(named(source, told.names, path) for source in sources))
+        check_budget(sum(8 * told.samples[name] for name in names), path, max_bytes=settings.max_bytes)
         columns = {}
-        for name in dict.fromkeys(names):
+        for name in names:
             values = np.asarray(channels[name][:])
-            small = values.dtype.itemsize <= 2 or values.dtype == np.float32
-            columns[name] = values.astype(np.float32 if small else np.float64)
+            columns[name] = values.astype(float_type_for(values.dtype), copy=False)
         offset = channels[names[0]].properties.get("wf_start_offset", 0.0) if names else 0.0
         start_s = float(offset) if isinstance(offset, (int, float)) and np.isfinite(offset) else 0.0
-        return columns, bool(getattr(file.file_status, "incomplete_final_segment", False)), start_s
+        return told, columns, bool(getattr(file.file_status, "incomplete_final_segment", False)), start_s
