@@ -82,7 +82,18 @@ def balance_text(sheet: Sheet) -> str:
     out.
     """
     lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}", ""]
-    for table in (_masses, _forces, _moments, _strategies, _shafts, _shaft_residuals, _pairs, _crankshaft, _gears):
+    for table in (
+        _masses,
+        _forces,
+        _moments,
+        _strategies,
+        _shafts,
+        _shaft_residuals,
+        _pairs,
+        _crankshaft,
+        _rod,
+        _gears,
+    ):
         lines += table(sheet)
     speeds = list(sheet["force_n"])
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
@@ -257,11 +268,14 @@ def _crankshaft(sheet: Sheet) -> list[str]:
     table = sheet["crankshaft"]
     if table is None:
         return []
-    sums = [
-        ("static, kg·mm", table["static_kg_mm"]["x"], table["static_kg_mm"]["y"]),
-        ("dynamic, kg·mm²", table["dynamic_kg_mm2"]["x"], table["dynamic_kg_mm2"]["y"]),
+    rows = [
+        [row["name"], *(row[key] for key in ("mass_kg", "x_mm", "y_mm")), *_products(row)] for row in table["sections"]
     ]
-    lines = text_table("Crankshaft: sums over its sections", ["", "x", "y"], sums)
+    rows.append(["sum", None, None, None, *_products({**table, "z_mm": None})])
+    heads = ["part", "Wr kg", "X mm", "Y mm", "Wr X", "Wr Y", "Z mm", "CX", "CY"]
+    lines = text_table(
+        "Crankshaft: static (Wr X, Wr Y: kg·mm) and dynamic (CX, CY: kg·mm²) balance of its parts", heads, rows
+    )
     couples = [(f"at {speed} rpm", amount) for speed, amount in table["couple_Nm_at_rpm"].items()]
     lines += text_table("Rocking couple that turns with the crankshaft", ["", "N·m"], couples)
     heads = ["plane", "z mm"] + [f"{text} {axis}" for text in ("has", "add", "needs") for axis in "xy"]
@@ -270,7 +284,38 @@ def _crankshaft(sheet: Sheet) -> list[str]:
         + [plane[f"{key}_kg_mm"][axis] for key in ("has", "correction", "needs") for axis in "xy"]
         for plane in table["planes"]
     ]
-    return lines + text_table("Two-plane correction, kg·mm", heads, planes)
+    lines += text_table("Two-plane correction, kg·mm", heads, planes)
+    fans = [
+        [name, *(fan[key] for key in ("mass_kg", "centroid_mm", "unbalance_kg_mm")), *fan["resized"].values()]
+        for name, fan in ((plane["name"], plane["fan"]) for plane in table["planes"])
+        if fan is not None
+    ]
+    heads = ["counterweight", "kg", "centroid mm", "kg·mm", "or radius mm", "or thickness mm", "or fan °"]
+    lines += text_table("Fans, and the one size that would meet both sums", heads, fans)
+    bobs = [
+        [bob["method"], bob["mass_kg"], *(bob[key]["y"] for key in ("static_kg_mm", "dynamic_kg_mm2"))]
+        for bob in table["bob_weights"] or []
+    ]
+    heads = ["rod's big end", "kg", "static y, kg·mm", "dynamic y, kg·mm²"]
+    return lines + text_table(
+        "The crankshaft with another mass in the place of its bob weight", heads, bobs[1:] and bobs
+    )
+
+
+def _products(row: Mapping[str, Any]) -> list[Cell]:
+    static, dynamic = row["static_kg_mm"], row["dynamic_kg_mm2"]
+    return [static["x"], static["y"], row["z_mm"], dynamic["x"], dynamic["y"]]
+
+
+def _rod(sheet: Sheet) -> list[str]:
+    table = sheet["rod_split"]
+    if table is None:
+        return []
+    keys = ("big_end_g", "small_end_g", "total_g", "centroid_fraction")
+    rows: list[list[Cell]] = [[name, *(one[key] for key in keys)] for name, one in table["methods"].items()]
+    rows.append(["weighed whole", None, None, table["weighed_whole_g"], None])
+    heads = ["by", "big end g", "small end g", "total g", "centre / length"]
+    return text_table("The rod in two masses", heads, rows)
 
 
 def _gears(sheet: Sheet) -> list[str]:
