@@ -368,7 +368,7 @@ def hinge_text(sheet: Mapping[str, Any]) -> str:
     lines += _side_forces(sheet["mechanisms"]) + _hinge_moments(sheet["mechanisms"]) + _solutions(sheet["mechanisms"])
     for one in sheet["mechanisms"]:
         lines += _characteristic(one)
-    lines += _air_springs(sheet["mechanisms"])
+    lines += _air_springs(sheet["mechanisms"]) + _guides(sheet["mechanisms"])
     return "\n".join([*lines, *closing("What remains", sheet)]) + "\n"
 
 
@@ -404,12 +404,13 @@ def _solutions(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
         found = one["solutions"]
         for weight, text in _WEIGHTS.items():
             kinds = found["weight_without_side_force"][weight]
-            rows.append([one["name"], f"{text}, no side force", kinds["potential"], kinds["printed"]])
-        rows.append([one["name"], "crank counterweight, eq. (12)", found["crank_counterweight_n"], None])
+            weights = (kinds[kind] for kind in ("potential", "printed", "printed_truncated"))
+            rows.append([one["name"], f"{text}, no side force", *weights])
+        rows.append([one["name"], "crank counterweight, eq. (12)", found["crank_counterweight_n"], None, None])
         for key, text in (("rod_counterweight_n", "rod"), ("crank_counterweight_n", "crank")):
             amount = None if found["balanced"] is None else found["balanced"][key]
-            rows.append([one["name"], f"{text} counterweight, eq. (13)", amount, None])
-    heads = ["mechanism", "what to choose", "N", "N, printed (6)"]
+            rows.append([one["name"], f"{text} counterweight, eq. (13)", amount, None, None])
+    heads = ["mechanism", "what to choose", "N", "N, printed (6)", "… cos ψ truncated"]
     return text_table("Solutions", heads, rows, kept=2)
 
 
@@ -429,3 +430,22 @@ def _air_springs(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = [[one["name"], *(change[key] for key in keys)] for one in mechanisms for change in one["air_spring"]]
     heads = ["mechanism", "hinge", "cut for rpm", "at rpm", "pressure ratio", "share left", "unevenness"]
     return text_table("Air spring at another speed", heads, rows, kept=2)
+
+
+def _guides(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows: list[list[Cell]] = [
+        [
+            f"{one['name']}, {joint}",
+            guides["speed_rpm"],
+            1e-3 * guides["stiffness_n_per_m"],
+            1e3 * min(guides["length_m"]),
+            1e3 * max(guides["length_m"]),
+            guides["steepest_deg"],
+            "no: sharper than the roller" if guides["undercut"] else "yes",
+        ]
+        for one in mechanisms
+        for joint, guides in one["guides"].items()
+        if guides is not None
+    ]
+    heads = ["hinge", "rpm", "spring N/mm", "shortest mm", "longest mm", "steepest °", "can be cut"]
+    return text_table("Springs and guides of the hinges", heads, rows)
