@@ -101,7 +101,7 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     from crankorder.report.balance.bars_figure import order_bars_figure
     from crankorder.report.balance.dataset import balance_dataset
     from crankorder.report.balance.figures import force_figure
-    from crankorder.report.balance.polar_figure import polar_figure
+    from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
     from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
@@ -112,7 +112,12 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     dataset = balance_dataset(subject, balance.document, max_order=balance.max_order, speeds_rpm=balance.speeds_rpm)
     groups = {"balance": dataset}
     shown = as_stored(groups)["balance"]
-    pictures = {"polar": polar_figure, "force": force_figure, "orders": order_bars_figure}
+    pictures = {
+        "polar": polar_figure,
+        "force": force_figure,
+        "orders": order_bars_figure,
+        "harmonics": harmonics_figure,
+    }
     kind = settings.picture_format
     made = {
         f"{name}.{kind}": picture_bytes(draw(shown, title=title, settings=settings), dpi=settings.dpi, kind=kind)
