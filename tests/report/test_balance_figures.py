@@ -17,7 +17,7 @@ from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.dataset import balance_dataset
 from crankorder.report.balance.figures import force_figure
-from crankorder.report.balance.hinge_figure import hinge_figure
+from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 from crankorder.report.balance.look import alike, called
 from crankorder.report.balance.polar_figure import polar_figure
 from crankorder.report.figures import picture_bytes
@@ -187,3 +187,18 @@ def test_the_picture_of_each_hinge_mechanism_has_no_text_on_another(number: int,
     assert _overlaps(figure) == []
     lines = [line for axes in figure.axes for line in axes.lines if str(line.get_gid()).startswith("pin-")]
     assert len(lines) == len(mechanism.speeds_rpm)
+    drawn = {str(line.get_gid()) for axes in figure.axes for line in axes.lines}
+    assert {"side-force-printed", "side-force-potential", "m12-full-0", "m12-printed-0", "torque-potential"} <= drawn
+
+
+def test_the_guides_of_both_hinges_are_drawn_to_scale(settings: Any) -> None:
+    engine = load_hinged_engine("elastic-hinge")
+    mechanism = next(one for one in engine.mechanisms if one.pin_guides is not None)
+    figure = guide_figure(engine, mechanism, 2865.0, settings=settings)
+    assert _overlaps(figure) == []
+    assert len(figure.axes) == 2
+    for axes in figure.axes:
+        guides = [line for line in axes.lines if line.get_gid() == "guide"]
+        assert len(guides) == 2
+        reach = [np.hypot(*line.get_data()).min() for line in guides]
+        assert max(reach) > mechanism.pin_guides.middle_radius_m > min(reach) > 0  # type: ignore[union-attr]

@@ -12,7 +12,7 @@ from crankorder.engine.balance_data import (
     FULL_TURN_REV,
     BalancedEngine,
     added_mass_table,
-    crankshaft_table,
+    crankshaft_of,
     harmonic_shares,
     leading_harmonics,
     newton,
@@ -203,10 +203,18 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
         f"{abs(complex(plane['correction_kg_mm']['x'], plane['correction_kg_mm']['y'])):.4g} kg·mm in {plane['name']}"
         for plane in table["planes"]
     )
-    return [
+    said = [
         f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
         f"({couple:.4g} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would end."
     ]
+    if table["overbalance_met"] is not None:
+        least, most = table["overbalance_kg_mm"]
+        by = table["overbalanced_by_kg_mm"]
+        said.append(
+            f"Its counterweights have {abs(by):.4g} kg·mm too {'much' if by >= 0 else 'little'}; {least:g} to {most:g} "
+            f"too much are wanted for the balancing machine: {'met' if table['overbalance_met'] else 'not met'}."
+        )
+    return said
 
 
 def _of_rod_split(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
@@ -305,7 +313,7 @@ def balance_sheet(
         if one is None
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
-        "crankshaft": crankshaft_table(subject, speeds),
+        "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),
         "added_mass": None if one is None else added_mass_table(subject, max_order, speeds),
         "offset": None if one is None else offset_table(subject, speeds),
