@@ -12,7 +12,7 @@ from crankorder.engine.balance_data import (
     FULL_TURN_REV,
     BalancedEngine,
     added_mass_table,
-    crankshaft_table,
+    crankshaft_of,
     harmonic_shares,
     leading_harmonics,
     newton,
@@ -41,7 +41,9 @@ from crankorder.engine.engine_tables import (
     by_axis,
     design_sentences,
     design_table,
+    moment_phases,
     moment_sentences,
+    phases_by_axis,
     whole_force,
     whole_moments,
 )
@@ -199,10 +201,18 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
         f"{abs(complex(plane['correction_kg_mm']['x'], plane['correction_kg_mm']['y'])):.4g} kg·mm in {plane['name']}"
         for plane in table["planes"]
     )
-    return [
+    said = [
         f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
         f"({couple:.4g} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would end."
     ]
+    if table["overbalance_met"] is not None:
+        least, most = table["overbalance_kg_mm"]
+        by = table["overbalanced_by_kg_mm"]
+        said.append(
+            f"Its counterweights have {abs(by):.4g} kg·mm too {'much' if by >= 0 else 'little'}; {least:g} to {most:g} "
+            f"too much are wanted for the balancing machine: {'met' if table['overbalance_met'] else 'not met'}."
+        )
+    return said
 
 
 def _of_rod_split(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
@@ -287,7 +297,9 @@ def balance_sheet(
         "harmonics": harmonic_shares(masses.mechanism, max_order),
         "masses_g": _masses(subject, masses),
         "force_g_mm": by_axis(made),
+        "force_phase_deg": phases_by_axis(made),
         "moment_g_mm2": whole_moments(bare, max_order),
+        "moment_phase_deg": moment_phases(bare, max_order),
         "leading_g_mm": None if one is None or engine.offset_m else _leading(masses, max_order),
         "force_n": {speed_key(speed): _forces_n(made, speed) for speed in speeds},
         "strategies": None
@@ -295,7 +307,7 @@ def balance_sheet(
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
         "design": None if single else design_table(subject, max_order),
-        "crankshaft": crankshaft_table(subject, speeds),
+        "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),
         "added_mass": None if one is None else added_mass_table(subject, max_order, speeds),
         "offset": None if one is None else offset_table(subject, speeds),
@@ -382,6 +394,7 @@ def _shafts(
         own = {
             "orders": list(engine.shafts.every_order),
             "residual_g_mm": by_axis(left),
+            "residual_phase_deg": phases_by_axis(left),
             "residual_moment_g_mm2": whole_moments(engine, max_order),
         }
     layouts: dict[str, Any] = {
@@ -417,7 +430,8 @@ def _layout(masses: ReducedMasses, name: Possibility, places: CounterweightPlace
             }
         )
     remains = [force for force in layout.residual if force.rotation != "none"]
-    return {"strategy": layout.strategy, "shafts": shafts, "residual_g_mm": by_axis(remains)}
+    left = {"residual_g_mm": by_axis(remains), "residual_phase_deg": phases_by_axis(remains)}
+    return {"strategy": layout.strategy, "shafts": shafts, **left}
 
 
 def _pair(pair: ShaftPairParts, subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -57,6 +59,30 @@ def whole_moments(engine: Engine, max_order: int) -> dict[str, Amounts | None]:
     }
     kept = {name: {k: size for k, size in sizes.items() if size > least[int(k)]} for name, sizes in found.items()}
     return {name: orders or None for name, orders in kept.items()}
+
+
+def phases_by_axis(forces: Iterable[OrderForce]) -> dict[str, Amounts | None]:
+    """Phases (degrees) of ``forces`` by axis and order: order k is amplitude · cos(k φ + phase), φ the crank angle."""
+    every = tuple(forces)
+    along = {f"{force.order:g}": degrees_of(force.x_g_mm) for force in every if force.x_g_mm}
+    across = {f"{force.order:g}": degrees_of(force.y_g_mm) for force in every if force.y_g_mm}
+    return {"x": along or None, "y": across or None}
+
+
+def moment_phases(engine: Engine, max_order: int) -> dict[str, Amounts | None]:
+    """Phases (degrees) of the moments of ``engine`` that :func:`whole_moments` lists up to ``max_order``."""
+    moments = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)
+    return {
+        name: orders
+        and {order: degrees_of(complex(moments[DIRECTIONS.index(MOMENT_AXES[name])][int(order)])) for order in orders}
+        for name, orders in whole_moments(engine, max_order).items()
+    }
+
+
+def degrees_of(amplitude: complex) -> float:
+    """Phase of ``amplitude`` in degrees, above −180 and up to 180."""
+    found = math.degrees(cmath.phase(amplitude))
+    return 180.0 if found == -180.0 else found + 0.0
 
 
 def design_table(subject: BalancedEngine, max_order: int) -> dict[str, Any]:

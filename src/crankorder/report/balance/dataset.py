@@ -30,6 +30,7 @@ SYSTEMS: dict[str, str] = {
 }
 """What each system is called: the plain engine, counterweights, counterweights with additional shafts, as it is."""
 
+_PHASE = "largest where order · crank angle is minus this"
 _POINTS = 720  # half a degree; at high orders 16 points a cycle
 
 
@@ -45,16 +46,14 @@ def balance_dataset(
     """
     orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
     systems = forces_by_system(subject, sheet, max_order=max_order)
-    force = np.zeros((len(systems), 2, max_order), dtype=complex)
-    for number, forces in enumerate(systems.values()):
-        for one in forces:
-            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    force = _amplitudes(systems, max_order)
     curves = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
     shares = {int(order): share for order, share in sheet["harmonics"].items()}
     dataset = xr.Dataset(
         {
             "force": (("system", "axis", "order"), force, _about("amplitude over squared crank speed", "g mm")),
+            "phase": (("system", "axis", "order"), phase_deg(force), _about("of the force; " + _PHASE, "degree")),
             "force_at_speed": (
                 ("system", "axis", "order", "speed"),
                 unbalance_force_n(np.abs(force)[..., None], speeds),
@@ -82,6 +81,15 @@ def balance_dataset(
         },
     )
     return dataset if sheet["strategies"] is not None else _with_moments(dataset, subject, sheet, max_order)
+
+
+def _amplitudes(systems: Mapping[str, Forces], max_order: int) -> NDArray[np.complex128]:
+    """Complex amplitudes (system, axis, order) of the forces of each system."""
+    force = np.zeros((len(systems), 2, max_order), dtype=complex)
+    for number, forces in enumerate(systems.values()):
+        for one in forces:
+            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    return force
 
 
 def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int) -> dict[str, Forces]:
@@ -124,10 +132,17 @@ def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: Mapping[s
             for order in kept or {}:
                 moment[number, row, int(order) - 1] = found[DIRECTIONS.index(MOMENT_AXES[name])][int(order)]
     about = _about("amplitude over squared crank speed", "g mm2")
+    phase = _about("of the moment; " + _PHASE, "degree")
     return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(
         moment=(("moment_axis", "order"), moment[0], about),
+        moment_phase=(("moment_axis", "order"), phase_deg(moment[0]), phase),
         moment_by_system=(("system", "moment_axis", "order"), moment, about),
     )
+
+
+def phase_deg(amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Phases (degrees, −180 to 180) of complex ``amplitudes`` of any shape; NaN where there is nothing."""
+    return np.where(np.abs(amplitudes) > 0, np.degrees(np.angle(amplitudes)), np.nan)
 
 
 def order_sum(amplitudes: NDArray[np.complex128], crank_angle_rev: NDArray[np.float64]) -> NDArray[np.float64]:
