@@ -9,7 +9,6 @@ what was analysed; ``--tables-only`` writes the tables of `docs/sources.md` alon
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import shutil
 import subprocess
@@ -20,6 +19,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from make_gallery import copy_picture
 
 ROOT = Path(__file__).resolve().parents[1]
 GALLERY = ROOT / "reports" / "gallery" / "thesis"
@@ -33,8 +34,6 @@ SCENES = {
     "first": "thesis-first-motoring",
     "compared": "thesis-second-compared",
 }
-COLORS = 256
-"""Of a copied picture: a third of the bytes, and no colour that the eye would miss."""
 MORE_LABELS = 'title = "firing"\n[report]\nmax_labelled_orders = 24\n'
 """Recipe of the firing campaign: its half orders are many, and the first of them is the weakest in two axes."""
 
@@ -182,16 +181,9 @@ def amplitudes(result: Path, channel: str, speed_rpm: float) -> dict[float, floa
         return dict(zip(at["order"].values.tolist(), at.values.tolist(), strict=True))
 
 
-def copy_picture(source: Path, name: str) -> str:
-    """A picture of fewer colours in the gallery; Markdown that shows it."""
-    from PIL import Image
-
-    GALLERY.mkdir(parents=True, exist_ok=True)
-    with Image.open(source) as image:
-        small = image.convert("RGB").quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-        data = io.BytesIO()
-        small.save(data, "png", optimize=True)
-    (GALLERY / name).write_bytes(data.getvalue())
+def shown_picture(source: Path, name: str) -> str:
+    """Markdown that shows the picture ``source``, copied into the gallery."""
+    copy_picture(source, GALLERY / name)
     return f"![{Path(name).stem}](../reports/gallery/thesis/{name})"
 
 
@@ -202,18 +194,18 @@ def pictures(results: dict[str, Path], scratch: Path) -> dict[str, str]:
     for key in ("second", "first"):
         for channel in "XYZ":
             name = f"campbell_{key}_{channel}"
-            found[name] = copy_picture(results[key] / f"campbell_{channel}.png", f"{name}.png")
+            found[name] = shown_picture(results[key] / f"campbell_{channel}.png", f"{name}.png")
     for key in ("second", "firing", "first"):
-        found[f"spectra_{key}"] = copy_picture(results[key] / "spectra.png", f"spectra_{key}.png")
-    found["envelope"] = copy_picture(results["second"] / "envelope.png", "envelope_second.png")
+        found[f"spectra_{key}"] = shown_picture(results[key] / "spectra.png", f"spectra_{key}.png")
+    found["envelope"] = shown_picture(results["second"] / "envelope.png", "envelope_second.png")
     for name in ("orders_change", "map_change_Z"):
-        found[name] = copy_picture(results["change"] / f"{name}.png", f"{name}.png")
+        found[name] = shown_picture(results["change"] / f"{name}.png", f"{name}.png")
     drawn = {"task5": ("polar",), "msu-standard": ("harmonics",), "reverse-cranks": ("force",)}
     hinges = ("hinges_fig3_ac", "hinges_fig3_bd", "hinges_fig5_bcd", "guides_fig5_bcd")
     for engine, names in {**drawn, "elastic-hinge": hinges}.items():
         crankorder("balance", engine, "--out", str(scratch / engine))
         for name in names:
-            found[name] = copy_picture(scratch / engine / f"{name}.png", f"{name}.png")
+            found[name] = shown_picture(scratch / engine / f"{name}.png", f"{name}.png")
     return found
 
 
