@@ -115,7 +115,7 @@ def run_page(page: Path, pictures: Path) -> list[Block]:
         command = [sys.executable, __file__, "--execute", str(page), str(pictures)]
         done = subprocess.run(command, cwd=work, env=os.environ | files, capture_output=True, encoding="utf-8")
     if done.returncode:
-        return [Block("", "", {}, 1, fault=done.stderr)]
+        return [Block("", "", {}, 1, fault=f"exit status {done.returncode}\n{done.stderr}")]
     return [Block(**block) for block in json.loads(done.stdout)]
 
 
@@ -161,7 +161,7 @@ def setup(app: Any) -> dict[str, Any]:
         }
 
         def run(self) -> list[nodes.Node]:
-            place = self.env.current_document.get("executed", 0) if hasattr(self.env, "current_document") else 0
+            place = self.env.current_document.get("executed", 0)
             self.env.current_document["executed"] = place + 1
             block = results[self.env.docname][place]
             if "hidden" in block.options:
