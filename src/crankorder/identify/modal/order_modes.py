@@ -81,10 +81,7 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     ends: list[float] = []
     shown: list[str] = []
     located, passed, rung_by, flanked = set[float](), set[float](), set[float](), set[float]()
-    beside: dict[str, list[Block]] = {}
-    for block in blocks:
-        if block.passage is not None:
-            beside.setdefault(block.recording, []).append(block)
+    beside = _by_sweep(blocks)
     for block, part in zip(blocks, projected, strict=True):
         shows = residue_chances(block, part, number) <= NUMBERS.proof_chance
         if shows.any():
@@ -118,6 +115,15 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         flanked=tuple(sorted(flanked)),
     )
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _by_sweep(blocks: Sequence[Block]) -> dict[str, list[Block]]:
+    """The ``blocks`` of sweeps by their recording."""
+    made: dict[str, list[Block]] = {}
+    for block in blocks:
+        if block.passage is not None:
+            made.setdefault(block.recording, []).append(block)
+    return made
 
 
 def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArray[np.bool_]:
@@ -170,7 +176,7 @@ def _step(block: Block, part: Projected, poles: Poles, number: int) -> tuple[flo
 
 
 def flanks_show(block: Block, poles: Poles, number: int) -> bool:
-    """Whether the flanks of pole ``number`` prove it without the rows at its peak, in ``block`` at held speeds.
+    """Whether at held speeds the flanks of pole ``number`` of ``poles`` in ``block`` prove it without its peak.
 
     A force that differs at one speed or two makes a peak, but no flanks: a resonance adds 1 / (f² − ν²) to an order on
     both sides, far beyond its width, with the other sign above it (Ewins 2000, §2.4). Rows within some widths, and the
@@ -234,11 +240,14 @@ def proven_by(proof: Proof) -> str:
     if not names:
         return f"no order passes it; it shapes orders {', '.join(f'{order:g}' for order in proof.orders)} from afar"
     if len(proof.passed) > 1:
-        return f"orders {names} peak there, each at its own speed, with the phase of a resonance"
-    near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
-    if proof.flanked and proof.most_rows:
-        near += ", and its flanks alone place it there"
-    return f"order {names} has amplitude and phase of a resonance there, {near}"
+        told = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+    else:
+        near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
+        told = f"order {names} has amplitude and phase of a resonance there, {near}"
+    flanks = ", ".join(f"{order:g}" for order in proof.flanked)
+    if flanks and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
+        told += f"; the flanks of order {flanks}, without the rows at its peak, place it there"
+    return told
 
 
 def is_proven(proof: Proof) -> bool:
@@ -247,7 +256,11 @@ def is_proven(proof: Proof) -> bool:
     One is proof too where it shows the mode at its peak and by its flanks alone.
     ``proof``: the orders that show it.
     """
-    return bool(proof.flanked) or (len(proof.passed) > 1 and (proof.rows >= NUMBERS.rows_of_two or proof.located > 1))
+    return bool(proof.flanked) or _peaks_prove(proof)
+
+
+def _peaks_prove(proof: Proof) -> bool:
+    return len(proof.passed) > 1 and (proof.rows >= NUMBERS.rows_of_two or proof.located > 1)
 
 
 def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: IdentifySettings) -> Mode | None:
