@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from types import TracebackType
@@ -28,10 +30,14 @@ class Chromium:
             "--disable-background-networking", f"--user-data-dir={profile}", f"--window-size={width},{height}",
             "--remote-debugging-pipe", "about:blank",
         ]  # fmt: skip
+        high = [fcntl.fcntl(one, fcntl.F_DUPFD, 64) for one in (theirs, back)]  # clear of 3 and 4, where it listens
+        move = f"import os, sys; os.dup2({high[0]}, 3); os.dup2({high[1]}, 4); os.execv(sys.argv[1], sys.argv[1:])"
         self._program = subprocess.Popen(
-            ["/bin/sh", "-c", f'exec "$@" 3<&{theirs} 4>&{back}', "sh", *command],
-            pass_fds=(theirs, back), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [sys.executable, "-S", "-c", move, *command],
+            pass_fds=high, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
+        for one in high:
+            os.close(one)
         os.close(theirs)
         os.close(back)
         self._number, self._rest, self._session = 0, b"", ""

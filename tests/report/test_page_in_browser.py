@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -169,19 +170,29 @@ def test_names_that_want_to_be_markup_or_formulas_are_text(
     assert browser.complaints == []
 
 
+def _attributes(browser: chromium.Chromium, *selectors: str) -> dict[str, list[str]]:
+    """Attributes of the elements, as soon as the page that is being opened has them; scripts need not run."""
+    browser.ask("DOM.enable")
+    for _ in range(100):
+        time.sleep(0.1)
+        told = {}
+        for selector in selectors:
+            root = browser.ask("DOM.getDocument")["root"]["nodeId"]
+            node = browser.ask("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+            told[selector] = browser.ask("DOM.getAttributes", nodeId=node)["attributes"] if node else []
+        if all(told.values()):
+            return told
+    raise AssertionError(f"not in the page: {selectors}")
+
+
 def test_without_script_the_picture_stands_there(
     browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path
 ) -> None:
     browser.ask("Emulation.setScriptExecutionDisabled", value=True)
     try:
         browser.ask("Page.navigate", url=_page(campaign, settings, tmp_path / "plain.html").as_uri())
-        browser.ask("DOM.enable")
-        root = browser.ask("DOM.getDocument")["root"]["nodeId"]
-        find = {
-            name: browser.ask("DOM.querySelector", nodeId=root, selector=name)["nodeId"]
-            for name in ("#live", "#stills")
-        }
-        told = {name: browser.ask("DOM.getAttributes", nodeId=node)["attributes"] for name, node in find.items()}
+        time.sleep(0.5)
+        told = _attributes(browser, "#live", "#stills")
         assert "hidden" in told["#live"]
         assert "open" in told["#stills"]
     finally:

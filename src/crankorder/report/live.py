@@ -222,6 +222,15 @@ def _short(value: float) -> float:
     return float(f"{value:.8g}")
 
 
+def _shortened(value: object) -> object:
+    """``value`` with every number to eight digits: findings read back from their file have no more than ten."""
+    if isinstance(value, float):
+        return _short(value)
+    if isinstance(value, dict):
+        return {key: _shortened(item) for key, item in value.items()}
+    return [_shortened(item) for item in value] if isinstance(value, list | tuple) else value
+
+
 def _share_of_page(cells: int, columns: int, channels: int, most: int) -> tuple[int, int]:
     """Columns pooled into one, and channels shown, so that ``cells`` in all become ``most`` at the most."""
     pool = min(max(1, math.ceil(cells / most)), max(1, columns // _FEWEST_COLUMNS))
@@ -280,16 +289,15 @@ def _said(findings: Findings, names: list[str], settings: ReportSettings) -> dic
         for band in findings.free_bands
         if is_number(band.low_rpm) and is_number(band.high_rpm)
     ]
-    return {
+    said = {
         "orders": [asdict(one) for one in _orders(findings, number, limit)],
         "fixed": [asdict(one) for one in fixed],
-        "crossings": [
-            asdict(_crossing(one, findings, modes, number)) for one in findings.crossings if one.in_range
-        ],
+        "crossings": [asdict(_crossing(one, findings, modes, number)) for one in findings.crossings if one.in_range],
         "lines": [asdict(one) for one in _lines(findings, number, limit)],
         "avoid": avoid,
         "free": free,
-    }  # fmt: skip
+    }
+    return {key: _shortened(one) for key, one in said.items()}
 
 
 def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[LiveOrder]:
