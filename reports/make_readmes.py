@@ -12,10 +12,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from model_keys import tables_of
+from model_keys import Row, default_of, kind_of, tables_of, toml_of
+from pydantic.fields import FieldInfo
 
+from crankorder.engine.balance_data import BalanceData
 from crankorder.engine.definition import Engine
 from crankorder.findings import Findings
+from crankorder.ingest.manifest import Manifest
 from crankorder.synth.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -230,6 +233,16 @@ def render_keys(title: str, model: type[Scene] | type[Engine], skip: tuple[str, 
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
+def render_balance_keys() -> str:
+    """The part of that page on the table ``[balance]`` of an engine file."""
+    parts = ["", "## `[balance]`", BALANCE_NOTES]
+    for heading, about, rows in tables_of(BalanceData):
+        inner = heading.lstrip("[").rstrip("]")
+        named = heading.replace(inner, f"balance.{inner}")
+        parts += [f"### `{named}`" if heading else "", about, table(("key", "value", "default"), rows)]
+    return "\n\n".join(part for part in parts if part).join(("\n", "\n"))
+
+
 SCENE_NOTES = (
     "A scene is a TOML file: `crankorder synth my-scene.toml --out FOLDER`. What it does not name is not there and "
     "costs nothing. Short lists can be written in one line: `by_order = [{ order = 2.0, percent = 1.0 }]`. `engine` is "
@@ -239,8 +252,53 @@ SCENE_NOTES = (
 )
 ENGINE_NOTES = (
     "An engine is a TOML file; a manifest, a scene or `crankorder balance` names it. Lengths are in metres, masses in "
-    "kilograms, angles in degrees of crank. A table `[balance]` is for `crankorder balance` alone."
+    "kilograms, angles in degrees of crank. A table `[balance]` is for `crankorder balance` alone; its keys come last."
 )
+BALANCE_NOTES = (
+    "A table of an engine file, all of it optional: what `crankorder balance` is to work out beside the forces. Masses "
+    "are in grams, lengths in millimetres, as in drawings of parts; the crankshaft is in kilograms."
+)
+
+
+MANIFEST_NOTES = (
+    "`run.toml` stands in the folder of the recordings; `crankorder init FOLDER --save` drafts it, `crankorder check "
+    "FOLDER` says what is wrong with it. A key that is not listed here is refused. The schema for editors is "
+    "`data_schema/manifest.json`; [a manifest for each format](../howto/formats.md) shows whole files."
+)
+MANIFEST_UNITS = (
+    ("_per_kg", "1/kg"),
+    ("_per_rev", "1/rev"),
+    ("_kg", "kg"),
+    ("_mm", "mm"),
+    ("_g", "g"),
+    ("_v", "V"),
+    ("_percent", "%"),
+)
+NEVER_STATED = ("points",)
+"""Keys of a manifest's models that are filled from elsewhere."""
+
+
+def manifest_cells(name: str, field: FieldInfo) -> Row:
+    """Key, meaning, kind of its values, unit, default and example of a key of a manifest."""
+    unit = next((unit for suffix, unit in MANIFEST_UNITS if name.endswith(suffix)), "") or unit_of(name)
+    example = f"`{toml_of(field.examples[0])}`" if field.examples else ""
+    kind = re.sub(r"length ≥ 1(, length ≤ \d+)?", "", kind_of(field)).replace("text ", "text").strip()
+    return f"`{name}`", field.description or "", kind, unit, default_of(field), example
+
+
+def render_manifest_keys() -> str:
+    """Page of every key of a manifest: meaning, kind, unit, default and example, as its model states them."""
+    parts = [MARKER, "# Manifest: every key of run.toml", MANIFEST_NOTES]
+    for heading, about, rows in tables_of(Manifest, NEVER_STATED, manifest_cells):
+        header = ("key", "meaning", "value", "unit", "default", "example")
+        parts += [f"## `{heading}`" if heading else "", about, table(header, rows)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def manifest_schema() -> str:
+    """The JSON Schema of ``run.toml``, as its model gives it."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **Manifest.model_json_schema()}
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def findings_schema() -> str:
@@ -260,17 +318,21 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
     """Path and text of every generated page of the tree at ``root``."""
     return {
         root / "data_schema" / "findings.json": findings_schema(),
+        root / "data_schema" / "manifest.json": manifest_schema(),
+        root / "docs" / "reference" / "manifest.md": render_manifest_keys(),
         root / "pipeline" / "README.md": render_pipeline_readme(root),
         root / "data_schema" / "README.md": render_schema_readme(root),
         root / "pipeline" / "scenes" / "README.md": render_keys(
             "Scenes: every key", Scene, ("engine", "engine_file"), SCENE_NOTES
         ),
-        root / "pipeline" / "engines" / "README.md": render_keys("Engines: every key", Engine, (), ENGINE_NOTES),
+        root / "pipeline" / "engines" / "README.md": render_keys("Engines: every key", Engine, (), ENGINE_NOTES)
+        + render_balance_keys(),
     }
 
 
 if __name__ == "__main__":
-    (ROOT / "data_schema" / "findings.json").write_text(findings_schema(), encoding="utf-8")  # a page is made of it
+    for name, text in (("findings", findings_schema()), ("manifest", manifest_schema())):  # a page is made of them
+        (ROOT / "data_schema" / f"{name}.json").write_text(text, encoding="utf-8")
     for page, text in pages().items():
         page.write_text(text, encoding="utf-8")
         print(page.relative_to(ROOT))

@@ -34,7 +34,7 @@ from crankorder.batch.result_folder import (
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
-from crankorder.engine.definition import Engine, load_engine
+from crankorder.engine.definition import Engine, load_engine, with_gas_file
 from crankorder.engine.forces import orders_made
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
@@ -510,7 +510,8 @@ def _provenance(
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:
-        engine = toml_table(plan.manifest.test.engine, "engines", beside=plan.folder)[0]
+        name = plan.manifest.test.engine
+        engine = with_gas_file(toml_table(name, "engines", beside=plan.folder)[0], name, plan.folder)
     return {
         "schema_version": 1,
         "test": plan.name,

@@ -43,16 +43,38 @@ class Bearing(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    name: Annotated[str, Field(min_length=1)]
-    designation: str | None = None
-    shaft_ratio: Positive = 1.0
-    rolling_elements: Annotated[int, Field(ge=1)] | None = None
-    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = None
-    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
-    bpfo: Positive | None = None
-    bpfi: Positive | None = None
-    bsf: Positive | None = None
-    ftf: Annotated[float, Field(gt=0, lt=1)] | None = None
+    name: Annotated[str, Field(min_length=1)] = Field(description="What results call it.", examples=["jack shaft"])
+    designation: str | None = Field(
+        default=None,
+        description="A bearing of the shipped catalogue, which fills what is not stated here.",
+        examples=["6205-2RS"],
+    )
+    shaft_ratio: Positive = Field(
+        default=1.0, description="Turns of the bearing's shaft per crank revolution.", examples=[0.5]
+    )
+    rolling_elements: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="Number of balls or rollers.", examples=[11]
+    )
+    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="Diameter of a rolling element over the pitch diameter.", examples=[0.2032]
+    )
+    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = Field(
+        default=None, description="Contact angle; 0 of a deep-groove bearing.", examples=[15.0]
+    )
+    bpfo: Positive | None = Field(
+        default=None,
+        description="Published order of the outer race, per turn of the bearing's shaft; it wins over the geometry.",
+        examples=[3.58],
+    )
+    bpfi: Positive | None = Field(default=None, description="Published order of the inner race.", examples=[5.42])
+    bsf: Positive | None = Field(
+        default=None,
+        description="Published order of the spin of a rolling element; a fault shows at twice it.",
+        examples=[2.36],
+    )
+    ftf: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="Published order of the cage.", examples=[0.398]
+    )
 
     @field_validator("designation")
     @classmethod

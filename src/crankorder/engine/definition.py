@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sized
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
@@ -28,6 +28,8 @@ def _not_empty(value: Entries) -> Entries:
 
 NOT_EMPTY = AfterValidator(_not_empty)
 """For lists; ``min_length`` counts the sound entries alone and so blames the list too for a fault of an entry."""
+GAS_COLUMNS = ("crank_angle_deg", "pressure_pa", "torque_n_m")
+"""Columns that the CSV file of a gas curve may have: the first and one of the others."""
 REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
 
 
@@ -47,14 +49,47 @@ class StatedPair(EngineData):
     unbalance_g_mm: Positive
 
 
+class Weight(EngineData):
+    """An unbalance of a shaft or a crank web: mass times radius, where it points, and its place along the crankshaft.
+
+    ``angle_deg``: of its heavy side when the engine's crank angle is zero, from Z towards X, the crank's way.
+    ``position_m``: along Y.
+    """
+
+    unbalance_g_mm: NonNegative
+    angle_deg: float = 0.0
+    position_m: float = 0.0
+
+
+class SingleShaft(EngineData):
+    """One balance shaft parallel to the crankshaft, with weights at places of their own: for force, couple or both.
+
+    ``speed_ratio``: its speed over the crank's, a whole number, below zero against the crank; a weight makes its square
+    times the unbalance of force over ω² of the crank. ``x_m``, ``z_m``: its axis from the crankshaft, for the moment
+    that its force has about that.
+    """
+
+    speed_ratio: Annotated[int, Field(ge=-20, le=20)]
+    weights: Annotated[tuple[Weight, ...], NOT_EMPTY] = Field(strict=False)
+    x_m: float = 0.0
+    z_m: float = 0.0
+
+    @field_validator("speed_ratio")
+    @classmethod
+    def _turns(cls, value: int) -> int:
+        if value == 0:
+            raise ValueError("must not be 0: a shaft that stands balances nothing")
+        return value
+
+
 class BalanceShafts(EngineData):
-    """Pairs of counter-rotating shafts: which orders of the force along Z they cancel and the mass that they leave.
+    """Balance shafts: pairs that act along Z, by the orders that they cancel or by their unbalance, and single ones.
 
     ``orders`` are cancelled but for ``unbalanced_mass_kg``, the reciprocating mass of each cylinder that is left. A
     pair of ``pairs`` stands against the force of its order with what unbalance it has: too little leaves force, too
     much reverses it. ``timed_to = "force"``: each pair stands against the whole force of its order, the quadrature part
     that an offset makes included. ``"crank"``: the pair is timed to the crank and leaves that part. ``position_m``:
-    their middle, along the crankshaft.
+    their middle, along the crankshaft. Each of ``single`` acts as it stands there, in any direction.
     """
 
     orders: tuple[Annotated[int, Field(ge=1)], ...] = Field(default=(), strict=False)
@@ -62,6 +97,7 @@ class BalanceShafts(EngineData):
     unbalanced_mass_kg: float = 0.0
     timed_to: Literal["force", "crank"] = "force"
     position_m: float = 0.0
+    single: tuple[SingleShaft, ...] = Field(default=(), strict=False)
 
     @field_validator("pairs")
     @classmethod
@@ -74,8 +110,9 @@ class BalanceShafts(EngineData):
 
     @property
     def every_order(self) -> tuple[int, ...]:
-        """Orders of all pairs, ascending."""
-        return tuple(sorted({*self.orders, *(pair.order for pair in self.pairs)}))
+        """Orders of all shafts, ascending."""
+        stated = {*(pair.order for pair in self.pairs), *(abs(shaft.speed_ratio) for shaft in self.single)}
+        return tuple(sorted({*self.orders, *stated}))
 
 
 class Rod(EngineData):
@@ -95,30 +132,66 @@ class Cylinder(EngineData):
 
     ``crank_deg``: of its pin, in the sense of rotation, when the engine's crank angle is zero; 0 is along Z.
     ``bank_deg``: of its axis from Z towards X. ``position_m``: along Y. ``firing_deg``: engine crank angle within the
-    cycle at which its pin stands along its axis and it fires; needed for gas forces only.
+    cycle at which its pin stands along its axis and it fires; needed for gas forces only. The masses and the offset are
+    those of the engine where the cylinder has none of its own.
     """
 
     crank_deg: float = 0.0
     bank_deg: float = 0.0
     position_m: float = 0.0
     firing_deg: float | None = None
+    reciprocating_mass_kg: NonNegative | None = None
+    rotating_unbalance_kg_m: NonNegative | None = None
+    rotating_unbalance_deg: float | None = None
+    offset_m: float | None = None
+
+
+class IdealCycle(EngineData):
+    """An air-standard cycle: compression from the lower dead centre, heat at once or over some angle, expansion.
+
+    ``intake_pa``: absolute, at the start of compression and during intake. ``heat_j``: taken up by the gas of one
+    cylinder in a cycle. ``burn_start_deg``: from the piston's upper dead centre; the heat comes from there on over
+    ``burn_duration_deg``, first slowly, then fast, then slowly, ½ (1 − cos); 0: at once. ``exponent``: ratio of
+    specific heats. ``exhaust_pa``: absolute, of the exhaust stroke; that of the surroundings where left out.
+    """
+
+    compression_ratio: Annotated[float, Field(gt=1)]
+    intake_pa: Positive
+    heat_j: NonNegative
+    burn_start_deg: Annotated[float, Field(gt=-180, lt=180)] = 0.0
+    burn_duration_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    exponent: Annotated[float, Field(gt=1, lt=2)] = 1.4
+    exhaust_pa: NonNegative | None = None
+
+    @field_validator("burn_duration_deg")
+    @classmethod
+    def _burns_before_it_opens(cls, value: float, info: ValidationInfo) -> float:
+        if "burn_start_deg" in info.data and info.data["burn_start_deg"] + value >= 180:
+            raise ValueError("the heat must have come 180° after the upper dead centre, before the gas is let out")
+        return value
 
 
 class GasCurve(EngineData):
-    """Gas of one cylinder over a cycle: pressure, or the torque that it makes, straight between the given angles.
+    """Gas of one cylinder over a cycle: its pressure, an ideal cycle, or the torque that it makes.
 
-    ``crank_angle_deg``: ascending, from the firing dead centre, less than one cycle long; the curve closes on itself.
-    ``pressure_pa``: absolute, with ``surroundings_pa`` below the piston; or ``torque_n_m`` in the sense of rotation.
+    ``crank_angle_deg``: ascending, from the firing dead centre, less than one cycle long; the curve is straight between
+    the angles and closes on itself. ``pressure_pa``: absolute, with ``surroundings_pa`` below the piston; or
+    ``torque_n_m`` in the sense of rotation. ``file``: a CSV file beside the engine file whose columns crank_angle_deg
+    and pressure_pa or torque_n_m take their place. ``ideal``: in place of any curve.
     """
 
-    crank_angle_deg: tuple[float, ...] = Field(strict=False)
+    crank_angle_deg: tuple[float, ...] | None = Field(default=None, strict=False)
     pressure_pa: tuple[float, ...] | None = Field(default=None, strict=False)
     torque_n_m: tuple[float, ...] | None = Field(default=None, strict=False)
+    ideal: IdealCycle | None = None
+    file: str | None = None
     surroundings_pa: NonNegative = 101325.0
 
     @field_validator("crank_angle_deg")
     @classmethod
-    def _ascends(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+    def _ascends(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is None:
+            return value
         if len(value) < 2:
             raise ValueError("must have at least 2 entries")
         if any(after <= before for before, after in pairwise(value)):
@@ -136,10 +209,13 @@ class GasCurve(EngineData):
     @field_validator("surroundings_pa")
     @classmethod
     def _one_curve(cls, value: float, info: ValidationInfo) -> float:
-        if {"pressure_pa", "torque_n_m"} <= info.data.keys():
-            given = [name for name in ("pressure_pa", "torque_n_m") if info.data[name] is not None]
+        kinds = ("pressure_pa", "torque_n_m", "ideal")
+        if {*kinds, "crank_angle_deg"} <= info.data.keys():
+            given = [name for name in kinds if info.data[name] is not None]
             if len(given) != 1:
-                raise ValueError("a gas curve is either pressure_pa or torque_n_m")
+                raise ValueError("a gas curve is either pressure_pa or torque_n_m, or else an ideal cycle")
+            if (info.data["crank_angle_deg"] is None) != (given == ["ideal"]):
+                raise ValueError("crank_angle_deg belongs to pressure_pa and torque_n_m, and to them alone")
         return value
 
     model_config = ConfigDict(validate_default=True)
@@ -150,6 +226,7 @@ class Engine(EngineData):
 
     Masses are those of each cylinder. ``reciprocating_mass_kg`` includes the rod's share. ``rotating_unbalance_kg_m``
     includes the rod's other share and the counterweights: what is left of a throw, its angle counted from the pin.
+    ``webs``: counterweights beside those that ``rotating_unbalance_kg_m`` holds already, each on a web of its own.
     ``main_bearings_m``: along the crankshaft, ascending; between two of them the shaft is a beam on two supports.
     ``flywheel_inertia_kg_m2``: of all that turns with the crank; needed for its speed within the cycle only.
     """
@@ -164,6 +241,7 @@ class Engine(EngineData):
     rotating_unbalance_deg: float = 0.0
     rod: Rod | None = None
     cylinders: Annotated[tuple[Cylinder, ...], NOT_EMPTY] = Field(default=(Cylinder(),), strict=False)
+    webs: tuple[Weight, ...] = Field(default=(), strict=False)
     main_bearings_m: tuple[float, ...] = Field(default=(), strict=False)
     bore_m: Positive | None = None
     gas: GasCurve | None = None
@@ -207,6 +285,20 @@ class Engine(EngineData):
             raise ValueError(f"firing_deg is off the dead centre, bank_deg - crank_deg: {', '.join(astray)}")
         return value
 
+    @field_validator("cylinders")
+    @classmethod
+    def _each_crank_turns(cls, value: tuple[Cylinder, ...], info: ValidationInfo) -> tuple[Cylinder, ...]:
+        radius, length, rod = (info.data.get(key) for key in ("crank_radius_m", "rod_length_m", "rod"))
+        if radius is None or length is None:
+            return value
+        share = 0.0 if rod is None else rod.mass_kg * rod.centre_from_big_end_m / length
+        for number, cylinder in enumerate(value):
+            if cylinder.offset_m is not None and length <= radius + abs(cylinder.offset_m):
+                raise ValueError(f"offset_m of cylinder {number} is so large that its crank could not turn")
+            if cylinder.reciprocating_mass_kg is not None and cylinder.reciprocating_mass_kg < share:
+                raise ValueError(f"the rod's share exceeds reciprocating_mass_kg of cylinder {number}")
+        return value
+
     @field_validator("main_bearings_m")
     @classmethod
     def _carries_every_cylinder(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
@@ -225,13 +317,18 @@ class Engine(EngineData):
         cycle = info.data.get("cycle")
         if value is None or cycle is None:
             return value
-        if value.crank_angle_deg[-1] - value.crank_angle_deg[0] >= 360 * REVS_PER_CYCLE[cycle]:
+        angles = value.crank_angle_deg
+        if angles is not None and angles[-1] - angles[0] >= 360 * REVS_PER_CYCLE[cycle]:
             raise ValueError(f"crank_angle_deg must span less than one cycle, {360 * REVS_PER_CYCLE[cycle]}°")
-        if value.pressure_pa is not None and "bore_m" in info.data and info.data["bore_m"] is None:
+        if value.ideal is not None and cycle == "rotor":
+            raise ValueError("an ideal cycle needs a piston")
+        if value.ideal is not None and cycle == "two-stroke" and value.ideal.exhaust_pa is not None:
+            raise ValueError("a two-stroke cycle has no exhaust stroke: leave exhaust_pa out")
+        if value.torque_n_m is None and "bore_m" in info.data and info.data["bore_m"] is None:
             raise ValueError("a pressure needs bore_m")
         return value
 
-    @cached_property
+    @property
     def mechanism(self) -> SliderCrank:
         """Lengths of the crank mechanism alone."""
         return SliderCrank(crank_radius_m=self.crank_radius_m, rod_length_m=self.rod_length_m, offset_m=self.offset_m)
@@ -240,6 +337,71 @@ class Engine(EngineData):
     def revs_per_cycle(self) -> int:
         """Crank revolutions of an engine cycle."""
         return REVS_PER_CYCLE[self.cycle]
+
+    # no cached property: a copy with other values would take the old one along
+
+    @property
+    def each(self) -> tuple[Engine, ...]:
+        """An engine for each cylinder alone, without shafts and webs, its masses and offset those of the cylinder."""
+        own = ("reciprocating_mass_kg", "rotating_unbalance_kg_m", "rotating_unbalance_deg", "offset_m")
+        none: dict[str, None] = dict.fromkeys(own)
+        return tuple(
+            Engine.model_construct(
+                **{
+                    **{key: getattr(self, key) for key in Engine.model_fields},
+                    "cylinders": (cylinder.model_copy(update=none),),
+                    "shafts": BalanceShafts(),
+                    "webs": (),
+                    **{key: value for key in own if (value := getattr(cylinder, key)) is not None},
+                }
+            )
+            for cylinder in self.cylinders
+        )
+
+    @property
+    def pistons_alone(self) -> Engine:
+        """The engine without balance shafts, webs and whatever unbalance turns with its crank."""
+        bare = {"rotating_unbalance_kg_m": None, "rotating_unbalance_deg": None}
+        cylinders = tuple(cylinder.model_copy(update=bare) for cylinder in self.cylinders)
+        alone = {"shafts": BalanceShafts(), "webs": (), "rotating_unbalance_kg_m": 0.0, "cylinders": cylinders}
+        return self.model_copy(update=alone)
+
+    @property
+    def largest_piston_kg(self) -> float:
+        """Reciprocating mass of the heaviest cylinder."""
+        return max(one.reciprocating_mass_kg for one in self.each)
+
+
+def with_gas_file(table: dict[str, Any], name: str, beside: Path | None) -> dict[str, Any]:
+    """``table`` of an engine file with the curve of its gas read from the CSV file that ``[gas] file`` names.
+
+    ``name`` and ``beside``: as the engine was asked for; the CSV file is looked for beside the engine file.
+    Raises RequestError where there is no such file, it lacks a column, or a value is no number.
+    """
+    gas = table.get("gas")
+    if not isinstance(gas, dict) or not isinstance(gas.get("file"), str):
+        return table
+    candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
+    folder = next((path.parent for path in candidates if path.is_file()), Path())
+    path = folder / gas["file"]
+    taken = {key for key in GAS_COLUMNS if key in gas}
+    if taken:
+        raise RequestError("a gas file takes the place of the curve", place="gas", found=", ".join(sorted(taken)))
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            rows = list(csv.DictReader(line for line in stream if line.strip() and not line.startswith("#")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestError("no such gas file", file=str(path), place="gas.file", found=type(error).__name__) from None
+    columns = [key for key in GAS_COLUMNS if rows and key in rows[0]]
+    if len(columns) != 2 or columns[0] != GAS_COLUMNS[0]:
+        found = ", ".join(map(str, rows[0])) if rows else "no rows"
+        allowed = "crank_angle_deg and pressure_pa or torque_n_m"
+        raise RequestError("not the columns of a gas file", file=str(path), found=found, allowed=allowed)
+    try:
+        curve = {key: [float(row[key]) for row in rows] for key in columns}
+    except (TypeError, ValueError) as error:
+        raise RequestError("a value is no number", file=str(path), found=error) from None
+    return {**table, "gas": {**gas, **curve}}
 
 
 def load_engine(name: str, beside: Path | None = None) -> Engine:
@@ -250,6 +412,7 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
     its content. A table ``[balance]`` is left to ``crankorder.engine.balance_data``.
     """
     table, source = toml_table(name, "engines", beside=beside)
+    table = with_gas_file(table, name, beside)
     if "kind" in table:
         raise RequestError(
             "not an engine of cranks, rods and cylinders",

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import gas_torque_by_order, inertia_torque_by_order
-from crankorder.engine.slider_crank import sine_cosine
+from crankorder.engine.forces import inertia_torque
+from crankorder.engine.gas import gas_torque_by_order
 from crankorder.errors import RequestError
 
 Floats = NDArray[np.float64]
@@ -105,6 +105,12 @@ class Lag:
             slope += (size * np.exp(2j * np.pi * order * angle)).real
         return slope
 
+    def fluctuation(self, speed_rpm: float) -> float:
+        """Highest less lowest speed within the cycle over the mean ``speed_rpm``, at 64 angles of the highest order."""
+        change = self._slope(self.by_order(speed_rpm))
+        speed = 1 / (1 + change)  # the lag is that of mean speed over speed
+        return float(speed.max() - speed.min())
+
     def check(self, speed_rpm: float) -> None:
         """Raise RequestError where the shaft would stop within the cycle at the mean ``speed_rpm``, either way."""
         if math.isinf(self.slowest_rpm) or abs(speed_rpm) <= self.slowest_rpm > 0:
@@ -137,7 +143,7 @@ def lag_from_torque(
     omega = speed_rpm * math.pi / 30
     cycle = engine.revs_per_cycle if with_gas else 1
     masses = np.zeros(math.floor(highest_order * cycle) + 1, dtype=np.complex128)
-    of_masses = _inertia_torque(engine, max(1, math.floor(highest_order)))
+    of_masses = inertia_torque(engine, max(1, math.floor(highest_order)))
     masses[::cycle] = of_masses[: masses[::cycle].size]
     gas = np.zeros_like(masses)
     if with_gas:
@@ -182,14 +188,6 @@ def stops_within_cycle(speed_rpm: float, slowest_rpm: float) -> RequestError:
         allowed="no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm",
         remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
     )
-
-
-def _inertia_torque(engine: Engine, max_order: int) -> Complex:
-    """Torque over ω² (kg·m²) of the masses of all cylinders on the crank, orders 0 … ``max_order`` of its angle."""
-    lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
-    sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(max_order + 1))
-    torque: Complex = inertia_torque_by_order(engine, max_order) * (cosine + 1j * sine).sum(axis=0)
-    return torque
 
 
 def _work(torque: Complex, orders: Floats) -> Complex:

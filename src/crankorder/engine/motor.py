@@ -27,11 +27,17 @@ class Motor(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    supply_hz: Positive | None = None
-    poles: Count | None = None
-    rotor_bars: Count | None = None
-    stator_slots: Count | None = None
-    shaft_ratio: Positive = 1.0
+    supply_hz: Positive | None = Field(
+        default=None,
+        description="Frequency of the supply; left out for a motor on a variable-speed drive.",
+        examples=[50.0],
+    )
+    poles: Count | None = Field(
+        default=None, description="Poles, not pairs: 4 turn somewhat below 1500 rpm on 50 Hz.", examples=[4]
+    )
+    rotor_bars: Count | None = Field(default=None, description="Bars of the rotor.", examples=[44])
+    stator_slots: Count | None = Field(default=None, description="Slots of the stator.", examples=[36])
+    shaft_ratio: Positive = Field(default=1.0, description="Turns of the motor per crank revolution.", examples=[1.0])
 
     @field_validator("poles")
     @classmethod

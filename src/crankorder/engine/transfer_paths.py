@@ -19,10 +19,12 @@ class _Stated(BaseModel):
 class PathMode(_Stated):
     """One mode of a stated path: its natural frequency, damping ratio and residue (1/kg) in h = −x²/(1 − x² + 2iζx)."""
 
-    frequency_hz: Positive
-    damping_ratio: Annotated[float, Field(gt=0, lt=1)]
-    residue_per_kg: float
-    residue_imag_per_kg: float = 0.0
+    frequency_hz: Positive = Field(description="Natural frequency.", examples=[60.0])
+    damping_ratio: Annotated[float, Field(gt=0, lt=1)] = Field(description="Damping ratio.", examples=[0.02])
+    residue_per_kg: float = Field(description="Real part of the residue, in 1/kg.", examples=[0.003])
+    residue_imag_per_kg: float = Field(
+        default=0.0, description="Imaginary part of the residue, in 1/kg.", examples=[0.0001]
+    )
 
 
 class StatedPath(_Stated):
@@ -34,15 +36,37 @@ class StatedPath(_Stated):
     read. It holds within ``frequency_range_hz`` (needed but for a table), to ``uncertainty_percent`` (95 %).
     """
 
-    channel: Annotated[str, Field(min_length=1)]
-    direction: Direction
-    apparent_mass_kg: Positive | None = None
-    table: Annotated[str, Field(min_length=1)] | None = None
-    points: tuple[tuple[float, float, float], ...] = Field(default=(), strict=False)
-    modes: tuple[PathMode, ...] = Field(default=(), strict=False)
-    rigid_per_kg: float = 0.0
-    frequency_range_hz: tuple[NonNegative, Positive] | None = Field(default=None, strict=False)
-    uncertainty_percent: NonNegative = 0.0
+    channel: Annotated[str, Field(min_length=1)] = Field(
+        description="Name of a channel of acceleration.", examples=["Z"]
+    )
+    direction: Direction = Field(
+        description="Direction of the force on the crankcase: X across, Y along the crankshaft, Z along the cylinder.",
+        examples=["Z"],
+    )
+    apparent_mass_kg: Positive | None = Field(
+        default=None, description="Force per acceleration of a rigid body; one of three forms.", examples=[330.0]
+    )
+    table: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="CSV file beside the manifest, columns frequency_hz, real, imag (1/kg); one of three forms.",
+        examples=["path_z.csv"],
+    )
+    points: tuple[tuple[float, float, float], ...] = Field(
+        default=(), strict=False, description="Rows of that table once it is read; never stated."
+    )
+    modes: tuple[PathMode, ...] = Field(
+        default=(),
+        strict=False,
+        description="Modes of the path; one of three forms.",
+        examples=[[{"frequency_hz": 60.0, "damping_ratio": 0.02, "residue_per_kg": 0.003}]],
+    )
+    rigid_per_kg: float = Field(default=0.0, description="What is added to the modes, in 1/kg.", examples=[0.002])
+    frequency_range_hz: tuple[NonNegative, Positive] | None = Field(
+        default=None, strict=False, description="Where the path holds; needed but for a table.", examples=[[5.0, 40.0]]
+    )
+    uncertainty_percent: NonNegative = Field(
+        default=0.0, description="Half width of the 95 % interval of the path, in % of it.", examples=[3.0]
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> StatedPath:
@@ -77,11 +101,21 @@ class AddedMass(_Stated):
     ``cylinder``. ``mass_g`` is below 0 where mass was taken away.
     """
 
-    mass_g: float
-    on: Literal["crank", "piston"] = "crank"
-    radius_mm: Positive | None = None
-    angle_deg: float = 0.0
-    cylinder: Annotated[int, Field(ge=0)] = 0
+    mass_g: float = Field(description="Mass in g; below 0 where some was taken away; not 0.", examples=[100.0])
+    on: Literal["crank", "piston"] = Field(
+        default="crank", description="What carries it: the turning crank or the piston.", examples=["piston"]
+    )
+    radius_mm: Positive | None = Field(
+        default=None, description="Distance from the shaft's axis; needed on the crank.", examples=[60.0]
+    )
+    angle_deg: float = Field(
+        default=0.0,
+        description="From where the crank pin of cylinder 0 points, in the sense of rotation.",
+        examples=[180.0],
+    )
+    cylinder: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Number of the cylinder whose piston carries it, from 0.", examples=[0]
+    )
 
     @model_validator(mode="after")
     def _has_a_radius(self) -> AddedMass:

@@ -52,23 +52,72 @@ class Table(BaseModel):
 class Encoder(Table):
     """``[encoder]``: how the file tells the angle or the speed of the shaft."""
 
-    kind: EncoderKind = "none"
-    source: Source | None = None
-    file: Name | None = None
-    time_source: Source | None = None
-    offset_s: float = 0.0
-    pulses_per_rev: Count | None = None
-    missing_teeth: Annotated[int, Field(ge=0)] = 0
-    pattern: Name | None = None
-    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = None
-    index: Source | None = None
-    cam: Source | None = None
-    edge: Literal["rising", "falling"] = "rising"
-    ratio: Positive = 1.0
-    index_to_tdc_deg: float = 0.0
-    cam_to_tdc_deg: float | None = None
-    speed_rpm: Positive | None = None
-    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = None
+    kind: EncoderKind = Field(
+        default="none",
+        description="What tells the shaft: a sampled trace of two levels (square) or of any shape (analogue), times of "
+        "pulses (pulse_times), a list of changes of a level (edge_list), the speed sample by sample (speed), one speed "
+        "(constant), the signals themselves (vibration), or nothing (none).",
+        examples=["square"],
+    )
+    source: Source | None = Field(default=None, description="Dataset or column that holds it.", examples=["encoder"])
+    file: Name | None = Field(
+        default=None,
+        description="File of pulse times beside each recording; * stands for the recording's name.",
+        examples=["*.edges.csv"],
+    )
+    time_source: Source | None = Field(default=None, description="Column of times in that file.", examples=["time_s"])
+    offset_s: float = Field(
+        default=0.0,
+        description="Added to the times of that file: what its clock lags behind the recording's.",
+        examples=[0.25],
+    )
+    pulses_per_rev: Count | None = Field(
+        default=None,
+        description="Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel.",
+        examples=[60],
+    )
+    missing_teeth: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Teeth that the wheel lacks in its one gap: 2 of a 60-2 wheel.", examples=[2]
+    )
+    pattern: Name | None = Field(
+        default=None, description="A wheel of the trade by name, or even teeth and gap such as 60-2.", examples=["36-2"]
+    )
+    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = Field(
+        default=None,
+        description="Angles of the pulses of one turn of the wheel from the first at 0, ascending, below 360.",
+        examples=[[0.0, 30.0, 180.0]],
+    )
+    index: Source | None = Field(
+        default=None, description="Dataset or column of a mark once per revolution of the encoder.", examples=["index"]
+    )
+    cam: Source | None = Field(
+        default=None,
+        description="Dataset or column of a mark once per cycle of a four-stroke engine: which dead centre fires.",
+        examples=["cam"],
+    )
+    edge: Literal["rising", "falling"] = Field(
+        default="rising", description="Edge of the trace that counts.", examples=["falling"]
+    )
+    ratio: Positive = Field(default=1.0, description="Revolutions of the encoder per crank revolution.", examples=[0.5])
+    index_to_tdc_deg: float = Field(
+        default=0.0,
+        description="Crank angle from the index mark, or without one from the first tooth behind the gap, to top dead "
+        "centre, from which phases count.",
+        examples=[84.0],
+    )
+    cam_to_tdc_deg: float | None = Field(
+        default=None, description="Crank angle from the cam mark to the firing top dead centre.", examples=[120.0]
+    )
+    speed_rpm: Positive | None = Field(
+        default=None,
+        description="Speed of the crank in every recording that has none of its own; of kind constant.",
+        examples=[1500.0],
+    )
+    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = Field(
+        default=None,
+        description="Lowest and highest speed that is looked for; of kind vibration alone.",
+        examples=[[600.0, 3000.0]],
+    )
 
     @field_check("expected_rpm")
     @classmethod

@@ -192,17 +192,28 @@ class Test(Table):
 
     __test__ = False  # not a pytest class, in spite of its name
 
-    cycle: Literal["four-stroke", "two-stroke", "rotor", "none"]
-    name: str = ""
-    engine: Name | None = None
-    recipe: Name | None = None
+    cycle: Literal["four-stroke", "two-stroke", "rotor", "none"] = Field(
+        description="A cycle of 720° (four-stroke), of 360° (two-stroke), no cycle (rotor), nothing that turns (none).",
+        examples=["four-stroke"],
+    )
+    name: str = Field(default="", description="Name of the test; the folder's where empty.", examples=["second build"])
+    engine: Name | None = Field(
+        default=None, description="A shipped engine, or the path of an engine file.", examples=["msu-optical-second"]
+    )
+    recipe: Name | None = Field(
+        default=None, description="A shipped recipe, or the path of a recipe file.", examples=["coast-down"]
+    )
 
 
 class Recordings(Table):
     """``[recordings]``: which files, relative to the folder, and their speeds where no file states them."""
 
-    files: Annotated[tuple[Name, ...], Field(strict=False)]
-    speed_rpm: dict[str, Positive] = Field(default={})
+    files: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
+        description="Names or patterns of the recordings, relative to the folder.", examples=[["rpm_*.h5"]]
+    )
+    speed_rpm: dict[str, Positive] = Field(
+        default={}, description="Speed of each file in rpm, where no file states it.", examples=[{"idle.csv": 800.0}]
+    )
 
     @field_check("speed_rpm")
     @classmethod
@@ -219,24 +230,59 @@ class Recordings(Table):
 class Sampling(Table):
     """``[sampling]``: the axis of the samples."""
 
-    domain: Literal["time", "crank_angle"] = "time"
-    rate_hz: Positive | None = None
-    time_source: Source | None = None
-    samples_per_rev: Count | None = None
-    start_deg: float = 0.0
+    domain: Literal["time", "crank_angle"] = Field(
+        default="time", description="What the samples are evenly spaced in.", examples=["crank_angle"]
+    )
+    rate_hz: Positive | None = Field(
+        default=None, description="Samples per second, where the file does not say.", examples=[10000.0]
+    )
+    time_source: Source | None = Field(
+        default=None, description="Column of times in s, from which the rate is taken.", examples=["time"]
+    )
+    samples_per_rev: Count | None = Field(
+        default=None, description="Samples per crank revolution; needed with crank_angle.", examples=[720]
+    )
+    start_deg: float = Field(
+        default=0.0, description="Crank angle of the first sample, from top dead centre.", examples=[-360.0]
+    )
 
 
 class Channel(Table):
     """``[[channels]]``: one analysed signal."""
 
-    name: Name
-    unit: str
-    source: Source | None = None
-    quantity: str = ""
-    sensitivity: str | None = None
-    full_scale_v: Positive | None = None
-    offset: str | None = None
-    direction: str = ""
+    name: Name = Field(description="What results and pictures call the channel.", examples=["Z"])
+    unit: str = Field(
+        description="Unit of the analysed signal: m/s2, g, mm/s, um, Pa, bar, N, Nm, V, 1 and others.",
+        examples=["m/s2"],
+    )
+    source: Source | None = Field(
+        default=None,
+        description="Dataset, column name, pattern with * or column number from 0; the name where left out.",
+        examples=["acc_z"],
+    )
+    quantity: str = Field(
+        default="",
+        description="What is measured, where the unit does not tell; it must agree with the unit.",
+        examples=["pressure"],
+    )
+    sensitivity: str | None = Field(
+        default=None,
+        description="Output of the sensor per unit, where the file holds volts or the like.",
+        examples=["100 mV/g"],
+    )
+    full_scale_v: Positive | None = Field(
+        default=None, description="Volts at full scale of a file that holds shares of it (WAV).", examples=[10.0]
+    )
+    offset: str | None = Field(
+        default=None,
+        description="What is taken off the file's values before they are scaled, with its unit.",
+        examples=["2.5 V"],
+    )
+    direction: str = Field(
+        default="",
+        description="Axis that the sensor looks along: X across the crankshaft, Y along it, Z along the cylinder.",
+        examples=["+Z"],
+    )
 
     @field_check("unit")
     @classmethod
@@ -276,9 +322,9 @@ class Channel(Table):
 class Gear(Table):
     """``[[gears]]``: a wheel whose teeth mesh, or a rotor whose blades pass, ``ratio`` turns per crank revolution."""
 
-    name: Name
-    teeth: Count
-    ratio: Positive = 1.0
+    name: Name = Field(description="What results call it.", examples=["input stage"])
+    teeth: Count = Field(description="Teeth of the wheel, or blades of the rotor.", examples=[23])
+    ratio: Positive = Field(default=1.0, description="Turns of the wheel per crank revolution.", examples=[0.5])
 
     @property
     def mesh_order(self) -> float:
@@ -289,7 +335,7 @@ class Gear(Table):
 class Manifest(Table):
     """A test-run folder, as ``run.toml`` describes it."""
 
-    schema_version: Literal[1]
+    schema_version: Literal[1] = Field(description="Version of this format.", examples=[1])
     test: Test
     recordings: Recordings
     channels: Annotated[tuple[Channel, ...], Field(strict=False)] = ()
