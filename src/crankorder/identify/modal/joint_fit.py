@@ -200,7 +200,7 @@ def modal_fit(
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=False))
         found, kept = _found(fitted, floor, proof, settings)
-    found, kept = with_sweep_modes(*modespoles_unlike(found, kept, swept), swept, settings)
+    found, kept = with_sweep_modes(*modes_unlike(found, kept, swept), swept, settings)
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, floors, unit, settings)
