@@ -41,7 +41,7 @@ from crankorder.identify.modal.search import (
     with_strong_tones,
 )
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
-from crankorder.identify.modal.sweep_modes import poles_of, poles_unlike, with_sweep_modes
+from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
 from crankorder.identify.modal.sweep_poles import SweepPole
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modal.whirl import whirls_of, with_whirls

@@ -58,7 +58,7 @@ def poles_unlike(poles: Poles, covariance: Array, swept: Sequence[SweepPole]) ->
     return poles.chosen(own), covariance[np.ix_(at, at)]
 
 
-def modespoles_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tuple[ModalFit, Poles]:
+def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tuple[ModalFit, Poles]:
     """``fit``, whose modes are the poles ``kept``, without those that are of ``swept``."""
     own = [
         k
