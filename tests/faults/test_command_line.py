@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -128,3 +130,33 @@ def test_i10_a_name_cannot_write_on_the_terminal(tmp_path: Path) -> None:
     said = made.stdout + made.stderr
     assert made.returncode == 0, said
     assert b"\x1b" not in said and b"\x07" not in said and "\u202e".encode() not in said and b"[31m" in said
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
+
+
+def logged_in(out: Path, event: str) -> int:
+    return sum(path.read_text().count(f" {event}:") for path in out.glob(".crankorder-logs/*"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="children are looked up in /proc")
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_f2_a_run_that_is_told_to_end_ends_within_5_s_and_goes_on_later(
+    number: signal.Signals, status: int, tmp_path: Path
+) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    assert crankorder("synth", "thesis-second-motoring", "--quick", "--out", data, "-q")[0].returncode == 0
+    command = ("run", data, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")
+    process = subprocess.Popen([sys.executable, "-m", "crankorder", *map(str, command)], stderr=subprocess.PIPE)
+    while logged_in(out, "recording computed") < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    family = children_of(process.pid)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=5.0)
+    assert process.returncode == status and b"Traceback" not in said
+    assert family and not [pid for pid in family if Path(f"/proc/{pid}").exists()]
+    assert not list(out.glob("*/done.json"))
+    assert crankorder(*command)[0].returncode == 0
+    assert logged_in(out, "recording reused") >= 2
