@@ -212,12 +212,7 @@ def run(
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)
     if dry_run:
-        for plan in plans:
-            size = sum(path.stat().st_size for path in plan.recordings)
-            shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
-            click.echo(f"{printable(plan.name)}: {shown}")
-            for fault in plan.faults:
-                click.echo(f"  {fault}", err=True)
+        _say_plans(plans)
         sys.exit(3 if planned.refused else 0)
     options = RunOptions(
         jobs=jobs,
@@ -245,6 +240,16 @@ def run(
         status = _run_plans(plans, out, options, as_json, quiet, verbose)
         tell("run ended", status=status)
     sys.exit(status or (3 if planned.refused else 0))
+
+
+def _say_plans(plans: list[Any]) -> None:
+    """What would be analysed, on stdout, and what is wrong with it, on stderr."""
+    for plan in plans:
+        size = sum(path.stat().st_size for path in plan.recordings)
+        shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
+        click.echo(f"{printable(plan.name)}: {shown}")
+        for fault in plan.faults:
+            click.echo(f"  {fault}", err=True)
 
 
 def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, quiet: bool, verbose: bool) -> int:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from crankorder.batch import run_log
 from crankorder.batch.changed_gains import without_changed_gains
 from crankorder.batch.frame_store import FrameStore, PackedResult, settings_of_recordings
 from crankorder.batch.index import publish_index
@@ -33,7 +34,6 @@ from crankorder.batch.result_folder import (
     refuse_others,
     settle,
 )
-from crankorder.batch.run_log import tell
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
@@ -71,8 +71,10 @@ def run_plans(
     outcomes = []
     for plan in plans:
         alone = contextlib.nullcontext() if options.keep_only else locked(plan.out, tell=wait)
+        run_log.tell("test begun", test=plan.name, folder=plan.folder, out=plan.out, recordings=len(plan.recordings))
         with watched(plan.name) as progress, alone:
             outcome = run_test(plan, options, reporting=reporting, progress=progress)
+        _tell_end(outcome)
         tell(outcome)
         outcomes.append(outcome)
     if not options.keep_only:
@@ -89,7 +91,6 @@ def run_test(
     done.
     """
     outcome = Outcome(plan, faults=list(plan.faults))
-    tell("test begun", test=plan.name, folder=plan.folder, out=plan.out, recordings=len(plan.recordings))
     clock = _Clock(outcome.seconds)
     try:
         (code, versions), hashes = reporting.program(), reporting.hashes(plan)
@@ -127,8 +128,6 @@ def run_test(
     except Exception as error:
         outcome.internal.append(error)
         outcome.status, outcome.findings = "failed", None
-    finally:
-        _tell_end(outcome)
     return outcome
 
 
@@ -136,14 +135,16 @@ def _tell_end(outcome: Outcome) -> None:
     """Log what became of a test, and what was left out of it."""
     test = outcome.plan.name
     for fault in outcome.faults:
-        tell("left out", level=logging.WARNING, test=test, recording=outcome.plan.name_of(Path(fault.file)), why=fault)
+        run_log.tell(
+            "left out", level=logging.WARNING, test=test, recording=outcome.plan.name_of(Path(fault.file)), why=fault
+        )
     for note in outcome.notes:
-        tell("left out", level=logging.WARNING, test=test, why=note)
+        run_log.tell("left out", level=logging.WARNING, test=test, why=note)
     for error in outcome.internal:
-        tell("internal fault", level=logging.ERROR, test=test, why=f"{type(error).__name__}: {error}")
+        run_log.tell("internal fault", level=logging.ERROR, test=test, why=f"{type(error).__name__}: {error}")
     counts = {"recordings": len(outcome.plan.recordings), "reused": outcome.reused}
     status = "unchanged" if outcome.kept else outcome.status
-    tell("test ended", test=test, status=status, **counts, seconds=dict(outcome.seconds))
+    run_log.tell("test ended", test=test, status=status, **counts, seconds=dict(outcome.seconds))
 
 
 def _finish(
@@ -326,7 +327,7 @@ def _on_cluster(
         progress=lambda done: None if progress is None else progress(plan.name, done, len(tasks)),
     )
     seconds = round(time.perf_counter() - begun, 3)
-    tell("cluster", test=plan.name, at=options.scheduler, tasks=len(tasks), faults=len(blamed), seconds=seconds)
+    run_log.tell("cluster", test=plan.name, at=options.scheduler, tasks=len(tasks), faults=len(blamed), seconds=seconds)
     return blamed
 
 
@@ -398,7 +399,7 @@ def _collect(
         results[path] = one.result
         outcome.reused += one.reused
         event = "recording reused" if one.reused else "recording computed"
-        tell(event, test=plan.name, recording=name, seconds=round(one.seconds, 4))
+        run_log.tell(event, test=plan.name, recording=name, seconds=round(one.seconds, 4))
     except EnvironmentFailure:
         raise
     except CrankorderError as error:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import difflib
-import functools
 import re
 import stat
 import tomllib
@@ -380,12 +379,6 @@ class Manifest(Table):
         return self.recordings.speed_rpm.get(self.name_of(path), self.encoder.speed_rpm)
 
 
-@functools.lru_cache(maxsize=1)
-def _parsed(text: str) -> dict[str, Any]:
-    """Table of the TOML ``text``, not to be changed: a command reads one manifest several times."""
-    return tomllib.loads(text)
-
-
 def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     """Manifest of the test-run folder ``folder``, read from its ``run.toml`` or from the file ``manifest``.
 
@@ -395,7 +388,7 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     text = _text_of(path, folder)
     _refuse_endless(text, path)
     try:
-        table = _parsed(text)
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         match = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         where = f":{match[1]}:{match[2]}" if match else f":{text.count(chr(10)) + 1}"
