@@ -37,6 +37,7 @@ from crankorder.batch.result_folder import (
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
+from crankorder.engine.definition import with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, Quality, SpeedSwing, quality_of
 from crankorder.identify.sources import Sources
@@ -463,7 +464,8 @@ def _provenance(
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:
-        engine = toml_table(plan.manifest.test.engine, "engines", beside=plan.folder)[0]
+        name = plan.manifest.test.engine
+        engine = with_gas_file(toml_table(name, "engines", beside=plan.folder)[0], name, plan.folder)
     return {
         "schema_version": 1,
         "test": plan.name,
