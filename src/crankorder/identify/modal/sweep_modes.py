@@ -74,7 +74,7 @@ def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tupl
 def with_sweep_modes(
     fit: ModalFit, kept: Poles, swept: Sequence[SweepPole], settings: IdentifySettings
 ) -> tuple[ModalFit, Poles]:
-    """``fit`` and its poles ``kept`` with the modes that the signals of sweeps tell."""
+    """``fit`` and its poles ``kept`` with the modes of ``swept``; ``settings``: the least damping of a mode."""
     modes = [_mode_of(pole, settings=settings) for pole in swept]
     poles, covariance = poles_of(swept)
     tones = tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in modes))
