@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
 from crankorder.campbell.map import HANN_CORRELATION
+from crankorder.identify.found import Mode
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit
 from crankorder.identify.modal.tones import NUMBERS as TONES
@@ -180,12 +184,14 @@ def of_lines_within(problem: Problem, fit: SurfaceFit, number: int, floor: Floor
     )
 
 
-def of_the_air(shown: tuple[str, ...], floor: Floor) -> str:
-    """Why a hump in the channels ``shown`` may be one of the air or of the source; "" where one is no pressure.
+def of_the_air(mode: Mode, quantity: Mapping[str, str]) -> Mode:
+    """``mode``, in doubt where it is seen in pressure alone: it may be one of the air or of the source.
 
-    ``floor``: in all channels.
+    ``quantity``: what each channel measures.
     """
-    quantity = dict(zip(floor.channels, floor.quantity, strict=True))
-    if not all(any(word in quantity[name].lower() for word in PRESSURES) for name in shown):
-        return ""
-    return "seen in pressure alone: a room, a duct or the spectrum of the source would look the same"
+    heard = all(any(word in quantity.get(name, "").lower() for word in PRESSURES) for name in mode.channels)
+    if mode.undecided or not heard:
+        return mode
+    return replace(
+        mode, undecided="seen in pressure alone: a room, a duct or the spectrum of the source would look the same"
+    )

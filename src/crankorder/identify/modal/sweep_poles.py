@@ -22,6 +22,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     beside_share: float
     blurs: float
     widths: float
+    widest_share: float
+    most_together: int
     fewest_bins: int
     search_degree: int
     degrees: tuple[int, int]
@@ -31,6 +33,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     frequency_model_share: float
     damping_model_share: float
     known_share: float
+    alone_frequency_share: float
+    alone_damping_share: float
     smoothed_share: float
     least_noise_share: float
     lowest_hz: float
@@ -377,7 +381,7 @@ def sweep_fits(
         found, shown = search.in_tile(found, low, high)
         every |= shown
     groups = _groups(spectra, sorted(every), found)
-    made = [_refined(spectra, sorted(every), group, most_damping=most_damping) for group in groups]
+    made = [_refined(spectra, sorted(every), group, found, most_damping=most_damping) for group in groups]
     return SweepFits(tuple(one for one in made if one is not None and one.poles))
 
 
@@ -495,7 +499,8 @@ def _half_width(spectra: Sequence[SweepSpectrum], orders: Sequence[float], pole:
     reach = max(zeta, 0.02)
     blur = _blur_hz(spectra, orders, f * (1.0 - reach), f * (1.0 + reach))
     shortest = min(one.length_s for one in spectra)
-    return float(max(NUMBERS.widths * zeta * f, NUMBERS.blurs * blur, NUMBERS.fewest_bins / shortest))
+    wide = min(NUMBERS.widths * zeta, NUMBERS.widest_share) * f
+    return float(max(wide, NUMBERS.blurs * blur, NUMBERS.fewest_bins / shortest))
 
 
 def _groups(
@@ -511,24 +516,38 @@ def _groups(
         else:
             made.append([pole])
         reached = max(reached, pole[0] + 0.5 * half) if len(made[-1]) > 1 else pole[0] + 0.5 * half
-    return made
+    return [part for group in made for part in _parted(group)]
+
+
+def _parted(group: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
+    """``group`` (by frequency), parted where its poles lie furthest apart until few enough are left in each."""
+    if len(group) <= NUMBERS.most_together:
+        return [group]
+    at = 1 + int(np.argmax(np.diff(np.log([pole[0] for pole in group]))))
+    return [*_parted(group[:at]), *_parted(group[at:])]
 
 
 def _refined(
     spectra: Sequence[SweepSpectrum],
     orders: Sequence[float],
     group: Sequence[tuple[float, float]],
+    found: Sequence[tuple[float, float]],
     *,
     most_damping: float,
 ) -> GroupFit | None:
-    """The poles of a ``group`` fitted in a window of their own, with what the degree of the smooth part moves."""
+    """The poles of a ``group`` fitted in a window of their own, with what the degree of the smooth part moves.
+
+    Others of those ``found`` that lie in the window take part, but are told in a group of their own.
+    """
     halves = [_half_width(spectra, orders, pole) for pole in group]
     low = min(pole[0] - half for pole, half in zip(group, halves, strict=True))
     high = max(pole[0] + half for pole, half in zip(group, halves, strict=True))
+    held = [one for one in spectra if _windows([one], orders, low, high, max(NUMBERS.degrees))]
     fits: list[LocalFit] = []
-    natural, damping = np.array(group).T
+    beside = [pole for pole in found if low < pole[0] < high and pole not in group]
+    natural, damping = np.array([*group, *beside]).T
     for degree in NUMBERS.degrees:
-        windows = _windows(spectra, orders, low, high, degree)
+        windows = _windows(held, orders, low, high, degree)
         if not windows:
             return None
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
@@ -536,18 +555,20 @@ def _refined(
     less, more = fits
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1).ravel()
     model = np.stack(
-        [NUMBERS.frequency_model_share * more.damping, np.full(len(group), NUMBERS.damping_model_share)], 1
+        [NUMBERS.frequency_model_share * more.damping, np.full(len(natural), NUMBERS.damping_model_share)], 1
     )
     covariance = more.covariance() + np.diag(np.square(moved) + np.square(model.ravel()))
     made = []
     for number in range(len(group)):
         at = slice(2 * number, 2 * number + 2)
         pole = _pole(more, number, covariance[at, at])
-        lost = np.sqrt(covariance[at, at][0, 0]) > more.damping[number]
+        by_f, by_zeta = np.sqrt(np.diag(covariance)[at])
+        lost = by_f > more.damping[number]
         is_line = pole.damping < 2.0 * LIGHTEST or (
             pole.damping < 10.0 * LIGHTEST and pole.damping_error > NUMBERS.known_share * pole.damping
         )
-        sure = len(pole.orders) > 1 or (covariance[at, at][0, 0] < 1e-5 and covariance[at, at][1, 1] < 0.01)
+        known = by_f < NUMBERS.alone_frequency_share and by_zeta < NUMBERS.alone_damping_share
+        sure = len(pole.orders) > 1 or known
         if pole.orders and sure and not lost and not is_line and pole.damping <= most_damping:
             made.append(pole)
     return GroupFit(more, less, covariance, tuple(made))
