@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+import xarray as xr
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Mode
@@ -184,14 +184,17 @@ def of_lines_within(problem: Problem, fit: SurfaceFit, number: int, floor: Floor
     )
 
 
-def of_the_air(mode: Mode, quantity: Mapping[str, str]) -> Mode:
-    """``mode``, in doubt where it is seen in pressure alone: it may be one of the air or of the source.
+def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...]:
+    """``modes``, in doubt where they are seen in pressure alone: they may be of the air or of the source.
 
-    ``quantity``: what each channel measures.
+    ``campbell`` (CampbellMap) tells what each channel measures.
     """
-    heard = all(any(word in quantity.get(name, "").lower() for word in PRESSURES) for name in mode.channels)
-    if mode.undecided or not heard:
-        return mode
-    return replace(
-        mode, undecided="seen in pressure alone: a room, a duct or the spectrum of the source would look the same"
+    if "quantity" not in campbell.coords:
+        return modes
+    quantity = zip(campbell["channel"].values.tolist(), campbell["quantity"].values.tolist(), strict=True)
+    heard = {name for name, what in quantity if any(word in what.lower() for word in PRESSURES)}
+    doubt = "seen in pressure alone: a room, a duct or the spectrum of the source would look the same"
+    return tuple(
+        replace(mode, undecided=doubt) if not mode.undecided and heard.issuperset(mode.channels) else mode
+        for mode in modes
     )

@@ -202,14 +202,10 @@ def modal_fit(
         found, kept = _found(fitted, floor, proof, settings)
     found, kept = with_sweep_modes(*modes_unlike(found, kept, swept), swept, settings)
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
-    unit, quantity = (
-        dict(zip(order_map["channel"].values.tolist(), order_map[name].values.tolist(), strict=True))
-        for name in ("unit", "quantity")
-    )
+    unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, floors, unit, settings)
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
-    modes = tuple(of_the_air(mode, quantity) for mode in made.modes)
-    made = replace(made, modes=modes, hidden=hidden, swings=told.swings)
+    made = replace(made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings)
     return with_whirls(made, whirls, campbell["speed"].values)
 
 
