@@ -74,6 +74,12 @@ EnvelopeMap = NewType("EnvelopeMap", xr.Dataset)
 RecordingLevels = NewType("RecordingLevels", xr.Dataset)
 """Overall level of each channel of one recording, and what of it lies above the band looked at."""
 
+LevelFrames = NewType("LevelFrames", xr.Dataset)
+"""Mean square and peak of each channel in each band, by pieces of one recording, each with its speed."""
+
+VibrationLevels = NewType("VibrationLevels", xr.Dataset)
+"""Root mean square, peak and crest factor of each channel in stated bands and one-third octaves, by speed."""
+
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 

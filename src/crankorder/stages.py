@@ -11,12 +11,14 @@ import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
 
 import numpy as np
 import xarray as xr
 
+from crankorder.campbell.band_levels import LevelBand, level_frames, third_octaves, vibration_levels
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
@@ -50,6 +52,7 @@ from crankorder.quantities import (
     CycleAverage,
     EnvelopeMap,
     FrequencyFrames,
+    LevelFrames,
     OperatingShapes,
     OrderFrames,
     OrderMap,
@@ -63,6 +66,7 @@ from crankorder.quantities import (
     ShaftAngle,
     ShaftSummary,
     TrueAngle,
+    VibrationLevels,
     check_dataset,
     flags_of,
     with_flags,
@@ -85,6 +89,7 @@ AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
 AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", list[xr.Dataset])
 AllRecordingLevels = NewType("AllRecordingLevels", list[xr.Dataset])
+AllLevelFrames = NewType("AllLevelFrames", list[xr.Dataset])
 AllShaftAngles = NewType("AllShaftAngles", list[xr.Dataset])
 
 SCHEMAS: dict[Any, str] = {
@@ -102,6 +107,8 @@ SCHEMAS: dict[Any, str] = {
     RecordingEnvelope: "envelope_map",
     EnvelopeMap: "envelope_map",
     RecordingLevels: "recording_levels",
+    LevelFrames: "level_frames",
+    VibrationLevels: "vibration_levels",
     RecordingCycles: "cycle_average",
     CycleAverage: "cycle_average",
     OperatingShapes: "operating_shapes",
@@ -264,6 +271,27 @@ def levels_of_recording(recording: Recording, shaft: ShaftAngle, settings: Setti
 
 
 @stage
+def band_levels_of_recording(
+    recording: Recording, shaft: ShaftAngle, manifest: Manifest, settings: Settings
+) -> LevelFrames:
+    """Mean squares and peaks of ``recording`` by pieces with the speeds of ``shaft``, in the bands of ``settings``.
+
+    ``settings`` of campbell; the bands that the limits of ``manifest`` are for are looked at too.
+    """
+    asked = settings.campbell
+    bands = [LevelBand(quantity, *ends) for ends in asked.level_bands_hz for quantity in asked.level_quantities]
+    bands += [LevelBand(one.quantity, *one.band_hz) for one in manifest.limits if one.of_vibration]
+    frames = level_frames(recording, shaft, bands=[*bands, *third_octaves()], frame_s=asked.level_frame_s)
+    return LevelFrames(frames)
+
+
+@stage
+def levels_of_test(items: AllLevelFrames, settings: Settings) -> VibrationLevels:
+    """Overall levels of the ``items`` of all recordings, by speed (``settings`` of orders: the width of a group)."""
+    return VibrationLevels(vibration_levels(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
+
+
+@stage
 def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> EnvelopeMap:
     """Envelope spectra ``items`` of all recordings averaged at like speed (``settings`` of orders)."""
     return EnvelopeMap(envelope_map(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
@@ -307,19 +335,21 @@ def findings(
     envelope: EnvelopeMap,
     followed: AllRecordingTracks,
     levels: AllRecordingLevels,
+    vibration: VibrationLevels,
     test: TestName,
     sources: Sources,
     settings: Settings,
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``followed``: orders through each sweep; ``levels``: of each recording, with what lies above the band.
-    ``settings``: of identify, and of orders for the floor.
+    ``followed``: orders through each sweep; ``levels``: of each recording, with what lies above the band;
+    ``vibration``: levels in bands. ``settings``: of identify, and of orders for the floor.
     """
     from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
 
     maps = (order_map, campbell, frames, envelope)
-    return find(*maps, test=test, sources=sources, settings=settings, followed=followed, levels=levels)
+    of_recordings = partial(find, followed=followed, levels=levels)
+    return of_recordings(*maps, test=test, sources=sources, settings=settings, vibration=vibration)
 
 
 @stage
@@ -368,6 +398,7 @@ OF_RECORDING = (
     cycles_of_recording,
     envelope_of_recording,
     levels_of_recording,
+    band_levels_of_recording,
 )
 OF_TEST = (
     swings,
@@ -376,6 +407,7 @@ OF_TEST = (
     map_by_order,
     map_by_frequency,
     map_of_envelopes,
+    levels_of_test,
     findings,
     tracks,
     cycles,
@@ -391,6 +423,7 @@ RESULTS: dict[str, Any] = {
     "cycle_average": CycleAverage,
     "operating_shapes": OperatingShapes,
     "envelope_map": EnvelopeMap,
+    "vibration_levels": VibrationLevels,
 }
 """Noun of each result that ``results`` of the report's settings may name."""
 
@@ -401,6 +434,7 @@ FRAMES_OF: dict[Any, Any] = {
     AllRecordingCycles: RecordingCycles,
     AllRecordingEnvelopes: RecordingEnvelope,
     AllRecordingLevels: RecordingLevels,
+    AllLevelFrames: LevelFrames,
 }
 """Noun of one recording that each gathered noun of a test is made of."""
 
