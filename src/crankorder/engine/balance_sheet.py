@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -12,7 +13,7 @@ from crankorder.engine.balance_data import (
     FULL_TURN_REV,
     BalancedEngine,
     added_mass_table,
-    crankshaft_table,
+    crankshaft_of,
     harmonic_shares,
     leading_harmonics,
     newton,
@@ -203,10 +204,18 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
         f"{abs(complex(plane['correction_kg_mm']['x'], plane['correction_kg_mm']['y'])):.4g} kg·mm in {plane['name']}"
         for plane in table["planes"]
     )
-    return [
+    said = [
         f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
         f"({couple:.4g} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would end."
     ]
+    if table["overbalance_met"] is not None:
+        least, most = table["overbalance_kg_mm"]
+        by = table["overbalanced_by_kg_mm"]
+        said.append(
+            f"Its counterweights have {abs(by):.4g} kg·mm too {'much' if by >= 0 else 'little'}; {least:g} to {most:g} "
+            f"too much are wanted for the balancing machine: {'met' if table['overbalance_met'] else 'not met'}."
+        )
+    return said
 
 
 def _of_rod_split(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
@@ -298,14 +307,16 @@ def balance_sheet(
         "harmonics": harmonic_shares(masses.mechanism, max_order),
         "masses_g": _masses(subject, masses),
         "force_g_mm": _axes(made),
+        "force_phase_deg": _phases(made),
         "moment_g_mm2": None if single else _moments(engine, max_order),
+        "moment_phase_deg": None if single else _moment_phases(engine, max_order),
         "leading_g_mm": None if one is None or engine.offset_m else _leading(masses, max_order),
         "force_n": {speed_key(speed): _forces_n(made, speed) for speed in speeds},
         "strategies": None
         if one is None
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
-        "crankshaft": crankshaft_table(subject, speeds),
+        "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),
         "added_mass": None if one is None else added_mass_table(subject, max_order, speeds),
         "offset": None if one is None else offset_table(subject, speeds),
@@ -363,6 +374,32 @@ def _axes(forces: Iterable[OrderForce]) -> dict[str, dict[str, float] | None]:
     return {"x": along or None, "y": across or None}
 
 
+def _phases(forces: Iterable[OrderForce]) -> dict[str, dict[str, float] | None]:
+    """Phases (degrees): order k is amplitude · cos(k φ + phase), φ the crank angle from top dead centre."""
+    every = tuple(forces)
+    along = {f"{force.order:g}": _degrees(force.x_g_mm) for force in every if force.x_g_mm}
+    across = {f"{force.order:g}": _degrees(force.y_g_mm) for force in every if force.y_g_mm}
+    return {"x": along or None, "y": across or None}
+
+
+def _degrees(amplitude: complex) -> float:
+    """Phase in −180 … 180, −180 as 180."""
+    found = math.degrees(cmath.phase(amplitude))
+    return 180.0 if found == -180.0 else found + 0.0
+
+
+def _moment_phases(engine: Engine, max_order: int) -> dict[str, dict[str, float] | None]:
+    """Phases (degrees) of the moments that :func:`_moments` lists."""
+    moments = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)
+    axes = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
+    return {
+        name: None
+        if orders is None
+        else {order: _degrees(complex(moments[DIRECTIONS.index(axes[name])][int(order)])) for order in orders}
+        for name, orders in _moments(engine, max_order).items()
+    }
+
+
 def _forces_n(forces: Iterable[OrderForce], speed_rpm: float) -> dict[str, dict[str, float] | None]:
     return {
         axis: None if orders is None else {order: newton(amount, speed_rpm) for order, amount in orders.items()}
@@ -418,7 +455,11 @@ def _shafts(
     own = None
     if engine.shafts.every_order:
         left = _engine_force(engine, max_order)
-        own = {"orders": list(engine.shafts.every_order), "residual_g_mm": _axes(left)}
+        own = {
+            "orders": list(engine.shafts.every_order),
+            "residual_g_mm": _axes(left),
+            "residual_phase_deg": _phases(left),
+        }
     layouts: dict[str, Any] = {
         name: None if masses is None else _layout(masses, name, data.places, max_order) for name in POSSIBILITIES
     }
@@ -452,7 +493,8 @@ def _layout(masses: ReducedMasses, name: Possibility, places: CounterweightPlace
             }
         )
     remains = [force for force in layout.residual if force.rotation != "none"]
-    return {"strategy": layout.strategy, "shafts": shafts, "residual_g_mm": _axes(remains)}
+    left = {"residual_g_mm": _axes(remains), "residual_phase_deg": _phases(remains)}
+    return {"strategy": layout.strategy, "shafts": shafts, **left}
 
 
 def _pair(pair: ShaftPairParts, subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any]:

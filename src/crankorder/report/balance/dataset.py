@@ -29,6 +29,7 @@ SYSTEMS: dict[str, str] = {
 MOMENT_AXES = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
 """Axes that moments are named for in a balance sheet, and the engine's direction that each of them is."""
 
+_PHASE = "largest where order · crank angle is minus this"
 _POINTS = 720  # half a degree; at high orders 16 points a cycle
 
 
@@ -44,16 +45,14 @@ def balance_dataset(
     """
     orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
     systems = forces_by_system(subject, sheet, max_order=max_order)
-    force = np.zeros((len(systems), 2, max_order), dtype=complex)
-    for number, forces in enumerate(systems.values()):
-        for one in forces:
-            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    force = _amplitudes(systems, max_order)
     curves = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
     shares = {int(order): share for order, share in sheet["harmonics"].items()}
     dataset = xr.Dataset(
         {
             "force": (("system", "axis", "order"), force, _about("amplitude over squared crank speed", "g mm")),
+            "phase": (("system", "axis", "order"), phase_deg(force), _about("of the force; " + _PHASE, "degree")),
             "force_at_speed": (
                 ("system", "axis", "order", "speed"),
                 unbalance_force_n(np.abs(force)[..., None], speeds),
@@ -81,6 +80,15 @@ def balance_dataset(
         },
     )
     return dataset if sheet["moment_g_mm2"] is None else _with_moments(dataset, subject, sheet, max_order)
+
+
+def _amplitudes(systems: Mapping[str, Forces], max_order: int) -> NDArray[np.complex128]:
+    """Complex amplitudes (system, axis, order) of the forces of each system."""
+    force = np.zeros((len(systems), 2, max_order), dtype=complex)
+    for number, forces in enumerate(systems.values()):
+        for one in forces:
+            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    return force
 
 
 def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int) -> dict[str, Forces]:
@@ -129,7 +137,16 @@ def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: Mapping[s
         for order in sheet["moment_g_mm2"].get(name) or {}:
             moment[row, int(order) - 1] = found[DIRECTIONS.index(direction)][int(order)]
     about = _about("amplitude over squared crank speed", "g mm2")
-    return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(moment=(("moment_axis", "order"), moment, about))
+    phase = _about("of the moment; " + _PHASE, "degree")
+    return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(
+        moment=(("moment_axis", "order"), moment, about),
+        moment_phase=(("moment_axis", "order"), phase_deg(moment), phase),
+    )
+
+
+def phase_deg(amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Phases (degrees, −180 to 180) of complex ``amplitudes`` of any shape; NaN where there is nothing."""
+    return np.where(np.abs(amplitudes) > 0, np.degrees(np.angle(amplitudes)), np.nan)
 
 
 def order_sum(amplitudes: NDArray[np.complex128], crank_angle_rev: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -82,7 +82,18 @@ def balance_text(sheet: Sheet) -> str:
     out.
     """
     lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}", ""]
-    for table in (_masses, _forces, _moments, _strategies, _shafts, _shaft_residuals, _pairs, _crankshaft, _gears):
+    for table in (
+        _masses,
+        _forces,
+        _moments,
+        _strategies,
+        _shafts,
+        _shaft_residuals,
+        _pairs,
+        _crankshaft,
+        _rod,
+        _gears,
+    ):
         lines += table(sheet)
     speeds = list(sheet["force_n"])
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
@@ -257,11 +268,14 @@ def _crankshaft(sheet: Sheet) -> list[str]:
     table = sheet["crankshaft"]
     if table is None:
         return []
-    sums = [
-        ("static, kg·mm", table["static_kg_mm"]["x"], table["static_kg_mm"]["y"]),
-        ("dynamic, kg·mm²", table["dynamic_kg_mm2"]["x"], table["dynamic_kg_mm2"]["y"]),
+    rows = [
+        [row["name"], *(row[key] for key in ("mass_kg", "x_mm", "y_mm")), *_products(row)] for row in table["sections"]
     ]
-    lines = text_table("Crankshaft: sums over its sections", ["", "x", "y"], sums)
+    rows.append(["sum", None, None, None, *_products({**table, "z_mm": None})])
+    heads = ["part", "Wr kg", "X mm", "Y mm", "Wr X", "Wr Y", "Z mm", "CX", "CY"]
+    lines = text_table(
+        "Crankshaft: static (Wr X, Wr Y: kg·mm) and dynamic (CX, CY: kg·mm²) balance of its parts", heads, rows
+    )
     couples = [(f"at {speed} rpm", amount) for speed, amount in table["couple_Nm_at_rpm"].items()]
     lines += text_table("Rocking couple that turns with the crankshaft", ["", "N·m"], couples)
     heads = ["plane", "z mm"] + [f"{text} {axis}" for text in ("has", "add", "needs") for axis in "xy"]
@@ -270,7 +284,38 @@ def _crankshaft(sheet: Sheet) -> list[str]:
         + [plane[f"{key}_kg_mm"][axis] for key in ("has", "correction", "needs") for axis in "xy"]
         for plane in table["planes"]
     ]
-    return lines + text_table("Two-plane correction, kg·mm", heads, planes)
+    lines += text_table("Two-plane correction, kg·mm", heads, planes)
+    fans = [
+        [name, *(fan[key] for key in ("mass_kg", "centroid_mm", "unbalance_kg_mm")), *fan["resized"].values()]
+        for name, fan in ((plane["name"], plane["fan"]) for plane in table["planes"])
+        if fan is not None
+    ]
+    heads = ["counterweight", "kg", "centroid mm", "kg·mm", "or radius mm", "or thickness mm", "or fan °"]
+    lines += text_table("Fans, and the one size that would meet both sums", heads, fans)
+    bobs = [
+        [bob["method"], bob["mass_kg"], *(bob[key]["y"] for key in ("static_kg_mm", "dynamic_kg_mm2"))]
+        for bob in table["bob_weights"] or []
+    ]
+    heads = ["rod's big end", "kg", "static y, kg·mm", "dynamic y, kg·mm²"]
+    return lines + text_table(
+        "The crankshaft with another mass in the place of its bob weight", heads, bobs[1:] and bobs
+    )
+
+
+def _products(row: Mapping[str, Any]) -> list[Cell]:
+    static, dynamic = row["static_kg_mm"], row["dynamic_kg_mm2"]
+    return [static["x"], static["y"], row["z_mm"], dynamic["x"], dynamic["y"]]
+
+
+def _rod(sheet: Sheet) -> list[str]:
+    table = sheet["rod_split"]
+    if table is None:
+        return []
+    keys = ("big_end_g", "small_end_g", "total_g", "centroid_fraction")
+    rows: list[list[Cell]] = [[name, *(one[key] for key in keys)] for name, one in table["methods"].items()]
+    rows.append(["weighed whole", None, None, table["weighed_whole_g"], None])
+    heads = ["by", "big end g", "small end g", "total g", "centre / length"]
+    return text_table("The rod in two masses", heads, rows)
 
 
 def _gears(sheet: Sheet) -> list[str]:
@@ -323,7 +368,7 @@ def hinge_text(sheet: Mapping[str, Any]) -> str:
     lines += _side_forces(sheet["mechanisms"]) + _hinge_moments(sheet["mechanisms"]) + _solutions(sheet["mechanisms"])
     for one in sheet["mechanisms"]:
         lines += _characteristic(one)
-    lines += _air_springs(sheet["mechanisms"])
+    lines += _air_springs(sheet["mechanisms"]) + _guides(sheet["mechanisms"])
     return "\n".join([*lines, *closing("What remains", sheet)]) + "\n"
 
 
@@ -359,12 +404,13 @@ def _solutions(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
         found = one["solutions"]
         for weight, text in _WEIGHTS.items():
             kinds = found["weight_without_side_force"][weight]
-            rows.append([one["name"], f"{text}, no side force", kinds["potential"], kinds["printed"]])
-        rows.append([one["name"], "crank counterweight, eq. (12)", found["crank_counterweight_n"], None])
+            weights = (kinds[kind] for kind in ("potential", "printed", "printed_truncated"))
+            rows.append([one["name"], f"{text}, no side force", *weights])
+        rows.append([one["name"], "crank counterweight, eq. (12)", found["crank_counterweight_n"], None, None])
         for key, text in (("rod_counterweight_n", "rod"), ("crank_counterweight_n", "crank")):
             amount = None if found["balanced"] is None else found["balanced"][key]
-            rows.append([one["name"], f"{text} counterweight, eq. (13)", amount, None])
-    heads = ["mechanism", "what to choose", "N", "N, printed (6)"]
+            rows.append([one["name"], f"{text} counterweight, eq. (13)", amount, None, None])
+    heads = ["mechanism", "what to choose", "N", "N, printed (6)", "… cos ψ truncated"]
     return text_table("Solutions", heads, rows, kept=2)
 
 
@@ -384,3 +430,22 @@ def _air_springs(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = [[one["name"], *(change[key] for key in keys)] for one in mechanisms for change in one["air_spring"]]
     heads = ["mechanism", "hinge", "cut for rpm", "at rpm", "pressure ratio", "share left", "unevenness"]
     return text_table("Air spring at another speed", heads, rows, kept=2)
+
+
+def _guides(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows: list[list[Cell]] = [
+        [
+            f"{one['name']}, {joint}",
+            guides["speed_rpm"],
+            1e-3 * guides["stiffness_n_per_m"],
+            1e3 * min(guides["length_m"]),
+            1e3 * max(guides["length_m"]),
+            guides["steepest_deg"],
+            "no: sharper than the roller" if guides["undercut"] else "yes",
+        ]
+        for one in mechanisms
+        for joint, guides in one["guides"].items()
+        if guides is not None
+    ]
+    heads = ["hinge", "rpm", "spring N/mm", "shortest mm", "longest mm", "steepest °", "can be cut"]
+    return text_table("Springs and guides of the hinges", heads, rows)
