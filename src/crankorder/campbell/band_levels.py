@@ -38,6 +38,9 @@ HALF_THIRD_OCTAVE = 10.0**0.05
 _BLOCK = 1 << 21
 """Samples that are transformed at once."""
 
+_WIDE_HZ = 100.0
+"""Width of a one-third octave above which a sample for each bandwidth will do: there are many in every piece."""
+
 CONFIDENCE = 0.95
 
 
@@ -261,7 +264,8 @@ def _filtered(spectrum: Any, whole: int, step_hz: float, level: _Level) -> Any:
         made = np.zeros(n_out // 2 + 1, dtype=np.complex128)
         made[low : high + 1] = inside
         return fft.irfft(made, n_out) * (n_out / whole)
-    n_out = fft.next_fast_len(2 * (high - low + 1))
+    wide = level.high_hz - level.band.low_hz > _WIDE_HZ
+    n_out = fft.next_fast_len((1 if wide else 2) * (high - low + 1))
     baseband = np.zeros(n_out, dtype=inside.dtype)
     baseband[: high - low + 1] = inside
     return fft.ifft(baseband) * (math.sqrt(2.0) * n_out / whole)
@@ -269,8 +273,8 @@ def _filtered(spectrum: Any, whole: int, step_hz: float, level: _Level) -> Any:
 
 def _mean_squares(made: Any, edges: Floats) -> Floats:
     """Mean square of ``made`` between the fractional ``edges`` (frames, 2)."""
-    power = np.abs(made.astype(np.complex128) if np.iscomplexobj(made) else made.astype(np.float64)) ** 2
-    sums = np.concatenate([[0.0], np.cumsum(power)])
+    power = made.real**2 + made.imag**2 if np.iscomplexobj(made) else made**2
+    sums = np.concatenate([[0.0], np.cumsum(power, dtype=np.float64)])
     at = np.clip(edges, 0.0, len(power))
     whole = np.interp(at, np.arange(len(sums)), sums)
     return np.asarray((whole[:, 1] - whole[:, 0]) / (at[:, 1] - at[:, 0]))

@@ -19,18 +19,19 @@ _RING_PERIODS = 8.0
 
 
 def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octaves: float) -> Floats:
-    """Amplitude gain (n,) at each of ``frequency_hz`` of a band from ``low_hz`` to ``high_hz`` (may be infinite).
+    """Amplitude gain (n,) at each of ``frequency_hz``, which grows, of a band from ``low_hz`` to ``high_hz`` (may be infinite).
 
     Half of the power passes at either end; from ``half_octaves`` inside it all passes, from as far outside it nothing
     (a quarter of a sine over the logarithm of frequency), so that bands that meet share the power between them.
     """
     made = np.ones(len(frequency_hz))
-    with np.errstate(divide="ignore"):
-        octave = np.log2(frequency_hz)
     for end_hz, sign in ((low_hz, 1.0), (high_hz, -1.0)):
         if math.isfinite(end_hz) and end_hz > 0.0:
-            at = np.clip(0.5 + sign * (octave - math.log2(end_hz)) / (2.0 * half_octaves), 0.0, 1.0)
-            made *= np.sin(0.5 * np.pi * at)
+            first, last = np.searchsorted(frequency_hz, [end_hz * 2.0**-half_octaves, end_hz * 2.0**half_octaves])
+            octave = np.log2(frequency_hz[first:last] / end_hz)
+            made[first:last] *= np.sin(0.25 * np.pi * (1.0 + sign * octave / half_octaves))
+            made[: first if sign > 0 else 0] = 0.0
+            made[last if sign < 0 else len(made) :] = 0.0
     return made
 
 
