@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from crankorder.engine.balancing import (
     CounterweightPlaces,
@@ -39,6 +39,8 @@ from crankorder.engine.shafts import (
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
+
+DesignOrder = Annotated[int, Field(ge=1, le=12)]
 
 
 class UnbalanceClass(EngineData):
@@ -136,6 +138,8 @@ class BalanceData(EngineData):
 
     ``added_mass_g`` sits on the piston and is known to no shaft. ``offset_mm`` is the offset of the cylinder to be
     studied, whether or not the engine itself has it. ``notes`` say what the numbers are and which were assumed.
+    For several cylinders webs and shafts are worked out for ``design_orders``, with weights in the two planes of
+    ``design_planes_m`` along the crankshaft; the first and the last cylinder's where left out.
     """
 
     notes: tuple[str, ...] = Field(default=(), strict=False)
@@ -149,6 +153,15 @@ class BalanceData(EngineData):
     offset_mm: Annotated[float, Field(gt=0)] | None = None
     residual_classes: tuple[UnbalanceClass, ...] = Field(default=(), strict=False)
     gears: GearTrain | None = None
+    design_orders: tuple[DesignOrder, ...] = Field(default=(1, 2), strict=False)
+    design_planes_m: tuple[float, float] | None = Field(default=None, strict=False)
+
+    @field_validator("design_planes_m")
+    @classmethod
+    def _two_planes(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and value[0] >= value[1]:
+            raise ValueError("must be two ascending positions")
+        return value
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -88,6 +88,7 @@ def balance_text(sheet: Sheet) -> str:
         _moments,
         _strategies,
         _shafts,
+        _designs,
         _shaft_residuals,
         _pairs,
         _crankshaft,
@@ -141,7 +142,7 @@ def _forces(sheet: Sheet) -> list[str]:
 
 def _axes_of(sheet: Sheet) -> tuple[tuple[str, str], ...]:
     """Keys of the two axes and what they are called: one cylinder has a direction of its own, several have Z and X."""
-    return (("x", "along"), ("y", "across")) if sheet["moment_g_mm2"] is None else (("x", "Z"), ("y", "X"))
+    return (("x", "along"), ("y", "across")) if sheet["strategies"] is not None else (("x", "Z"), ("y", "X"))
 
 
 def _moments(sheet: Sheet) -> list[str]:
@@ -225,9 +226,46 @@ def _shafts(sheet: Sheet) -> list[str]:
     return text_table(title, [*heads, "heavy side °"], rows, kept=2)
 
 
+def _designs(sheet: Sheet) -> list[str]:
+    """Crank webs and shafts of several cylinders: what each carries, and what is left of force and couples."""
+    design = sheet["design"]
+    if design is None:
+        return []
+    rows: list[Sequence[Cell]] = []
+    for name, layout in design["layouts"].items():
+        carriers = [("crank", layout["webs"])] if name == "webs" or not rows else []
+        carriers += [(f"shaft {one['speed_ratio']:+d}", one["weights"]) for one in layout["shafts"]]
+        rows += [
+            [name, carrier, *(weight[key] for key in ("position_mm", "unbalance_g_mm", "angle_deg"))]
+            for carrier, weights in carriers
+            for weight in weights
+        ]
+    heads = ["design", "on", "at mm", "g·mm", "heavy side °"]
+    title = "Webs and shafts for force and couple (speed × crank, < 0 against it; heavy side: at crank angle 0 from Z)"
+    lines = text_table(title, heads, rows, kept=2)
+    throws = [[str(number), *weight.values()] for number, weight in enumerate(design["throw_counterweights"])]
+    title = "Or a counterweight at each throw, for all of order 1 that turns with the crank"
+    lines += text_table(title, ["cylinder", "g·mm", "heavy side °", "at mm"], throws, kept=1)
+    return lines + _left_moments(sheet)
+
+
+def _left_moments(sheet: Sheet) -> list[str]:
+    left = {"none": sheet["moment_g_mm2"]}
+    left |= {name: layout["residual_moment_g_mm2"] for name, layout in sheet["design"]["layouts"].items()}
+    if sheet["shafts"]["own"] is not None:
+        left["own"] = sheet["shafts"]["own"]["residual_moment_g_mm2"]
+    rows: list[Sequence[Cell]] = [
+        [order, text, *((moments[key] or {}).get(order, 0.0) for moments in left.values())]
+        for key, text in _MOMENTS.items()
+        for order in shown_orders(moments[key] for moments in left.values())
+    ]
+    return text_table("Moments that remain, g·mm²", ["order", "axis", *left], rows, kept=2)
+
+
 def _shaft_residuals(sheet: Sheet) -> list[str]:
     left: dict[str, Axes] = {"none": sheet["force_g_mm"]}
     left |= {name: layout["residual_g_mm"] for name, layout in _layouts(sheet).items()}
+    left |= {name: layout["residual_g_mm"] for name, layout in (sheet["design"] or {"layouts": {}})["layouts"].items()}
     if sheet["shafts"].get("own") is not None:
         left["own"] = sheet["shafts"]["own"]["residual_g_mm"]
     if len(left) == 1:
