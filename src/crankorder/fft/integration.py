@@ -19,7 +19,7 @@ _RING_PERIODS = 8.0
 
 
 def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octaves: float) -> Floats:
-    """Amplitude gain (n,) at each of ``frequency_hz``, which grows, of a band from ``low_hz`` to ``high_hz`` (may be infinite).
+    """Amplitude gain (n,), at rising ``frequency_hz``, of a band from ``low_hz`` to ``high_hz`` (may be infinite).
 
     Half of the power passes at either end; from ``half_octaves`` inside it all passes, from as far outside it nothing
     (a quarter of a sine over the logarithm of frequency), so that bands that meet share the power between them.
@@ -80,7 +80,10 @@ def integrated(
 
 
 def faded_samples(n_samples: int, rate_hz: float, highpass_hz: float) -> int:
-    """Samples at each end over which a signal is faded: a period of the high-pass, an eighth of a short recording."""
+    """Samples at each end over which a signal is faded: a period of ``highpass_hz`` at ``rate_hz``.
+
+    Of a short recording an eighth of its ``n_samples``.
+    """
     return min(math.ceil(rate_hz / highpass_hz), n_samples // 8)
 
 

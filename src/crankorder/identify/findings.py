@@ -117,13 +117,12 @@ def find(
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
     )
-    balance, reason = _balance(order_map, orders, modal, sources, causes)
-    balance = graded(balance, sources, tested[1])
-    told = _with_levels(told, vibration, balance, sources)
-    return _with_sums(told, speeds, motor, shares[0], level_records(levels), (balance, reason))
+    closed = _balance(order_map, orders, modal, sources, causes)
+    told = _with_sums(told, speeds, motor, shares[0], level_records(levels), closed)
+    return _with_levels(told, vibration, sources)
 
 
-def _with_levels(told: Findings, vibration: xr.Dataset | None, balance: Balance | None, sources: Sources) -> Findings:
+def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:
     """What was ``told``, with the levels in ``vibration`` and what the limits of ``sources`` make of them."""
     if vibration is None:
         return told
@@ -131,7 +130,7 @@ def _with_levels(told: Findings, vibration: xr.Dataset | None, balance: Balance 
         told,
         vibration_levels=vibration_records(vibration),
         third_octaves=third_octave_records(vibration),
-        limits=limit_verdicts(vibration, balance, sources),
+        limits=limit_verdicts(vibration, told.balance, sources),
     )
 
 
@@ -218,7 +217,7 @@ def _balance(
     made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
     if made is not None:
         made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
-    return made, reason
+    return graded(made, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
 
 
 def _orders_and_modes(

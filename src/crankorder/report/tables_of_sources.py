@@ -157,7 +157,7 @@ def _level_row(one: VibrationLevel, limit: int) -> list[str]:
 
 
 def number_of(value: float | None) -> str:
-    """A speed as a whole number; a dash where it is not known."""
+    """The speed ``value`` as a whole number; a dash where it is not known."""
     return f"{value:.0f}" if is_number(value) else "–"
 
 

@@ -108,7 +108,7 @@ def _band(hertz: object) -> str:
 
 
 def level_sentences(findings: Findings) -> list[str]:
-    """The largest broad-band velocity of all channels, in the words of ISO 20816-1; none where none was told."""
+    """The largest broad-band velocity in ``findings``, in the words of ISO 20816-1; none where none was told."""
     told = [record for record in findings.vibration_levels if record.quantity == "velocity" and record.largest]
     told = [record for record in told if record.band_hz == told[0].band_hz]
     if not told:
@@ -123,7 +123,7 @@ def level_sentences(findings: Findings) -> list[str]:
 
 
 def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
-    """What each limit comes to, those that are passed first; with ``above`` these alone."""
+    """What each limit in ``findings`` comes to, those that are passed first; with ``above`` these alone."""
     rank = {"above": 0, "not decided": 1}
     records = [one for one in findings.limits if one.verdict == "above" or not above]
     return [_limit_sentence(one) for one in sorted(records, key=lambda one: rank.get(one.verdict, 2))]
