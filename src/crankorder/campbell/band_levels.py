@@ -149,7 +149,8 @@ def _rate_hz(recording: xr.Dataset) -> float:
 def _levels(recording: xr.Dataset, bands: Sequence[LevelBand], rate_hz: float) -> list[_Level]:
     """The levels that the channels of ``recording`` can give."""
     made: list[_Level] = []
-    size = recording["si_per_unit"].values if "si_per_unit" in recording.variables else np.full(10**3, np.nan)
+    known = "si_per_unit" in recording.variables
+    size = recording["si_per_unit"].values if known else np.full(recording.sizes["channel"], np.nan)
     measured, units = recording["quantity"].values.tolist(), recording["unit"].values.tolist()
     for channel, (own, unit) in enumerate(zip(measured, units, strict=True)):
         seen: set[tuple[str, float, float, str]] = set()

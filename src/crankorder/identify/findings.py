@@ -118,8 +118,7 @@ def find(
         quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
     )
     closed = _balance(order_map, orders, modal, sources, causes)
-    told = _with_sums(told, speeds, motor, shares[0], level_records(levels), closed)
-    return _with_levels(told, vibration, sources)
+    return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
 
 
 def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:
