@@ -123,10 +123,15 @@ def level_sentences(findings: Findings) -> list[str]:
 
 
 def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
-    """What each limit in ``findings`` comes to, those that are passed first; with ``above`` these alone."""
+    """What each limit in ``findings`` comes to, those that are passed most first; with ``above`` these alone."""
     rank = {"above": 0, "not decided": 1}
     records = [one for one in findings.limits if one.verdict == "above" or not above]
-    return [_limit_sentence(one) for one in sorted(records, key=lambda one: rank.get(one.verdict, 2))]
+    return [_limit_sentence(one) for one in sorted(records, key=lambda one: (rank.get(one.verdict, 2), -_share(one)))]
+
+
+def _share(record: LimitVerdict) -> float:
+    """Level over limit of ``record``; 0 where no level is known."""
+    return record.level / record.value if is_number(record.level) else 0.0
 
 
 def _limit_sentence(record: LimitVerdict) -> str:
