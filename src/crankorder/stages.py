@@ -11,7 +11,6 @@ import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
 
@@ -27,6 +26,7 @@ from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.lines.swept_orders import swept_orders
+from crankorder.identify.modal.sweep_poles import SweepFits
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
@@ -47,10 +47,12 @@ from crankorder.orders.true_angle import (
     tracks_in_true_angle,
 )
 from crankorder.quantities import (
+    SCHEMAS,
     BandRecording,
     CampbellMap,
     CycleAverage,
     EnvelopeMap,
+    FramesAsShown,
     FrequencyFrames,
     LevelFrames,
     OperatingShapes,
@@ -81,38 +83,17 @@ from crankorder.shaft.summary import shaft_summary
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
 ShownOrderFrames = NewType("ShownOrderFrames", Sequence[xr.Dataset])
-FramesAsShown = NewType("FramesAsShown", xr.Dataset)
 AllOrderFrames = NewType("AllOrderFrames", Sequence[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", Sequence[xr.Dataset])
 ShownRecordingTracks = NewType("ShownRecordingTracks", Sequence[xr.Dataset])
 AllRecordingTracks = NewType("AllRecordingTracks", Sequence[xr.Dataset])
+FilteredTracks = NewType("FilteredTracks", Sequence[xr.Dataset])
+SweepModes = NewType("SweepModes", SweepFits)
 AllRecordingCycles = NewType("AllRecordingCycles", Sequence[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", Sequence[xr.Dataset])
 AllRecordingLevels = NewType("AllRecordingLevels", Sequence[xr.Dataset])
 AllLevelFrames = NewType("AllLevelFrames", Sequence[xr.Dataset])
 AllShaftAngles = NewType("AllShaftAngles", Sequence[xr.Dataset])
-
-SCHEMAS: dict[Any, str] = {
-    Recording: "recording",
-    BandRecording: "recording",
-    ShaftAngle: "shaft_angle",
-    ShaftSummary: "shaft_summary",
-    FramesAsShown: "order_frames",
-    TrueAngle: "shaft_angle",
-    OrderFrames: "order_frames",
-    FrequencyFrames: "frequency_frames",
-    OrderMap: "order_map",
-    CampbellMap: "campbell_map",
-    OrderTracks: "order_tracks",
-    RecordingEnvelope: "envelope_map",
-    EnvelopeMap: "envelope_map",
-    RecordingLevels: "recording_levels",
-    LevelFrames: "level_frames",
-    VibrationLevels: "vibration_levels",
-    RecordingCycles: "cycle_average",
-    CycleAverage: "cycle_average",
-    OperatingShapes: "operating_shapes",
-}
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
 
@@ -311,9 +292,29 @@ def frames_of_test(shown: ShownOrderFrames, swings: Swings) -> AllOrderFrames:
 
 
 @stage
-def tracks_of_test(shown: ShownRecordingTracks, swings: Swings) -> AllRecordingTracks:
+def tracks_by_filter(shown: ShownRecordingTracks, swings: Swings) -> FilteredTracks:
     """Tracks of all recordings, as ``shown`` by the encoder, brought to the true angle by ``swings``."""
-    return AllRecordingTracks(tracks_in_true_angle(shown, swings))
+    return FilteredTracks(tracks_in_true_angle(shown, swings))
+
+
+@stage
+def modes_of_sweeps(filtered: FilteredTracks, settings: Settings) -> SweepModes:
+    """Modes that the signals of sweeps tell behind the orders of ``filtered`` (``settings`` of identify)."""
+    if not any("waveform" in item for item in filtered):
+        return SweepModes(SweepFits())
+    from crankorder.identify.modal.sweep_rows import fits_of_sweeps
+
+    return SweepModes(fits_of_sweeps(filtered, settings=settings.identify))
+
+
+@stage
+def tracks_of_test(filtered: FilteredTracks, modes: SweepModes) -> AllRecordingTracks:
+    """Tracks of all recordings: ``filtered``, and beside the ``modes`` of sweeps as their signals tell them."""
+    if not modes.groups:
+        return AllRecordingTracks(filtered)
+    from crankorder.identify.modal.sweep_rows import with_rows_of_fits
+
+    return AllRecordingTracks(with_rows_of_fits(filtered, modes))
 
 
 @stage
@@ -334,23 +335,25 @@ def findings(
     campbell: CampbellMap,
     frames: AllOrderFrames,
     envelope: EnvelopeMap,
-    followed: AllRecordingTracks,
+    filtered: FilteredTracks,
     levels: AllRecordingLevels,
     vibration: VibrationLevels,
+    modes: SweepModes,
     test: TestName,
     sources: Sources,
     settings: Settings,
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``followed``: orders through each sweep; ``levels``: of each recording, with what lies above the band;
-    ``vibration``: levels in bands. ``settings``: of identify, and of orders for the floor.
+    ``filtered``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
+    with what lies above the band; ``vibration``: levels in bands.
+    ``settings``: of identify, and of orders for the floor.
     """
     from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
 
     maps = (order_map, campbell, frames, envelope)
-    of_recordings = partial(find, followed=followed, levels=levels)
-    return of_recordings(*maps, test=test, sources=sources, settings=settings, vibration=vibration)
+    of_recordings = functools.partial(find, followed=filtered, levels=levels, vibration=vibration, swept=modes)
+    return of_recordings(*maps, test=test, sources=sources, settings=settings)
 
 
 @stage
@@ -404,6 +407,8 @@ OF_RECORDING = (
 OF_TEST = (
     swings,
     frames_of_test,
+    tracks_by_filter,
+    modes_of_sweeps,
     tracks_of_test,
     map_by_order,
     map_by_frequency,
