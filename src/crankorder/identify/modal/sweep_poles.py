@@ -547,7 +547,8 @@ def _refined(
         is_line = pole.damping < 2.0 * LIGHTEST or (
             pole.damping < 10.0 * LIGHTEST and pole.damping_error > NUMBERS.known_share * pole.damping
         )
-        if pole.orders and not lost and not is_line and pole.damping <= most_damping:
+        sure = len(pole.orders) > 1 or (covariance[at, at][0, 0] < 1e-5 and covariance[at, at][1, 1] < 0.01)
+        if pole.orders and sure and not lost and not is_line and pole.damping <= most_damping:
             made.append(pole)
     return GroupFit(more, less, covariance, tuple(made))
 

@@ -15,6 +15,7 @@ from crankorder.settings import IdentifySettings, MethodNumbers
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows"):
     fewest_samples: int
+    most_angle_rad: float
     inner_share: float
     least_error_share: float
     speed_error_share: float
@@ -34,7 +35,7 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
 
     ``settings``: the false-alarm level and the largest damping ratio of a mode.
     """
-    spectra = spectra_of(followed, fewest=NUMBERS.fewest_samples)
+    spectra = spectra_of([item for item in followed if _turns_surely(item)], fewest=NUMBERS.fewest_samples)
     held = {one.recording for one in spectra}
     own = [item for item in followed if str(item.attrs.get("recording")) in held]
     numbers = sorted({float(number) for item in own for number in item["order"].values})
@@ -48,6 +49,15 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
         chance=settings.false_alarm_probability,
         most_damping=settings.max_damping_ratio,
     )
+
+
+def _turns_surely(item: xr.Dataset) -> bool:
+    """Whether the shaft's angle in ``item`` is known so well that its highest order keeps its phase.
+
+    What a strong order is off by has amplitude and phase over the whole sweep, and would be taken for many light modes.
+    """
+    error = 2.0 * np.pi * float(item.attrs.get("crank_angle_error_rev", 0.0))
+    return "waveform" in item and error * float(item["order"].values.max(initial=0.0)) <= NUMBERS.most_angle_rad
 
 
 def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[xr.Dataset]:
