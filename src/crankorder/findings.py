@@ -10,6 +10,12 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from typing import ClassVar, Literal
 
+from crankorder.level_findings import Energy as Energy
+from crankorder.level_findings import EnergyShares as EnergyShares
+from crankorder.level_findings import Level as Level
+from crankorder.level_findings import LimitVerdict as LimitVerdict
+from crankorder.level_findings import ThirdOctave as ThirdOctave
+from crankorder.level_findings import VibrationLevel as VibrationLevel
 from crankorder.records import Document, Ends, Interval, Record, record, said
 
 SCHEMA_VERSION = 1
@@ -328,69 +334,6 @@ class LineFinding(Record):
 
 
 @record
-class EnergyShares(Record):
-    """Where the energy of a channel lies."""
-
-    channel: str = said("name of the channel")
-    unit: str | None = said("unit of total, such as (m/s2)2", default=None, left_out=True)
-    orders: float | None = said("share of the explained orders", least=0, most=1)
-    tones: float | None = said("share of mains and other tones", least=0, most=1)
-    unexplained_lines: float | None = said("part of unexplained in lines without a known cause", default=None)
-    unexplained_cells: float | None = said(
-        "part of unexplained that stands over the fitted floor between the lines, or as a sharp line that nobody named "
-        "over the floor beside it",
-        default=None,
-    )
-    unexplained: float | None = said("share of what nothing explains", least=0, most=1)
-    modes_and_floor: float | None = said(
-        "share of what lies between the lines: natural frequencies and noise floor", least=0, most=1
-    )
-    total: float | None = said("mean square of the analysed band, in unit", default=None)
-    above_band: float | None = said(
-        "share of all that was recorded that lies above the band, and in none of the other parts",
-        default=None,
-        least=0,
-        most=1,
-    )
-
-
-@record
-class Energy(Record):
-    """Where the energy of each channel in the band looked at lies."""
-
-    cells_judged: bool | None = said(
-        "whether a fitted surface was there by which cells between the lines could be judged",
-        default=None,
-        left_out=True,
-    )
-    band_hz: float | None = said(
-        "frequency up to which the parts add up to one, at the fastest speed; null where frequencies are not known",
-        default=None,
-    )
-    channels: tuple[EnergyShares, ...] = said("one record per channel")
-
-
-@record
-class Level(Record):
-    """Overall level of a channel over the test, and what lies above the band that orders and map look at."""
-
-    channel: str = said("name of the channel")
-    unit: str = said("its unit")
-    rms_max: float | None = said("root mean square of the loudest recording, without the mean")
-    band_hz: float | None = said(
-        "frequency at which the band looked at ends, at the fastest speed; null where frequencies are not known"
-    )
-    share_above: float | None = said("share of the mean square above that band, of all recordings together")
-    amplitude_above: float | None = said(
-        "peak amplitude of the strongest line above it, about; null where there is none"
-    )
-    frequency_hz_above: float | None = said("its frequency")
-    band_hz_there: float | None = said("frequency at which the band looked at ended at the speed of that line")
-    order_above: float | None = said("its order; null where no speed is known")
-    speed_rpm_above: float | None = said("the speed where it was seen")
-
-
-@record
 class Balance(Record):
     """Residual unbalance: what balances an engine or a rotor not, split by direction and sense of rotation."""
 
@@ -421,6 +364,15 @@ class Balance(Record):
     along_quadrature_g_ci95: Interval | None = said(default=None)
     across_g_ci95: Interval | None = said(default=None)
     crank_radius_mm: float | None = said("crank radius", default=None)
+    grade_mm_s: float | None = said(
+        "balance grade G (ISO 21940-11): rotating unbalance over the mass of the rotor, times the angular speed",
+        default=None,
+        left_out=True,
+    )
+    grade_mm_s_ci95: Interval | None = said(default=None, left_out=True)
+    grade_speed_rpm: float | None = said(
+        "speed of the grade: in service, else the fastest tested", default=None, left_out=True
+    )
     not_decided: dict[str, str] | None = said("reason by key of what could not be decided", default=None)
     evidence: str = said("what the numbers rest on", default="")
 
@@ -541,6 +493,13 @@ class Findings(Record):
         "where it was not asked for",
         default=(),
     )
+    vibration_levels: tuple[VibrationLevel, ...] = said(
+        "overall levels by channel, band and speed; results.nc holds all speeds of a sweep", default=()
+    )
+    third_octaves: tuple[ThirdOctave, ...] = said(
+        "one-third octaves at the speed of each channel's largest level", default=()
+    )
+    limits: tuple[LimitVerdict, ...] = said("what the limits of the manifest come to", default=())
     balance: Balance | None = said("residual unbalance, or null with balance_reason")
     balance_reason: str | None = said("why there is no balance", default=None, left_out=True)
     looked_for: tuple[str, ...] = said(
@@ -560,7 +519,16 @@ class Findings(Record):
         return _NOT_SOUGHT if self.not_asked_for else ()
 
 
-_NOT_SOUGHT = ("speed_doubt", "free_bands", "energy", "levels", "looked_for")
+_NOT_SOUGHT = (
+    "speed_doubt",
+    "free_bands",
+    "energy",
+    "levels",
+    "looked_for",
+    "vibration_levels",
+    "third_octaves",
+    "limits",
+)
 
 
 def quality_of(flags: Iterable[Mapping[str, object]]) -> tuple[Quality, ...]:

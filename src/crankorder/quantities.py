@@ -74,6 +74,12 @@ EnvelopeMap = NewType("EnvelopeMap", xr.Dataset)
 RecordingLevels = NewType("RecordingLevels", xr.Dataset)
 """Overall level of each channel of one recording, and what of it lies above the band looked at."""
 
+LevelFrames = NewType("LevelFrames", xr.Dataset)
+"""Mean square and peak of each channel in each band, by pieces of one recording, each with its speed."""
+
+VibrationLevels = NewType("VibrationLevels", xr.Dataset)
+"""Root mean square, peak and crest factor of each channel in stated bands and one-third octaves, by speed."""
+
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 
@@ -81,6 +87,32 @@ OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 
 Truth = NewType("Truth", dict[str, Any])
 """What was put into a synthetic test, in the words of the findings."""
+
+FramesAsShown = NewType("FramesAsShown", xr.Dataset)
+"""Order frames by the angle that the encoder shows, swings and all."""
+
+SCHEMAS: dict[Any, str] = {
+    Recording: "recording",
+    BandRecording: "recording",
+    ShaftAngle: "shaft_angle",
+    ShaftSummary: "shaft_summary",
+    FramesAsShown: "order_frames",
+    TrueAngle: "shaft_angle",
+    OrderFrames: "order_frames",
+    FrequencyFrames: "frequency_frames",
+    OrderMap: "order_map",
+    CampbellMap: "campbell_map",
+    OrderTracks: "order_tracks",
+    RecordingEnvelope: "envelope_map",
+    EnvelopeMap: "envelope_map",
+    RecordingLevels: "recording_levels",
+    LevelFrames: "level_frames",
+    VibrationLevels: "vibration_levels",
+    RecordingCycles: "cycle_average",
+    CycleAverage: "cycle_average",
+    OperatingShapes: "operating_shapes",
+}
+"""The schema of each noun that is a dataset."""
 
 Severity = Literal["info", "suspect", "bad"]
 

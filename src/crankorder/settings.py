@@ -23,12 +23,23 @@ Slip = Annotated[float, Field(gt=-50, lt=50)]
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1
 """Relative amplitude errors that can be asked for."""
 ResultName = Literal[
-    "order_map", "campbell_map", "order_tracks", "findings", "cycle_average", "operating_shapes", "envelope_map"
+    "order_map",
+    "campbell_map",
+    "order_tracks",
+    "findings",
+    "cycle_average",
+    "operating_shapes",
+    "envelope_map",
+    "vibration_levels",
 ]
 PictureFormat = Literal["png", "svg", "pdf"]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """What the unit g stands for (3rd CGPM, 1901), exact and no setting: here, because units are read before NumPy is."""
+
+
+DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}
+"""How often each quantity of a vibration is differentiated by time: no setting either, and read as early."""
 
 
 class StageSettings(BaseModel):
@@ -70,6 +81,8 @@ class IngestSettings(StageSettings):
     fewest_samples: Count
     rate_tolerance: Fraction
     time_jitter_samples: Fraction
+    integration_highpass_hz: Positive
+    integration_edge_octaves: Positive
     max_time_jitter_samples: Fraction
 
 
@@ -125,6 +138,12 @@ class OrderSettings(StageSettings):
     least_mesh_teeth: Count
 
 
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] >= ends[1]:
+        raise ValueError("the lower end comes first")
+    return ends
+
+
 class CampbellSettings(StageSettings):
     """The speed-frequency map (``4-campbell.toml``)."""
 
@@ -135,12 +154,13 @@ class CampbellSettings(StageSettings):
     kaiser_beta: Positive
     amplitude_scaling: Literal["peak", "rms"]
     sweep_order: Positive
-
-
-def _rising(ends: tuple[float, float]) -> tuple[float, float]:
-    if ends[0] >= ends[1]:
-        raise ValueError("the lower end comes first")
-    return ends
+    level_bands_hz: tuple[Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_rising)], ...] = (
+        Field(strict=False)
+    )
+    level_quantities: tuple[Literal["acceleration", "velocity", "displacement", "as measured"], ...] = Field(
+        strict=False
+    )
+    level_frame_s: Positive
 
 
 class IdentifySettings(StageSettings):

@@ -17,6 +17,7 @@ from typing import Any, NewType, TypeVar, get_type_hints
 import numpy as np
 import xarray as xr
 
+from crankorder.campbell.band_levels import LevelBand, level_frames, third_octaves, vibration_levels
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
@@ -46,11 +47,14 @@ from crankorder.orders.true_angle import (
     tracks_in_true_angle,
 )
 from crankorder.quantities import (
+    SCHEMAS,
     BandRecording,
     CampbellMap,
     CycleAverage,
     EnvelopeMap,
+    FramesAsShown,
     FrequencyFrames,
+    LevelFrames,
     OperatingShapes,
     OrderFrames,
     OrderMap,
@@ -64,6 +68,7 @@ from crankorder.quantities import (
     ShaftAngle,
     ShaftSummary,
     TrueAngle,
+    VibrationLevels,
     check_dataset,
     flags_of,
     with_flags,
@@ -78,7 +83,6 @@ from crankorder.shaft.summary import shaft_summary
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
 ShownOrderFrames = NewType("ShownOrderFrames", Sequence[xr.Dataset])
-FramesAsShown = NewType("FramesAsShown", xr.Dataset)
 AllOrderFrames = NewType("AllOrderFrames", Sequence[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", Sequence[xr.Dataset])
 ShownRecordingTracks = NewType("ShownRecordingTracks", Sequence[xr.Dataset])
@@ -88,27 +92,8 @@ SweepModes = NewType("SweepModes", SweepFits)
 AllRecordingCycles = NewType("AllRecordingCycles", Sequence[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", Sequence[xr.Dataset])
 AllRecordingLevels = NewType("AllRecordingLevels", Sequence[xr.Dataset])
+AllLevelFrames = NewType("AllLevelFrames", Sequence[xr.Dataset])
 AllShaftAngles = NewType("AllShaftAngles", Sequence[xr.Dataset])
-
-SCHEMAS: dict[Any, str] = {
-    Recording: "recording",
-    BandRecording: "recording",
-    ShaftAngle: "shaft_angle",
-    ShaftSummary: "shaft_summary",
-    FramesAsShown: "order_frames",
-    TrueAngle: "shaft_angle",
-    OrderFrames: "order_frames",
-    FrequencyFrames: "frequency_frames",
-    OrderMap: "order_map",
-    CampbellMap: "campbell_map",
-    OrderTracks: "order_tracks",
-    RecordingEnvelope: "envelope_map",
-    EnvelopeMap: "envelope_map",
-    RecordingLevels: "recording_levels",
-    RecordingCycles: "cycle_average",
-    CycleAverage: "cycle_average",
-    OperatingShapes: "operating_shapes",
-}
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
 
@@ -268,6 +253,27 @@ def levels_of_recording(recording: Recording, shaft: ShaftAngle, settings: Setti
 
 
 @stage
+def band_levels_of_recording(
+    recording: Recording, shaft: ShaftAngle, manifest: Manifest, settings: Settings
+) -> LevelFrames:
+    """Mean squares and peaks of ``recording`` by pieces with the speeds of ``shaft``, in the bands of ``settings``.
+
+    ``settings`` of campbell; the bands that the limits of ``manifest`` are for are looked at too.
+    """
+    asked = settings.campbell
+    bands = [LevelBand(quantity, *ends) for ends in asked.level_bands_hz for quantity in asked.level_quantities]
+    bands += [LevelBand(one.quantity, *one.band_hz) for one in manifest.limits if one.of_vibration]
+    frames = level_frames(recording, shaft, bands=[*bands, *third_octaves()], frame_s=asked.level_frame_s)
+    return LevelFrames(frames)
+
+
+@stage
+def levels_of_test(items: AllLevelFrames, settings: Settings) -> VibrationLevels:
+    """Overall levels of the ``items`` of all recordings, by speed (``settings`` of orders: the width of a group)."""
+    return VibrationLevels(vibration_levels(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
+
+
+@stage
 def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> EnvelopeMap:
     """Envelope spectra ``items`` of all recordings averaged at like speed (``settings`` of orders)."""
     return EnvelopeMap(envelope_map(list(items), speed_bin_rpm=settings.orders.speed_bin_rpm))
@@ -331,6 +337,7 @@ def findings(
     envelope: EnvelopeMap,
     filtered: FilteredTracks,
     levels: AllRecordingLevels,
+    vibration: VibrationLevels,
     modes: SweepModes,
     test: TestName,
     sources: Sources,
@@ -339,13 +346,14 @@ def findings(
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
     ``filtered``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
-    with what lies above the band.
+    with what lies above the band; ``vibration``: levels in bands.
     ``settings``: of identify, and of orders for the floor.
     """
     from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
 
     maps = (order_map, campbell, frames, envelope)
-    return find(*maps, test=test, sources=sources, settings=settings, followed=filtered, levels=levels, swept=modes)
+    of_recordings = functools.partial(find, followed=filtered, levels=levels, vibration=vibration, swept=modes)
+    return of_recordings(*maps, test=test, sources=sources, settings=settings)
 
 
 @stage
@@ -394,6 +402,7 @@ OF_RECORDING = (
     cycles_of_recording,
     envelope_of_recording,
     levels_of_recording,
+    band_levels_of_recording,
 )
 OF_TEST = (
     swings,
@@ -404,6 +413,7 @@ OF_TEST = (
     map_by_order,
     map_by_frequency,
     map_of_envelopes,
+    levels_of_test,
     findings,
     tracks,
     cycles,
@@ -419,6 +429,7 @@ RESULTS: dict[str, Any] = {
     "cycle_average": CycleAverage,
     "operating_shapes": OperatingShapes,
     "envelope_map": EnvelopeMap,
+    "vibration_levels": VibrationLevels,
 }
 """Noun of each result that ``results`` of the report's settings may name."""
 
@@ -429,6 +440,7 @@ FRAMES_OF: dict[Any, Any] = {
     AllRecordingCycles: RecordingCycles,
     AllRecordingEnvelopes: RecordingEnvelope,
     AllRecordingLevels: RecordingLevels,
+    AllLevelFrames: LevelFrames,
 }
 """Noun of one recording that each gathered noun of a test is made of."""
 

@@ -11,7 +11,7 @@ from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError
-from crankorder.identify.sources import Sources
+from crankorder.identify.sources import Limit, Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.quantities import QualityFlag
@@ -50,6 +50,11 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         paths=manifest.transfer_paths,
         added=manifest.added_masses,
         motor=manifest.motor,
+        limits=tuple(
+            Limit(one.quantity, *one.band_hz, one.value_si, one.source, one.channels) for one in manifest.limits
+        ),
+        rotor_kg=None if manifest.rotor is None else manifest.rotor.mass_kg,
+        service_rpm=None if manifest.rotor is None else manifest.rotor.service_rpm,
     )
 
 

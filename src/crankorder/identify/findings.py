@@ -20,7 +20,13 @@ from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.known_lines import Held
-from crankorder.identify.levels import level_records
+from crankorder.identify.levels import (
+    graded,
+    level_records,
+    limit_verdicts,
+    third_octave_records,
+    vibration_records,
+)
 from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_orders import numbered_as_followed, with_followed, with_track_rows
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
@@ -66,6 +72,7 @@ def find(
     followed: Sequence[xr.Dataset] = (),
     levels: Sequence[xr.Dataset] = (),
     swept: SweepFits = NO_FITS,
+    vibration: xr.Dataset | None = None,
 ) -> Findings:
     """Findings of a test.
 
@@ -73,7 +80,7 @@ def find(
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
     ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
     RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
-    RecordingLevels, ``swept`` what the signals of sweeps tell of modes.
+    RecordingLevels, ``swept`` what the signals of sweeps tell of modes; ``vibration`` the VibrationLevels of the test.
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
@@ -114,7 +121,19 @@ def find(
         quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
     )
     closed = _balance(order_map, orders, modal, sources, causes)
-    return _with_sums(told, speeds, motor, shares[0], level_records(levels), closed)
+    return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
+
+
+def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:
+    """What was ``told``, with the levels in ``vibration`` and what the limits of ``sources`` make of them."""
+    if vibration is None:
+        return told
+    return replace(
+        told,
+        vibration_levels=vibration_records(vibration),
+        third_octaves=third_octave_records(vibration),
+        limits=limit_verdicts(vibration, told.balance, sources),
+    )
 
 
 def _with_sums(
@@ -207,7 +226,7 @@ def _balance(
     made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
     if made is not None:
         made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
-    return made, reason
+    return graded(made, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
 
 
 def _orders_and_modes(

@@ -11,13 +11,25 @@ from crankorder.engine.transfer_paths import AddedMass, StatedPath
 
 
 @dataclass(frozen=True)
+class Limit:
+    """A limit of the manifest: ``value_si`` in SI units; a balance grade has no band."""
+
+    quantity: str
+    low_hz: float
+    high_hz: float
+    value_si: float
+    source: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Sources:
     """What is known of the machine: its cycle, the orders that its kinematics make, its bearings, gears and masses.
 
     ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
     and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
     named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose;
-    ``motor``: a stated induction motor.
+    ``motor``: a stated induction motor; ``limits`` of the manifest; mass of the rotor and its speed in service.
     """
 
     revs_per_cycle: int
@@ -29,6 +41,9 @@ class Sources:
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()
     motor: Motor | None = None
+    limits: tuple[Limit, ...] = ()
+    rotor_kg: float | None = None
+    service_rpm: float | None = None
     known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
 
     def __post_init__(self) -> None:

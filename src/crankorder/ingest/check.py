@@ -165,7 +165,7 @@ def _length_faults(path: Path, lengths: dict[str, int]) -> list[CrankorderError]
 
 
 def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:
-    from crankorder.ingest.recording import file_to_analysed
+    from crankorder.ingest.channel import file_to_analysed
 
     faults: list[CrankorderError] = []
     for channel in manifest.channels:

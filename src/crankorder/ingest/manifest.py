@@ -21,6 +21,8 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
 from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
+from crankorder.ingest.channel import Channel as Channel
+from crankorder.ingest.channel import channel_faults
 from crankorder.ingest.encoder_table import (
     TIME_KINDS,
     Count,
@@ -32,7 +34,8 @@ from crankorder.ingest.encoder_table import (
     encoder_faults,
 )
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
-from crankorder.ingest.units import Unit, conversion_factor, parse_quantity, parse_sensitivity, unit_of
+from crankorder.ingest.units import Unit, parse_quantity
+from crankorder.settings import DERIVATIVE
 
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
 _HEADER = re.compile(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(?:#.*)?")
@@ -247,78 +250,6 @@ class Sampling(Table):
     )
 
 
-class Channel(Table):
-    """``[[channels]]``: one analysed signal."""
-
-    name: Name = Field(description="What results and pictures call the channel.", examples=["Z"])
-    unit: str = Field(
-        description="Unit of the analysed signal: m/s2, g, mm/s, um, Pa, bar, N, Nm, V, 1 and others.",
-        examples=["m/s2"],
-    )
-    source: Source | None = Field(
-        default=None,
-        description="Dataset, column name, pattern with * or column number from 0; the name where left out.",
-        examples=["acc_z"],
-    )
-    quantity: str = Field(
-        default="",
-        description="What is measured, where the unit does not tell; it must agree with the unit.",
-        examples=["pressure"],
-    )
-    sensitivity: str | None = Field(
-        default=None,
-        description="Output of the sensor per unit, where the file holds volts or the like.",
-        examples=["100 mV/g"],
-    )
-    full_scale_v: Positive | None = Field(
-        default=None, description="Volts at full scale of a file that holds shares of it (WAV).", examples=[10.0]
-    )
-    offset: str | None = Field(
-        default=None,
-        description="What is taken off the file's values before they are scaled, with its unit.",
-        examples=["2.5 V"],
-    )
-    direction: str = Field(
-        default="",
-        description="Axis that the sensor looks along: X across the crankshaft, Y along it, Z along the cylinder.",
-        examples=["+Z"],
-    )
-
-    @field_check("unit")
-    @classmethod
-    def _unit_is_known(cls, text: str) -> str:
-        return unit_of(text).name
-
-    @field_check("sensitivity")
-    @classmethod
-    def _sensitivity_is_known(cls, text: str | None) -> str | None:
-        if text is not None:
-            parse_sensitivity(text)
-        return text
-
-    @field_check("offset")
-    @classmethod
-    def _offset_is_known(cls, text: str | None) -> str | None:
-        if text is not None:
-            parse_quantity(text)
-        return text
-
-    @property
-    def file_source(self) -> str | int:
-        """Where the file holds the channel: ``source``, or ``name`` where no source is stated."""
-        return self.name if self.source is None else self.source
-
-    @property
-    def analysed_unit(self) -> Unit:
-        """Unit of the analysed signal."""
-        return unit_of(self.unit)
-
-    @property
-    def measured_quantity(self) -> str:
-        """``quantity``, or the quantity that the unit measures where none is stated."""
-        return self.quantity or self.analysed_unit.quantity
-
-
 class Gear(Table):
     """``[[gears]]``: a wheel whose teeth mesh, or a rotor whose blades pass, ``ratio`` turns per crank revolution."""
 
@@ -330,6 +261,53 @@ class Gear(Table):
     def mesh_order(self) -> float:
         """Order at which the teeth mesh."""
         return self.teeth * self.ratio
+
+
+class Limit(Table):
+    """``[[limits]]``: a level that a channel is to stay within at every tested speed, and where that is written."""
+
+    quantity: Literal["velocity", "displacement", "acceleration", "balance grade"] = Field(
+        description="What is limited: the root mean square of a vibration, or the balance grade G (e · ω).",
+        examples=["velocity"],
+    )
+    value: str = Field(description="The limit with its unit; a grade such as G 6.3 is 6.3 mm/s.", examples=["4.5 mm/s"])
+    source: str = Field(
+        description="Where the limit is written: nothing of a standard is known here.", examples=["contract 12, page 3"]
+    )
+    band_hz: Annotated[tuple[Positive, Positive], Field(strict=False)] = Field(
+        default=(10.0, 1000.0), description="Band of the level, low and high end.", examples=[[10.0, 1000.0]]
+    )
+    channels: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
+        default=(), description="Channels that it holds for; all that can tell the quantity where left out.",
+        examples=[["Z"]],
+    )  # fmt: skip
+
+    @field_check("value")
+    @classmethod
+    def _value_is_known(cls, text: str) -> str:
+        if not parse_quantity(text)[0] > 0.0:
+            raise ValueError("a limit is above 0")
+        return text
+
+    @property
+    def of_vibration(self) -> bool:
+        """Whether it limits a level of vibration, not the unbalance."""
+        return self.quantity != "balance grade"
+
+    @property
+    def value_si(self) -> float:
+        """The limit in SI units: m/s2, m/s or m."""
+        value, unit = parse_quantity(self.value)
+        return value * unit.factor
+
+
+class Rotor(Table):
+    """``[rotor]``: mass and speed by which an unbalance in g·mm becomes a balance grade."""
+
+    mass_kg: Positive = Field(description="Mass of the rotor.", examples=[12.5])
+    service_rpm: Positive | None = Field(
+        default=None, description="Fastest speed in service; the fastest tested where left out.", examples=[3000.0]
+    )
 
 
 class Manifest(Table):
@@ -346,6 +324,8 @@ class Manifest(Table):
     added_masses: Annotated[tuple[AddedMass, ...], Field(strict=False)] = ()
     gears: Annotated[tuple[Gear, ...], Field(strict=False)] = ()
     motor: Motor | None = None
+    limits: Annotated[tuple[Limit, ...], Field(strict=False)] = ()
+    rotor: Rotor | None = None
     _folder: Path | None = PrivateAttr(default=None)
 
     def of_folder(self, folder: Path) -> Manifest:
@@ -540,7 +520,7 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
             place = f"channels.{number}.name"
             faults.append(RequestError("two channels have the same name", place=place, found=channel.name))
         seen[channel.name] = number
-        faults += _channel_faults(channel, f"channels.{number}")
+        faults += channel_faults(channel, f"channels.{number}")
     for number, bearing in enumerate(manifest.bearings):
         if bearing_orders(bearing).keys() <= {"N*fs"}:
             faults.append(
@@ -551,6 +531,7 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
                 )
             )
     faults += _motor_faults(manifest.motor)
+    faults += _limit_faults(manifest)
     faults += path_faults(
         manifest.transfer_paths, {channel.name: channel.analysed_unit for channel in manifest.channels}
     )
@@ -560,40 +541,36 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     )
 
 
+def _limit_faults(manifest: Manifest) -> list[RequestError]:
+    """Limits whose unit, band or channels do not fit what they limit."""
+    faults: list[RequestError] = []
+    names = {channel.name: channel for channel in manifest.channels}
+    for number, limit in enumerate(manifest.limits):
+        place, wanted = f"limits.{number}", "velocity" if limit.quantity == "balance grade" else limit.quantity
+        unit = parse_quantity(limit.value)[1]
+        if unit.quantity != wanted:
+            faults.append(
+                RequestError(f"a limit of {wanted} needs a unit of it", place=f"{place}.value", found=limit.value)
+            )
+        if limit.band_hz[0] >= limit.band_hz[1]:
+            faults.append(RequestError("the lower end comes first", place=f"{place}.band_hz", found=limit.band_hz))
+        for name in limit.channels:
+            if name not in names:
+                allowed = ", ".join(names)
+                faults.append(RequestError("no such channel", place=f"{place}.channels", found=name, allowed=allowed))
+            elif limit.of_vibration and names[name].analysed_unit.quantity not in DERIVATIVE:
+                told = names[name].analysed_unit.quantity
+                problem = f"{name} measures {told}, of which no {limit.quantity} follows"
+                faults.append(RequestError(problem, place=f"{place}.channels", found=name))
+    if manifest.rotor is None and any(not limit.of_vibration for limit in manifest.limits):
+        problem = "a balance grade needs the mass of the rotor"
+        faults.append(RequestError(problem, place="limits", remedy="Add [rotor] with mass_kg"))
+    return faults
+
+
 def _motor_faults(motor: Motor | None) -> list[RequestError]:
     """A motor of which no line follows, and one whose supply is stated without what makes use of it."""
     if motor is None or motor.poles is not None or motor.rotor_bars is not None or motor.stator_slots is not None:
         return []
     remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
     return [RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy)]
-
-
-def _channel_faults(channel: Channel, place: str) -> list[RequestError]:
-    faults: list[RequestError] = []
-    unit = channel.analysed_unit
-    expected = unit
-    if channel.sensitivity is not None:
-        sensitivity = parse_sensitivity(channel.sensitivity)
-        expected = sensitivity.output
-        faults += _unit_clash(sensitivity.measured, unit, f"{place}.sensitivity")
-    if channel.offset is not None:
-        faults += _unit_clash(parse_quantity(channel.offset)[1], expected, f"{place}.offset")
-    known = ("acceleration", "velocity", "displacement", "pressure", "force", "torque", "voltage")
-    stated = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
-    if stated != unit.quantity:
-        faults.append(
-            RequestError(
-                f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}",
-                place=f"{place}.quantity",
-                found=channel.quantity,
-            )
-        )
-    return faults
-
-
-def _unit_clash(source: Unit, target: Unit, place: str) -> list[RequestError]:
-    try:
-        conversion_factor(source, target)
-    except RequestError as error:
-        return [RequestError(error.problem, place=place, remedy=error.remedy)]
-    return []

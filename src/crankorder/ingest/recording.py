@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from crankorder.errors import CrankorderError, InputError, RequestError
+from crankorder.errors import CrankorderError, InputError
+from crankorder.fft.integration import faded_samples, integrated
+from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
-from crankorder.ingest.manifest import Channel, Manifest
+from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import (
-    base_unit,
     conversion_factor,
     known_unit,
-    parse_quantity,
-    parse_sensitivity,
     unit_in_label,
     unit_of,
 )
@@ -33,9 +32,6 @@ from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
-# what programs write where no unit was set
-STATES_NO_UNIT = ("", "1", "-", "EU", "n/a", "none")
-
 _MIN_SAMPLES = 3
 
 # Pulse times that are told more finely than this are as good as those of a counter.
@@ -43,62 +39,6 @@ _FINE_STEP_S = 1e-6
 
 # A rate in doubt by more than this moves frequencies further than their own errors.
 _ROUGH_RATE = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class Scaling:
-    """Offset in the file's unit and factor to the analysed unit; ``remark`` tells of a unit that was not understood."""
-
-    offset: float
-    factor: float
-    remark: str = ""
-
-
-def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
-    """Scaling of ``channel`` where the file at ``path`` states ``file_unit`` (empty where it states none).
-
-    Raises InputError where the file's unit can become neither the sensitivity's output nor the analysed unit.
-    """
-    before, factor = channel.analysed_unit, 1.0
-    if channel.sensitivity is not None:
-        sensitivity = parse_sensitivity(channel.sensitivity)
-        before, factor = base_unit(sensitivity.output), sensitivity.measured_per_output(channel.analysed_unit)
-    stated = None if file_unit in STATES_NO_UNIT else known_unit(file_unit)
-    remark = ""
-    if stated is not None and stated.quantity == "full scale" and before.quantity == "voltage":
-        factor *= _volts_at_full_scale(channel, path) / before.factor
-        before = stated
-    elif stated is not None:
-        try:
-            factor *= conversion_factor(stated, before)
-        except RequestError as error:
-            raise InputError(
-                f"channel {channel.name}: {error.problem}",
-                file=path,
-                place=f"source {channel.file_source}",
-                found=f"unit {file_unit!r} in the file",
-                remedy=error.remedy,
-            ) from None
-        before = stated
-    elif file_unit not in STATES_NO_UNIT:
-        remark = f"channel {channel.name}: the file states the unit {file_unit!r}; {before.name} is taken"
-    offset = 0.0
-    if channel.offset is not None:
-        value, unit = parse_quantity(channel.offset)
-        offset = value * conversion_factor(unit, before)
-    return Scaling(offset, factor, remark)
-
-
-def _volts_at_full_scale(channel: Channel, path: Path) -> float:
-    if channel.full_scale_v is None:
-        said = f"the sensitivity {channel.sensitivity!r}" if channel.sensitivity is not None else "the unit V"
-        raise InputError(
-            f"channel {channel.name}: the file holds fractions of full scale, for which {said} does not do",
-            file=path,
-            place=f"source {channel.file_source}",
-            remedy="State full_scale_v, the volts at full scale of the recorder, for this channel",
-        )
-    return channel.full_scale_v
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:
@@ -168,11 +108,14 @@ def recording_of(
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
         return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
     signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
-    faults = []
+    faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
-        _to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags)
-    flags += judged(signals, faults, _sampled(recording, manifest), path, settings=settings)
+        scalings.append(_to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags))
+    flags += judged(signals, faults, _sampled(recording, manifest, scalings), path, settings=settings)
+    for row, channel, scaling in zip(signals, manifest.channels, scalings, strict=True):
+        if scaling.integrals:
+            flags.append(_integrate(row, channel, scaling, recording, path, settings))
     _add_signals(recording, signals, manifest)
     return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
 
@@ -184,13 +127,16 @@ def _named(flags: list[QualityFlag], recording: str) -> list[QualityFlag]:
     return flags
 
 
-def _sampled(recording: xr.Dataset, manifest: Manifest) -> Sampled:
+def _sampled(recording: xr.Dataset, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
     """How the signals of ``recording`` were sampled, and at which speed, for a look at their faults."""
     attrs, by_angle = recording.attrs, manifest.sampling.domain == "crank_angle"
     return Sampled(
         names=[channel.name for channel in manifest.channels],
-        quantities=[channel.measured_quantity for channel in manifest.channels],
-        units=[channel.analysed_unit.name for channel in manifest.channels],
+        quantities=[
+            scaling.unit.quantity if scaling.integrals else channel.measured_quantity
+            for channel, scaling in zip(manifest.channels, scalings, strict=True)
+        ],
+        units=[scaling.unit.name for scaling in scalings],
         rate=float(attrs["samples_per_rev"] if by_angle else attrs["rate_hz"]),
         start=attrs["start_deg"] / 360.0 if by_angle else float(attrs.get("start_s", 0.0)),
         unit="rev" if by_angle else "s",
@@ -546,8 +492,8 @@ def _stacked(rows: Sequence[FloatArray]) -> FloatArray:
 
 def _to_analysed_unit(
     signal: FloatArray, channel: Channel, file_unit: str, path: Path, flags: list[QualityFlag]
-) -> None:
-    """Turn ``signal`` in place from the file's unit into the channel's."""
+) -> Scaling:
+    """Turn ``signal`` in place from the file's unit into the channel's, or to what it is to be integrated from."""
     scaling = file_to_analysed(channel, file_unit, path)
     stated = channel.sensitivity is not None or channel.offset is not None or file_unit not in STATES_NO_UNIT
     if not stated and channel.analysed_unit.quantity not in MAY_HAVE_LEVELS and looks_counted(signal):
@@ -562,6 +508,38 @@ def _to_analysed_unit(
         signal -= signal.dtype.type(scaling.offset)
     if scaling.factor != 1.0:
         signal *= signal.dtype.type(scaling.factor)
+    return scaling
+
+
+def _integrate(
+    signal: FloatArray, channel: Channel, scaling: Scaling, recording: xr.Dataset, path: Path, settings: IngestSettings
+) -> QualityFlag:
+    """Integrate ``signal`` in place from the unit of ``scaling`` to the channel's; the remark that says how."""
+    rate_hz = float(recording.attrs.get("rate_hz", math.nan))
+    if recording.attrs["domain"] == "crank_angle":
+        rate_hz = float(recording.attrs["samples_per_rev"]) * float(recording.attrs.get("speed_rpm", math.nan)) / 60.0
+    if not math.isfinite(rate_hz):
+        raise InputError(
+            f"channel {channel.name}: samples by crank angle at an unknown speed cannot be integrated by time",
+            file=path,
+            place=f"source {channel.file_source}",
+            remedy="State the speed in recordings.speed_rpm, or analyse the acceleration",
+        )
+    highpass_hz = channel.highpass_hz or settings.integration_highpass_hz
+    made = integrated(
+        signal,
+        rate_hz,
+        times=scaling.integrals,
+        highpass_hz=highpass_hz,
+        half_octaves=settings.integration_edge_octaves,
+    )
+    signal[:] = made * (scaling.unit.factor / channel.analysed_unit.factor)
+    detail = (
+        f"channel {channel.name}: {channel.measured_quantity} in {channel.analysed_unit.name} integrated from "
+        f"{scaling.unit.quantity}, high-pass {highpass_hz:g} Hz; "
+        f"the first and last {faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz:.2g} s are left out"
+    )
+    return flag(path, "integrated", "info", detail)
 
 
 def _add_signals(recording: xr.Dataset, signals: FloatArray, manifest: Manifest) -> None:
@@ -573,6 +551,8 @@ def _add_signals(recording: xr.Dataset, signals: FloatArray, manifest: Manifest)
         "quantity": [channel.measured_quantity for channel in manifest.channels],
         "direction": [channel.direction for channel in manifest.channels],
     }
+    size = np.array([channel.analysed_unit.factor for channel in manifest.channels], dtype=np.float64)
+    recording["si_per_unit"] = ("channel", size, {"units": "1", "long_name": "SI units in one unit of the channel"})
     recording.coords.update(
         {
             name: ("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})

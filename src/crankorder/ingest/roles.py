@@ -12,9 +12,9 @@ from typing import Literal
 import numpy as np
 
 from crankorder.errors import CrankorderError
+from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.rawfile import Contents, Source, looks_counted
-from crankorder.ingest.recording import STATES_NO_UNIT
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings

@@ -39,7 +39,14 @@ from crankorder.report.notation import (
 from crankorder.report.rows import Table, folded, table_of
 from crankorder.report.sentences.of_speeds import all_judged
 from crankorder.report.sentences.story import energy_sentence
-from crankorder.report.tables_of_sources import balance_table, bearing_table, tone_table
+from crankorder.report.tables_of_sources import (
+    balance_table,
+    bearing_table,
+    level_table,
+    limit_table,
+    octave_table,
+    tone_table,
+)
 
 __all__ = ["Table", "table_of", "tables_of"]
 
@@ -69,6 +76,9 @@ def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
         ("crossings", _crossings(findings, limit)),
         ("bearings", bearing_table(findings, limit)),
         ("balance", balance_table(findings, limit)),
+        ("limits", limit_table(findings, limit)),
+        ("levels", level_table(findings, limit)),
+        ("third-octaves", octave_table(findings, limit)),
         ("energy", energy_table(findings, limit)),
         ("levels", _levels(findings, limit)),
         ("lines", _lines(findings, limit)),

@@ -1,15 +1,25 @@
-"""Tables of what makes the lines of a test (tones, bearings, unbalance) and of where the results come from."""
+"""Tables of what makes the lines of a test (tones, bearings, unbalance), of levels, and of where results come from."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from crankorder.findings import BearingFinding, Findings
+from crankorder.findings import BearingFinding, Findings, VibrationLevel
 from crankorder.report.fixed_lines import fixed_tones
-from crankorder.report.notation import estimate_text, is_number, named, order_estimate, order_text, unit_of
+from crankorder.report.notation import (
+    estimate_text,
+    is_number,
+    named,
+    order_estimate,
+    order_text,
+    unit_of,
+    unit_text,
+    with_interval,
+)
 from crankorder.report.rows import Table, table_of
 from crankorder.report.sentences.of_balance import QUANTITIES, source_text, undecided_quantities
 from crankorder.report.sentences.of_bearings import band_text
+from crankorder.report.sentences.of_levels import band_of
 
 _PROVENANCE_ROWS = 400
 
@@ -75,6 +85,9 @@ def balance_table(findings: Findings, limit: int) -> Table:
         for key, (title, unit) in QUANTITIES.items():
             if is_number(getattr(balance, key)):
                 rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
+        if is_number(balance.grade_mm_s):
+            at = f"Balance grade G (ISO 21940-11) at {number_of(balance.grade_speed_rpm)} rpm"
+            rows.append([at, estimate_text(balance, "grade_mm_s", unit="mm/s")])
         rows += [[title, f"not decided: {why}"] for title, why in undecided_quantities(balance)]
         note = f"Worked out{source_text(balance)}." if balance.source else ""
         if balance.evidence:
@@ -82,6 +95,70 @@ def balance_table(findings: Findings, limit: int) -> Table:
     reason = findings.balance_reason
     why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
     return table_of("Balance", "Quantity|Value", rows, note=note, empty=f"No residual unbalance was worked out.{why}")
+
+
+def limit_table(findings: Findings, limit: int) -> Table:
+    """What the limits of the manifest come to in ``findings``, names cut at ``limit``; empty where there are none."""
+    rows = []
+    for one in findings.limits:
+        unit = unit_text(one.unit)
+        band = "–" if one.band_hz is None else band_of(one.band_hz, None)
+        value = with_interval(one.level, one.level_ci95, unit=unit)
+        allowed = with_interval(one.value, None, unit=unit)
+        where, speed = named(one.channel or "–", limit=limit), number_of(one.speed_rpm)
+        rows.append([where, named(one.quantity, limit=limit), band, one.verdict, value, allowed, speed])
+        rows[-1] += [named(one.source, limit=2 * limit), named(one.evidence or "–", limit=4 * limit)]
+    heads = "Channel|Quantity|Band|Verdict|Largest level (r.m.s.)#|Limit#|Speed, rpm#|Written in|Why"
+    return table_of("Limits", heads, rows, empty="")
+
+
+def level_table(findings: Findings, limit: int) -> Table:
+    """Overall levels in ``findings``, the largest over speed; by speed and in one-third octaves folded under it.
+
+    Names are cut at ``limit``; empty where none was told.
+    """
+    largest = [_level_row(one, limit) for one in findings.vibration_levels if one.largest]
+    every = [_level_row(one, limit) for one in findings.vibration_levels]
+    heads = "Channel|Quantity|Band|Speed, rpm#|r.m.s.#|Mean peak#|Largest peak#|Crest factor#"
+    more = table_of("Levels at every speed", heads, every, empty="")
+    note = "At the speed where each is largest; peaks and crest factors are means over short pieces." if largest else ""
+    return table_of("Overall levels", heads, largest, empty="", note=note, more=more if every else None)
+
+
+def octave_table(findings: Findings, limit: int) -> Table:
+    """One-third octaves in ``findings``: the strongest of each channel, and folded all; names cut at ``limit``."""
+    rows, loudest = list[list[str]](), dict[str, list[str]]()
+    for one in sorted(findings.third_octaves, key=lambda one: one.channel):
+        level = with_interval(one.rms, one.rms_ci95, unit=unit_text(one.unit))
+        rows.append([named(one.channel, limit=limit), number_of(one.speed_rpm), f"{one.nominal_hz:g}", level])
+    for one in sorted(findings.third_octaves, key=lambda one: -one.rms):
+        level = with_interval(one.rms, one.rms_ci95, unit=unit_text(one.unit))
+        row = [named(one.channel, limit=limit), number_of(one.speed_rpm), f"{one.nominal_hz:g}", level]
+        loudest.setdefault(one.channel, row)
+    heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
+    more = table_of(f"All {len(rows)} one-third octaves", heads, rows, empty="")
+    note = "The strongest of each channel, at the speed where the channel is loudest." if rows else ""
+    shown = [loudest[name] for name in sorted(loudest)]
+    return table_of("One-third octaves", heads, shown, empty="", note=note, more=more if rows else None)
+
+
+def _level_row(one: VibrationLevel, limit: int) -> list[str]:
+    unit = unit_text(one.unit)
+    return [
+        named(one.channel, limit=limit),
+        named(one.quantity, limit=limit),
+        band_of(one.band_hz, one.reached_hz),
+        number_of(one.speed_rpm),
+        estimate_text(one, "rms", unit=unit),
+        estimate_text(one, "peak", unit=unit),
+        with_interval(one.largest_peak, None, unit=unit),
+        estimate_text(one, "crest_factor"),
+    ]
+
+
+def number_of(value: float | None) -> str:
+    """The speed ``value`` as a whole number; a dash where it is not known."""
+    return f"{value:.0f}" if is_number(value) else "–"
 
 
 def provenance_table(provenance: dict[str, Any]) -> Table:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from crankorder.findings import Findings, Level
+from crankorder.findings import Findings, Level, LimitVerdict
 from crankorder.report.notation import (
     NAME_CHARACTERS,
+    estimate_text,
     frequency_text,
     is_number,
     listed,
@@ -14,6 +15,8 @@ from crankorder.report.notation import (
     number_text,
     percent_text,
     unit_of,
+    unit_text,
+    with_interval,
 )
 
 GEAR_RECIPE, GEAR_ORDER = "gear-mesh", 60.0
@@ -102,3 +105,52 @@ def _name(record: Level) -> str:
 def _band(hertz: object) -> str:
     """``" (to 500 Hz)"``; nothing where the end is not known as a frequency."""
     return f" (to {frequency_text(float(hertz))} Hz)" if is_number(hertz) else ""
+
+
+def level_sentences(findings: Findings) -> list[str]:
+    """The largest broad-band velocity in ``findings``, in the words of ISO 20816-1; none where none was told."""
+    told = [record for record in findings.vibration_levels if record.quantity == "velocity" and record.largest]
+    told = [record for record in told if record.band_hz == told[0].band_hz]
+    if not told:
+        return []
+    worst = max(told, key=lambda one: one.rms)
+    at = f" at {worst.speed_rpm:.0f} rpm" if is_number(worst.speed_rpm) else ""
+    level = estimate_text(worst, "rms", unit=unit_text(worst.unit))
+    return [
+        f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)}) is {level}, in "
+        f"{named(worst.channel, limit=NAME_CHARACTERS)}{at}."
+    ]
+
+
+def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
+    """What each limit in ``findings`` comes to, those that are passed most first; with ``above`` these alone."""
+    rank = {"above": 0, "not decided": 1}
+    records = [one for one in findings.limits if one.verdict == "above" or not above]
+    return [_limit_sentence(one) for one in sorted(records, key=lambda one: (rank.get(one.verdict, 2), -_share(one)))]
+
+
+def _share(record: LimitVerdict) -> float:
+    """Level over limit of ``record``; 0 where no level is known."""
+    return record.level / record.value if is_number(record.level) else 0.0
+
+
+def _limit_sentence(record: LimitVerdict) -> str:
+    what = f"The {record.quantity}" if record.band_hz is None else f"The r.m.s. {record.quantity}"
+    band = f" ({band_of(record.band_hz, record.band_hz[1])})" if record.band_hz is not None else ""
+    where = f" of {named(record.channel, limit=NAME_CHARACTERS)}" if record.channel else ""
+    unit = unit_text(record.unit)
+    limit = f"{with_interval(record.value, None, unit=unit)} ({named(record.source, limit=2 * NAME_CHARACTERS)})"
+    at = f" at {record.speed_rpm:.0f} rpm" if is_number(record.speed_rpm) else ""
+    level = with_interval(record.level, record.level_ci95, unit=unit)
+    if record.verdict == "not decided":
+        size = f": {level}{at}" if is_number(record.level) else ""
+        return f"{what}{band}{where} beside the limit of {limit} is not decided{size}; {record.evidence}."
+    return f"{what}{band}{where} is {record.verdict} the limit of {limit}: {level}{at}."
+
+
+def band_of(band_hz: tuple[float | None, float | None], reached_hz: float | None) -> str:
+    """``band_hz`` as "10 Hz to 1000 Hz", with its end at ``reached_hz`` where the recorder reaches no further."""
+    low, high = band_hz
+    if is_number(reached_hz) and is_number(high) and reached_hz < high:
+        return f"{low:g} Hz to {reached_hz:.4g} Hz, as far as recorded"
+    return f"{low:g} Hz to {high:g} Hz"

@@ -11,7 +11,7 @@ from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, listed, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
-from crankorder.report.sentences.of_levels import share_sentences
+from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences
 from crankorder.report.sentences.of_lines import (
     above_asks,
     lies_above,
@@ -86,6 +86,7 @@ def headline(findings: Findings) -> list[str]:
     bearings = bearing_sentences(findings)[:1]
     return [
         *doubt_sentences(findings),
+        *limit_sentences(findings, above=True)[:1],
         *(bearings + lines if strikes(findings) else lines + bearings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
@@ -112,7 +113,7 @@ def story_of(findings: Findings) -> Story:
             what_to_do=[*_repeat_sentences(findings)] or [STILL_CLEAR],
         )
     return Story(
-        what=line_sentences(findings),
+        what=[*line_sentences(findings), *level_sentences(findings), *limit_sentences(findings)],
         why=[
             *law_sentences(findings),
             *swing_sentences(findings),

@@ -1,0 +1,183 @@
+"""Overall levels in bands and one-third octaves, against analytic signals, Parseval and integration by others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import integrate, signal
+
+from crankorder.campbell.band_levels import (
+    THIRD_OCTAVES_HZ,
+    LevelBand,
+    level_frames,
+    nominal_hz,
+    third_octaves,
+    vibration_levels,
+)
+from crankorder.quantities import check_dataset
+from made.recordings import named, shaft
+
+RATE_HZ = 8192.0
+WIDE = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000.0))
+
+
+def recorded(values: np.ndarray, *, rate_hz: float = RATE_HZ, name: str = "a") -> xr.Dataset:
+    """A Recording of one accelerometer in m/s2."""
+    attrs = {"recording": name, "domain": "time", "rate_hz": rate_hz, "encoder_kind": "none", "revs_per_cycle": 2}
+    made = xr.Dataset(
+        {"signal": (("channel", "time"), values[None], {"units": "see unit"})}, coords=named(1), attrs=attrs
+    )
+    made["unit"], made["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
+    made["si_per_unit"] = ("channel", np.array([1.0]), {"units": "1"})
+    return made
+
+
+def levels(*recordings: xr.Dataset, bands: tuple[LevelBand, ...] = WIDE, speed_rpm: float = 1500.0) -> xr.Dataset:
+    items = []
+    for one in recordings:
+        knots = np.linspace(0.0, one.sizes["time"] / one.attrs["rate_hz"], 50)
+        angle = shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm))
+        items.append(level_frames(one, angle, bands=bands, frame_s=0.5))
+        check_dataset(items[-1], "level_frames")
+    made = vibration_levels(items, speed_bin_rpm=25.0)
+    check_dataset(made, "vibration_levels")
+    return made.isel(speed=0)
+
+
+def at_times(seconds: float, rate_hz: float = RATE_HZ) -> np.ndarray:
+    return np.arange(int(seconds * rate_hz)) / rate_hz
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_velocity_of_lines_is_the_analytic_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hertz, size = rng.uniform(13.0, 850.0, 5), rng.uniform(0.1, 10.0, 5)
+    phase, at = rng.uniform(0.0, 2 * np.pi, 5), at_times(20.0)
+    outside = 50.0 * np.cos(2 * np.pi * rng.uniform(1300.0, 3500.0) * at) + rng.uniform(-20.0, 20.0)
+    values = outside + sum(a * np.cos(2 * np.pi * f * at + p) for a, f, p in zip(size, hertz, phase, strict=True))
+    made = levels(recorded(values))
+    velocity = 1e3 * size / (2 * np.pi * hertz)
+    assert float(made["rms"][0]) == pytest.approx(np.sqrt(0.5 * velocity @ velocity), rel=5e-3)
+    assert float(made["rms"][1]) == pytest.approx(np.sqrt(0.5 * size @ size), rel=5e-3)
+    assert made["unit"].values.tolist() == ["mm/s", "m/s2"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_levels_of_a_velocity_agree_with_a_trapezoidal_integral_and_a_butterworth_filter(seed: int) -> None:
+    rng, rate = np.random.default_rng(seed), 32768.0
+    at = at_times(20.0, rate)
+    noise = signal.lfilter(*signal.butter(2, [40.0, 600.0], "band", fs=rate), rng.standard_normal(at.size))
+    line = 2.0 * np.cos(2 * np.pi * rng.uniform(20.0, 200.0) * at + rng.uniform(0, 6))
+    values = noise + line
+    velocity = 1e3 * integrate.cumulative_trapezoid(values, dx=1.0 / rate, initial=0.0)
+    filtered = signal.sosfiltfilt(signal.butter(4, [8.0, 1250.0], "band", fs=rate, output="sos"), velocity)
+    middle = slice(at.size // 20, -at.size // 20)
+    made = levels(recorded(values, rate_hz=rate))
+    assert float(made["rms"][0]) == pytest.approx(float(np.std(filtered[middle])), rel=0.02)
+    assert float(made["largest_peak"][0]) == pytest.approx(float(np.abs(filtered[middle]).max()), rel=0.08)
+
+
+def test_peak_and_crest_factor_of_a_sine_and_of_a_beat() -> None:
+    at = at_times(20.0)
+    sine = levels(recorded(3.0 * np.cos(2 * np.pi * 97.3 * at)))
+    assert float(sine["crest_factor"][1]) == pytest.approx(np.sqrt(2.0), rel=3e-3)
+    assert float(sine["peak"][1]) == pytest.approx(3.0, rel=3e-3)
+    beat = levels(recorded(np.cos(2 * np.pi * 96.0 * at) + np.cos(2 * np.pi * 104.0 * at)))
+    assert float(beat["crest_factor"][1]) == pytest.approx(2.0, rel=0.01)  # 2 / sqrt(2 / 2)
+
+
+def test_one_third_octaves_hold_all_the_energy_between_their_ends() -> None:
+    """Parseval: the squares of all octaves add up to that of the whole band."""
+    rng, rate = np.random.default_rng(3), 51200.0
+    low, high = THIRD_OCTAVES_HZ[3] / 10**0.05, THIRD_OCTAVES_HZ[30] * 10**0.05
+    values = rng.standard_normal(int(20 * rate))
+    made = levels(recorded(values, rate_hz=rate), bands=(LevelBand("as measured", low, high), *third_octaves()))
+    octaves = made.isel(level=slice(4, 32))
+    assert float(octaves["low_frequency"][0]) == pytest.approx(low)
+    assert float(octaves["high_frequency"][-1]) == pytest.approx(high)
+    assert float(np.sum(octaves["rms"] ** 2)) == pytest.approx(float(made["rms"][0]) ** 2, rel=1e-3)
+    expected = np.sqrt(2.0 / rate * (octaves["high_frequency"] - octaves["low_frequency"]))
+    assert np.abs(octaves["rms"] / expected - 1.0)[8:].max() < 0.06
+
+
+def test_a_line_is_in_its_own_octave_alone_and_names_are_nominal() -> None:
+    names = [nominal_hz(one) for one in THIRD_OCTAVES_HZ]
+    assert names[:6] == [10.0, 12.5, 16.0, 20.0, 25.0, 31.5]
+    assert names[-3:] == [12500.0, 16000.0, 20000.0]
+    made = levels(recorded(2.0 * np.cos(2 * np.pi * 250.0 * at_times(10.0))), bands=(*WIDE, *third_octaves()))
+    thirds = made.isel(level=slice(2, None))
+    own = int(np.argmax(thirds["rms"].values))
+    assert nominal_hz(float(np.sqrt(thirds["low_frequency"][own] * thirds["high_frequency"][own]))) == 250.0
+    assert float(thirds["rms"][own]) == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    assert float(np.delete(thirds["rms"].values, own).max()) < 2e-3
+
+
+def true_rms(rate_hz: float, band: tuple[float, float], slope: int) -> float:
+    """Of white noise of unit variance in a rectangular band, times frequency to the power of ``slope``."""
+    hertz = np.linspace(*band, 200_001)
+    return float(np.sqrt(np.trapezoid(2.0 / rate_hz * (2 * np.pi * hertz) ** (2 * slope), hertz)))
+
+
+def test_intervals_of_levels_cover_the_truth_behind_noise() -> None:
+    rate, hits, trials = 4096.0, np.zeros(4), 400
+    bands = (LevelBand("as measured", 10.0, 1000.0), LevelBand("as measured", 178.0, 224.0))
+    for seed in range(trials):
+        rng = np.random.default_rng(seed)
+        seconds = (4.0, 12.0)[seed % 2]
+        values = rng.standard_normal(int(seconds * rate))
+        made = levels(recorded(values, rate_hz=rate), bands=bands)
+        for row, band in enumerate(bands):
+            low, high = made["rms_ci95"].values[row]
+            hits[row] += low <= true_rms(rate, (band.low_hz, band.high_hz), 0) <= high
+    assert (hits[:2] / trials > 0.92).all(), hits
+    assert (hits[:2] / trials < 0.98).all(), hits
+
+
+def test_recordings_that_differ_are_told_apart_from_noise() -> None:
+    """Of machines whose level differs from start to start, the interval is that between the starts."""
+    hits, trials = 0, 200
+    for seed in range(trials):
+        rng = np.random.default_rng(seed)
+        starts = [
+            recorded(
+                np.exp(0.3 * rng.standard_normal()) * np.cos(2 * np.pi * 60.0 * at_times(3.0, 2560.0))
+                + 0.05 * rng.standard_normal(int(3.0 * 2560.0)),
+                rate_hz=2560.0,
+                name=str(number),
+            )
+            for number in range(6)
+        ]
+        low, high = levels(*starts, bands=WIDE[1:])["rms_ci95"].values[0]
+        hits += low <= np.sqrt(0.5 * np.exp(2 * 0.3**2)) <= high
+    assert hits / trials > 0.85, hits
+
+
+def test_a_band_beyond_the_recorder_says_where_it_ends_and_a_pressure_has_no_velocity() -> None:
+    slow = levels(recorded(np.random.default_rng(0).standard_normal(9520), rate_hz=952.0))
+    assert slow["reached_frequency"].values.tolist() == pytest.approx([952.0 / 2.56] * 2)
+    pressure = recorded(np.random.default_rng(0).standard_normal(40960))
+    pressure["quantity"], pressure["unit"] = ("channel", np.array(["pressure"])), ("channel", np.array(["Pa"]))
+    assert levels(pressure)["quantity"].values.tolist() == ["pressure"]
+
+
+def test_missing_samples_take_no_part_and_short_recordings_have_no_level() -> None:
+    at = at_times(10.0)
+    values = np.cos(2 * np.pi * 50.0 * at)
+    values[30_000:31_000] = np.nan
+    assert float(levels(recorded(values))["rms"][1]) == pytest.approx(np.sqrt(0.5), rel=0.01)
+    made = level_frames(recorded(values[:800]), shaft(np.array([0.0, 0.1]), np.array([0.0, 2.5]), np.full(2, 1500.0)),
+                        bands=WIDE, frame_s=0.5)  # fmt: skip
+    assert made.sizes["frame"] == 0
+
+
+def test_blocks_of_a_long_recording_meet_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    from crankorder.campbell import band_levels
+
+    values = np.cumsum(np.random.default_rng(5).standard_normal(int(60 * 2560.0)))
+    whole = levels(recorded(values, rate_hz=2560.0), bands=(*WIDE, *third_octaves()))
+    monkeypatch.setattr(band_levels, "_BLOCK", 1 << 15)
+    parts = levels(recorded(values, rate_hz=2560.0), bands=(*WIDE, *third_octaves()))
+    wide = slice(0, 2)
+    assert parts["rms"].values[wide] == pytest.approx(whole["rms"].values[wide], rel=2e-3)
+    assert parts["rms"].values == pytest.approx(whole["rms"].values, rel=0.03)

@@ -1,0 +1,93 @@
+"""What limits of the user come to: above, within and not decided, beside a truth that was put in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.campbell.band_levels import LevelBand, level_frames, vibration_levels
+from crankorder.findings import Balance
+from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
+from crankorder.identify.sources import Limit, Sources
+from made.recordings import named, shaft
+
+RATE_HZ = 5120.0
+BANDS = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000.0))
+
+
+def measured(
+    rms_by_rpm: dict[float, float], *, seed: int, seconds: float = 8.0, rate_hz: float = RATE_HZ
+) -> xr.Dataset:
+    """Levels of recordings of white noise whose acceleration from 10 to 1000 Hz has those root mean squares."""
+    items = []
+    for number, (rpm, rms) in enumerate(rms_by_rpm.items()):
+        noise = np.random.default_rng([seed, number]).standard_normal(int(seconds * rate_hz))
+        values = noise * rms / math.sqrt(2.0 * 990.0 / rate_hz)
+        attrs = {"recording": str(number), "domain": "time", "rate_hz": rate_hz}
+        one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
+        one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
+        one["si_per_unit"] = ("channel", np.array([1.0]))
+        knots = np.linspace(0.0, seconds, 40)
+        angle = shaft(knots, knots * rpm / 60.0, np.full(40, rpm))
+        items.append(level_frames(one, angle, bands=BANDS, frame_s=0.5))
+    return vibration_levels(items, speed_bin_rpm=25.0)
+
+
+def sources(value: float, *, quantity: str = "acceleration", channels: tuple[str, ...] = ()) -> Sources:
+    return Sources(1, limits=(Limit(quantity, 10.0, 1000.0, value, "contract", channels),), rotor_kg=20.0)
+
+
+def test_the_speed_that_is_above_is_named_and_what_is_below_is_within() -> None:
+    made = measured({900.0: 1.0, 1500.0: 3.0, 2100.0: 2.0}, seed=1)
+    (above,) = limit_verdicts(made, None, sources(2.5))
+    assert (above.verdict, round(above.speed_rpm or 0)) == ("above", 1500)
+    assert above.level == pytest.approx(3.0, rel=0.03)
+    (within,) = limit_verdicts(made, None, sources(3.5))
+    assert within.verdict == "within"
+    (velocity,) = limit_verdicts(made, None, sources(1.0, quantity="velocity"))
+    assert (velocity.unit, velocity.value, velocity.verdict) == ("mm/s", 1000.0, "within")
+
+
+def test_a_limit_at_the_level_is_seldom_called_passed_or_kept() -> None:
+    """At four speeds with the level at the limit either verdict is a chance of some per cent."""
+    verdicts = []
+    for seed in range(150):
+        made = measured(dict.fromkeys((900.0, 1500.0, 2100.0, 2700.0), 2.0), seed=seed, seconds=4.0)
+        verdicts.append(limit_verdicts(made, None, sources(2.0))[0].verdict)
+    assert verdicts.count("above") <= 9  # 2.5 % wanted: 9 of 150 has a chance of 1 %
+    assert verdicts.count("within") <= 2
+
+
+def test_what_cannot_be_told_is_not_decided() -> None:
+    slow = measured({900.0: 1.0}, seed=2, rate_hz=1000.0)
+    assert limit_verdicts(slow, None, sources(50.0))[0].verdict == "not decided"
+    assert "reaches" in limit_verdicts(slow, None, sources(50.0))[0].evidence
+    short = measured({900.0: 1.0}, seed=2, seconds=0.4)
+    assert limit_verdicts(short, None, sources(50.0, channels=("a",)))[0].verdict == "not decided"
+    assert limit_verdicts(short, None, sources(0.006, quantity="balance grade"))[0].verdict == "not decided"
+
+
+def test_the_balance_grade_is_unbalance_over_mass_times_speed() -> None:
+    """By hand: 500 g mm on 20 kg are 25 µm; at 3000 rpm, 314.159 rad/s, G is 7.854 mm/s."""
+    balance = Balance(residual_rotating_gmm=500.0, residual_rotating_gmm_ci95=(480.0, 520.0))
+    made = graded(balance, sources(1.0), 3000.0)
+    assert made is not None
+    assert made.grade_mm_s == pytest.approx(7.853982, rel=1e-6)
+    assert made.grade_speed_rpm == 3000.0
+    levels = measured({900.0: 1.0}, seed=3)
+    above, within = (limit_verdicts(levels, made, sources(g, quantity="balance grade"))[0] for g in (6.3e-3, 16e-3))
+    assert (above.verdict, within.verdict) == ("above", "within")
+    assert graded(balance, Sources(1), 3000.0) is balance
+
+
+def test_the_largest_level_of_each_band_is_marked_once() -> None:
+    made = measured({900.0: 1.0, 1500.0: 3.0}, seed=4)
+    records = vibration_records(made)
+    assert len(records) == 4
+    assert [(round(one.speed_rpm or 0), one.quantity) for one in records if one.largest] == [
+        (1500, "velocity"), (1500, "acceleration"),
+    ]  # fmt: skip
+    assert third_octave_records(made) == ()

@@ -1,0 +1,91 @@
+"""Velocity and displacement from an accelerometer, as the manifest asks for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crankorder.errors import ManyErrors
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+from crankorder.settings import load_settings
+
+SETTINGS = load_settings()
+RATE_HZ = 2560.0
+HEAD = """schema_version = 1
+[test]
+cycle = "none"
+[recordings]
+files = ["a.csv"]
+[sampling]
+rate_hz = 2560.0
+[[channels]]
+name = "Z"
+source = 0
+"""
+
+
+def folder_of(path: Path, channel: str, *, head: str, values: np.ndarray) -> Path:
+    np.savetxt(path / "a.csv", values, header=head, comments="", fmt="%.9g")
+    (path / "run.toml").write_text(HEAD + channel)
+    return path
+
+
+def tone(hertz: float) -> np.ndarray:
+    return 3.0 * np.cos(2 * np.pi * hertz * np.arange(int(20 * RATE_HZ)) / RATE_HZ)  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(
+    ("channel", "head", "factor"),
+    [
+        ('unit = "mm/s"\nquantity = "velocity"\nsensitivity = "100 mV/g"', "acc (mV)", 9.80665e-2),
+        ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"', "acc", 9.80665),
+        ('unit = "mm/s"\nquantity = "velocity"', "acc (m/s2)", 1.0),
+        ('unit = "mm/s"\nquantity = "velocity"\nhighpass_hz = 10.0', "acc (g)", 9.80665),
+    ],
+)
+def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(
+    tmp_path: Path, channel: str, head: str, factor: float
+) -> None:
+    folder = folder_of(tmp_path, channel, head=head, values=tone(40.0))
+    made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
+    signal = made["signal"].values[0]
+    assert np.sqrt(2.0) * np.nanstd(signal) == pytest.approx(3.0e3 * factor / (2 * np.pi * 40.0), rel=1e-3)
+    assert np.isnan(signal[0])
+    assert "high-pass" in made.attrs["quality"]
+    assert made["quantity"].values.tolist() == ["velocity"]
+
+
+def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path: Path) -> None:
+    for head, turning in (("a (m/s2)", (2 * np.pi * 40.0) ** 2), ("v (m/s)", 2 * np.pi * 40.0)):
+        folder = folder_of(tmp_path, 'unit = "um"\nquantity = "displacement"', head=head, values=tone(40.0))
+        made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
+        assert np.sqrt(2.0) * np.nanstd(made["signal"].values[0]) == pytest.approx(3e6 / turning, rel=1e-3)
+
+
+def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, 'unit = "mm/s"\nsensitivity = "100 mV/g"', head="acc", values=tone(40.0))
+    with pytest.raises(ManyErrors, match="acceleration"):
+        load_manifest(folder)
+    folder = folder_of(tmp_path, 'unit = "g"\nquantity = "velocity"', head="acc", values=tone(40.0))
+    with pytest.raises(ManyErrors, match="unit of the result"):
+        load_manifest(folder)
+
+
+@pytest.mark.parametrize(
+    ("limit", "said"),
+    [
+        ('quantity = "velocity"\nvalue = "4.5 g"\nsource = "x"', "unit of it"),
+        ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = "x"\nchannels = ["Q"]', "no such channel"),
+        ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = "x"\nband_hz = [100.0, 10.0]', "lower end"),
+        ('quantity = "balance grade"\nvalue = "6.3 mm/s"\nsource = "x"', "mass"),
+        ('quantity = "velocity"\nvalue = "4.5 mm/s"', "source"),
+    ],
+)
+def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path: Path, limit: str, said: str) -> None:
+    channel = f'unit = "m/s2"\n[[limits]]\n{limit}'
+    with pytest.raises(ManyErrors, match=said) as error:
+        load_manifest(folder_of(tmp_path, channel, head="acc", values=np.zeros(5)))
+    assert "run.toml:" in str(error.value)
