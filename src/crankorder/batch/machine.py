@@ -55,6 +55,7 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         ),
         rotor_kg=None if manifest.rotor is None else manifest.rotor.mass_kg,
         service_rpm=None if manifest.rotor is None else manifest.rotor.service_rpm,
+        two_stroke=manifest.test.cycle == "two-stroke",
     )
 
 

@@ -29,7 +29,8 @@ class Sources:
     ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
     and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
     named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose;
-    ``motor``: a stated induction motor; ``limits`` of the manifest; mass of the rotor and its speed in service.
+    ``motor``: a stated induction motor; ``two_stroke``: whether it is a piston engine that fires each revolution;
+    ``limits`` of the manifest; mass of the rotor and its speed in service.
     """
 
     revs_per_cycle: int
@@ -41,6 +42,7 @@ class Sources:
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()
     motor: Motor | None = None
+    two_stroke: bool = False
     limits: tuple[Limit, ...] = ()
     rotor_kg: float | None = None
     service_rpm: float | None = None
