@@ -346,7 +346,7 @@ def _groups(centre: Floats, near: float) -> NDArray[np.int64]:
     label = np.concatenate([np.zeros((len(centre), 1), dtype=np.int64), np.cumsum(apart, axis=1)], axis=1)
     made = np.empty(centre.shape, dtype=np.int64)
     np.put_along_axis(made, rank, label, axis=1)
-    return made + np.arange(len(centre))[:, None] * centre.shape[1]
+    return np.asarray(made + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
 
 
 def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:

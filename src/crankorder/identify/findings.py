@@ -43,7 +43,7 @@ from crankorder.identify.motors import (
 )
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
-from crankorder.identify.parted_tones import with_tones_parted
+from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
@@ -219,7 +219,7 @@ def _orders_and_modes(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = with_tones_parted(modal, held)
+    modal = without_absent_mains(with_tones_parted(modal, held), held, settings=settings.identify)
     if speed_source([*frames, order_map]) == "pulses":
         in_map, modal = with_lines_of_recordings(in_map, modal, held, order_map, settings=settings.identify)
     modal = without_doubles(with_mains_tones(modal, known, in_map))

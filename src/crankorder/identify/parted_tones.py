@@ -9,10 +9,12 @@ import numpy as np
 
 from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import LOBE_BINS, Held
+from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.several_orders import several_lines, unparted_reach
+from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.identify.modal.tones import NEAR_BINS
+from crankorder.settings import IdentifySettings
 
 UNPARTED = "several lines that the recordings are too short to part, or one that swells"
 """What is said of a tone that is no single steady line."""
@@ -45,6 +47,36 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
         held_of_it = _holding(tone, own) if len(own) > 1 else tone
         made.append(held_of_it if near else _unless_several(held_of_it, centres, longest, NEAR_BINS * step))
     return replace(modal, tones=tuple(made))
+
+
+def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: IdentifySettings) -> ModalFit:
+    """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
+
+    A supply is there at every speed; what stands near one of its many multiples at some speeds is something else.
+    ``settings``: the mains frequencies and how far they wander.
+    """
+    if len(modal.frequency_hz) < 2:
+        return modal
+    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
+    tones = [
+        _unless_absent(tone, held, step) if tone.kind == "mains" and _is_high(tone, settings) else tone
+        for tone in modal.tones
+    ]
+    return replace(modal, tones=tuple(tones))
+
+
+def _is_high(tone: Tone, settings: IdentifySettings) -> bool:
+    """Whether a ``tone`` lies far above the multiples of the mains that may stand alone."""
+    return tone.frequency_hz > MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
+
+
+def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
+    place = tone.frequency_hz
+    inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
+    shown = sum(found_near(one, place - reach_hz, place + reach_hz, []) is not None for one in inside)
+    if not inside or shown == len(inside):
+        return tone
+    return replace(tone, kind="tone", evidence=f"no damping; {shown} of {len(inside)} recordings show it")
 
 
 def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:

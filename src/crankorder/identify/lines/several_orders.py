@@ -155,13 +155,8 @@ def _is_noise(held: Held, bins: NDArray[np.int64], left: Complex, told: Floats) 
 
     Of the channels in which one of them stands out; False where none does.
     """
-    power = np.square(np.abs(held.spectrum)).mean(axis=1)
-    wide = np.arange(
-        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
-    )
-    floor = np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300)
-    largest = np.square(told).max(axis=0)
-    shown = largest > NUMBERS.stands_over_ratio * floor
+    largest, floor = np.square(told).max(axis=0), _floor(held, bins)
+    shown = _shown(held, bins, told)
     over = np.square(np.abs(left)).reshape(len(held.turn), len(bins), -1).mean(axis=0).max(axis=0) / floor
     return bool(shown.any() and (over < NUMBERS.left_ratio + NUMBERS.left_share**2 * largest / floor)[shown].all())
 
@@ -177,18 +172,36 @@ def unparted_reach(held: Held, low: float, high: float, orders: Sequence[float])
     if not len(bins) or len(held.turn) < 8:
         return None
     data = data_of(held, bins)
+    scored = _scores(held, bins, data, low, high)
+    if scored is None:
+        return None
+    trial, score = scored
+    strongest = waves_of(held, bins, [(0.0, float(trial[int(np.argmax(score))]))])
+    size = np.abs(np.linalg.lstsq(strongest, data, rcond=None)[0])
+    if not _shown(held, bins, size).any():
+        return None
     if orders:
         waves = waves_of(held, bins, [(0.0, order) for order in orders])
         left = data - waves @ np.linalg.lstsq(waves, data, rcond=None)[0]
         lost = np.square(np.abs(left)).sum(axis=0) / np.maximum(np.square(np.abs(data)).sum(axis=0), 1e-300)
         if lost.min() < NUMBERS.unparted_share:
             return None
-    scored = _scores(held, bins, data, low, high)
-    if scored is None:
-        return None
-    trial, score = scored
     near = trial[score >= NUMBERS.unparted_share * score.max()]
     return float(near.min()), float(near.max())
+
+
+def _floor(held: Held, bins: NDArray[np.int64]) -> Floats:
+    """Median power (channels,) of the bins beside ``bins``."""
+    power = np.square(np.abs(held.spectrum)).mean(axis=1)
+    wide = np.arange(
+        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
+    )
+    return np.asarray(np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300))
+
+
+def _shown(held: Held, bins: NDArray[np.int64], told: Floats) -> NDArray[np.bool_]:
+    """In which channels one of the amplitudes ``told`` (lines, channels) stands out of what is beside the ``bins``."""
+    return np.asarray(np.square(told).max(axis=0) > NUMBERS.stands_over_ratio * _floor(held, bins))
 
 
 def _strongest(held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float) -> float | None:
