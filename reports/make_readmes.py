@@ -15,6 +15,7 @@ from typing import Any
 from model_keys import Row, default_of, kind_of, tables_of, toml_of
 from pydantic.fields import FieldInfo
 
+from crankorder.engine.balance_data import BalanceData
 from crankorder.engine.definition import Engine
 from crankorder.findings import Findings
 from crankorder.ingest.manifest import Manifest
@@ -232,6 +233,16 @@ def render_keys(title: str, model: type[Scene] | type[Engine], skip: tuple[str, 
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
+def render_balance_keys() -> str:
+    """The part of that page on the table ``[balance]`` of an engine file."""
+    parts = ["", "## `[balance]`", BALANCE_NOTES]
+    for heading, about, rows in tables_of(BalanceData):
+        inner = heading.lstrip("[").rstrip("]")
+        named = heading.replace(inner, f"balance.{inner}")
+        parts += [f"### `{named}`" if heading else "", about, table(("key", "value", "default"), rows)]
+    return "\n\n".join(part for part in parts if part).join(("\n", "\n"))
+
+
 SCENE_NOTES = (
     "A scene is a TOML file: `crankorder synth my-scene.toml --out FOLDER`. What it does not name is not there and "
     "costs nothing. Short lists can be written in one line: `by_order = [{ order = 2.0, percent = 1.0 }]`. `engine` is "
@@ -241,7 +252,11 @@ SCENE_NOTES = (
 )
 ENGINE_NOTES = (
     "An engine is a TOML file; a manifest, a scene or `crankorder balance` names it. Lengths are in metres, masses in "
-    "kilograms, angles in degrees of crank. A table `[balance]` is for `crankorder balance` alone."
+    "kilograms, angles in degrees of crank. A table `[balance]` is for `crankorder balance` alone; its keys come last."
+)
+BALANCE_NOTES = (
+    "A table of an engine file, all of it optional: what `crankorder balance` is to work out beside the forces. Masses "
+    "are in grams, lengths in millimetres, as in drawings of parts; the crankshaft is in kilograms."
 )
 
 
@@ -310,7 +325,8 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
         root / "pipeline" / "scenes" / "README.md": render_keys(
             "Scenes: every key", Scene, ("engine", "engine_file"), SCENE_NOTES
         ),
-        root / "pipeline" / "engines" / "README.md": render_keys("Engines: every key", Engine, (), ENGINE_NOTES),
+        root / "pipeline" / "engines" / "README.md": render_keys("Engines: every key", Engine, (), ENGINE_NOTES)
+        + render_balance_keys(),
     }
 
 

@@ -29,7 +29,7 @@ from crankorder.batch.in_memory import Recordings, analysed, engine_of
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.result_folder import RESULTS, result_folders
+from crankorder.batch.result_folder import RESULTS, read_findings, result_folders
 from crankorder.batch.store import json_bytes
 from crankorder.channel_units import with_real_units
 from crankorder.errors import InputError, RequestError
@@ -53,6 +53,7 @@ from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
 from crankorder.report.netcdf import plain_attrs
+from crankorder.report.notebook import Diagnosis, Sheet, tests_table
 from crankorder.report.published import findings_datasets, published, root_attrs
 from crankorder.settings import Settings, load_settings
 from crankorder.shaft.decode import ShaftKnowledge
@@ -308,8 +309,10 @@ def diagnose(
     motor: Mapping[str, Any] | None = None,
     test: str = "test",
     recipe: str | None = None,
-) -> Findings:
+) -> Diagnosis:
     """What ``recordings`` of one test say, with intervals and evidence; ``as_dict`` is what ``findings.json`` holds.
+
+    A notebook shows the headline and the tables of the report page.
 
     ``engine``: a shipped engine or the path of a TOML file. ``bearings``, ``gears``, ``motor``: tables of the manifest,
     with its keys. ``test``: its name. ``recipe`` is that of :func:`order_map`. Raises ManyErrors where a table is
@@ -387,7 +390,8 @@ def run(
 def open(path: str | os.PathLike[str]) -> xr.DataTree:
     """Results at ``path`` as a tree, read as they are touched: a ``results.nc``, a test's folder, or a whole ``--out``.
 
-    Of several tests each is a branch. Raises RequestError where there are none.
+    Of several tests each is a branch, and the root holds a table of them: ``co.open(OUT).to_dataset().to_dataframe()``.
+    Raises RequestError where there are none.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -400,7 +404,9 @@ def open(path: str | os.PathLike[str]) -> xr.DataTree:
     files = [given] if given.is_file() else [folder / RESULTS for folder in result_folders(given)]
     if len(files) == 1:
         return _tree(files[0])
-    return xr.DataTree(name=given.name, children={file.parent.name: _tree(file) for file in files})
+    branches = {file.parent.name: _tree(file) for file in files}
+    table = tests_table({file.parent.name: _findings(file.parent) for file in files})
+    return xr.DataTree(table, name=given.name, children=branches)
 
 
 def compare(
@@ -409,7 +415,7 @@ def compare(
     fdr: float = 0.05,
     any_dependence: bool = False,
     out: str | os.PathLike[str] | None = None,
-) -> dict[str, Any]:
+) -> Sheet:
     """What changed from the results in ``base`` to the last of ``new`` (``data_schema/comparison.json``).
 
     Several ``new`` in time order give the trend over all. ``fdr``: the share of the claimed changes that may be
@@ -460,7 +466,7 @@ def balance(
     max_order: int = 8,
     speeds_rpm: Sequence[float] = (),
     out: str | os.PathLike[str] | None = None,
-) -> dict[str, Any]:
+) -> Sheet:
     """Forces by order, balance strategies, shafts and residuals of ``engine`` (``data_schema/balance.json``).
 
     ``engine``: a shipped engine or the path of a TOML file. ``max_order``: highest order in the tables, 4 to 1000.
@@ -514,13 +520,13 @@ def _plain(value: Any) -> Any:
 
 def _analysed(
     recordings: Recordings, settings: Settings, *, tables: Mapping[str, Any] | None = None, **options: Any
-) -> tuple[dict[str, xr.Dataset], Findings]:
+) -> tuple[dict[str, xr.Dataset], Diagnosis]:
     """Groups and findings of ``recordings``; what was left out and what is suspect is warned of."""
     groups, findings, faults = analysed(recordings, settings, tables=tables or {}, **options)
     _warn(faults)
     suspect = [flag for flag in findings.quality if flag.severity == "suspect" and flag.flag != NO_MARK]
     _warn([f"{flag.recording}: {flag.flag}: {flag.detail}" for flag in suspect])
-    return groups, Findings.from_dict(_document(json_bytes(findings.as_dict())))
+    return groups, Diagnosis.from_dict(_document(json_bytes(findings.as_dict())))
 
 
 def _tree(file: Path) -> xr.DataTree:
@@ -535,10 +541,18 @@ def _tree(file: Path) -> xr.DataTree:
     return tree
 
 
-def _document(text: str | bytes) -> dict[str, Any]:
+def _findings(folder: Path) -> Findings | None:
+    """Findings of the results in ``folder``; None, with a warning, where they cannot be read."""
+    try:
+        return read_findings(folder)
+    except InputError as error:
+        _warn([error])
+        return None
+
+
+def _document(text: str | bytes) -> Sheet:
     """What a JSON file of that ``text`` holds, so that a notebook sees what is on disk."""
-    document: dict[str, Any] = json.loads(text)
-    return document
+    return Sheet(json.loads(text))
 
 
 def _run_folders(plans: list[CampaignPlan], out: Path, options: RunOptions) -> None:

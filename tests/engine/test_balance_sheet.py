@@ -181,7 +181,7 @@ def test_several_cylinders_show_their_sum_and_no_strategies_of_one() -> None:
     assert sheet["strategies"] is None
     assert sheet["shafts"]["1"] is None
     assert sheet["moment_g_mm2"]["about_y"]["1"] == pytest.approx(500 * 40 * 100, rel=1e-12)
-    assert any("rocking moment" in sentence for sentence in sheet["sentences"])
+    assert any("rocking couple" in sentence for sentence in sheet["sentences"])
     json.dumps(sheet, allow_nan=False)
 
 

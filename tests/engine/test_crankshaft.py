@@ -1,13 +1,16 @@
 """Balance of the crankshaft: table 2 of the thesis as printed and recomputed, two planes, fans and slugs."""
 
+import tomllib
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
-from crankorder.engine.balance_data import load_balanced_engine
+from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
+from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.crankshaft import (
     CrankshaftSection,
     CrankshaftSums,
@@ -18,7 +21,8 @@ from crankorder.engine.crankshaft import (
     slug_unbalance_kg_mm,
     two_plane_correction,
 )
-from crankorder.errors import RequestError
+from crankorder.errors import ManyErrors, RequestError
+from crankorder.settings import shipped
 
 DATA = load_balanced_engine("msu-shafts").balance.crankshaft
 assert DATA is not None
@@ -90,7 +94,7 @@ def test_literature_table_2_is_in_static_balance_but_leaves_a_rocking_couple(tru
 
 def test_counterweights_that_meet_both_sums_are_those_of_the_truth_sheet(truth: dict[str, Any]) -> None:
     known = truth["seed001"]["table2"]
-    rest = printed_sums(skip=DATA.counterweights)
+    rest = printed_sums(skip=DATA.planes)
     needed = two_plane_correction(rest, DATA.planes_mm)
     for correction, name in zip(needed, ("CW1", "CW2"), strict=True):
         assert correction.imag == pytest.approx(
@@ -168,7 +172,7 @@ def test_literature_radius_then_thickness_then_fan_angle_change_the_balance_most
 )
 def test_a_counterweight_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
     sizes = {"radius_mm": 60.0, "thickness_mm": 18.0, "fan_angle_deg": 120.0, "density_kg_m3": 7850.0}
-    with pytest.raises(RequestError, match="no such counterweight"):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
         FanCounterweight(**(sizes | wrong))
 
 
@@ -177,3 +181,102 @@ def test_analytic_a_slug_counts_by_the_difference_of_the_densities() -> None:
     found = slug_unbalance_kg_mm(**slug, slug_density_kg_m3=17850.0)
     assert found == pytest.approx(np.pi * 100 * 30 * 1e-9 * 10_000 * 50, rel=1e-14)
     assert slug_unbalance_kg_mm(**slug, slug_density_kg_m3=7850.0) == 0
+
+
+def test_table_2_is_an_output_of_the_engine_file_row_by_row(truth: dict[str, Any]) -> None:
+    table = balance_sheet(load_balanced_engine("msu-shafts"))["crankshaft"]
+    for row, known in zip(table["sections"], truth["seed001"]["table2"]["rows"], strict=True):
+        assert row["name"] == known["component"]
+        assert complex(*row["static_kg_mm"].values()) == pytest.approx(complex(known["WRX"], known["WRY"]), rel=1e-12)
+        assert complex(*row["dynamic_kg_mm2"].values()) == pytest.approx(complex(known["CX"], known["CY"]), rel=1e-12)
+    assert not table["overbalance_met"]
+
+
+def fan_crankshaft(**changes: Any) -> dict[str, Any]:
+    """Content of the shipped file with counterweights by shape; ``changes`` of its crankshaft."""
+    content = tomllib.loads(shipped("engines")["msu-crankshaft"])
+    content["balance"]["crankshaft"] |= changes
+    return content
+
+
+def test_analytic_each_size_that_a_fan_is_told_to_have_brings_both_sums_to_zero() -> None:
+    content = fan_crankshaft()
+    planes = balance_sheet(balanced_engine(content, name="fans", source="fans.toml"))["crankshaft"]["planes"]
+    assert planes[0]["fan"]["resized"]["fan_angle_deg"] is None  # no fan of half a turn is wide enough
+    for size in ("radius_mm", "thickness_mm"):
+        fans = [
+            {**fan, size: plane["fan"]["resized"][size], "angle_deg": 0.0}
+            for fan, plane in zip(content["balance"]["crankshaft"]["counterweights"], planes, strict=True)
+        ]
+        changed = balanced_engine(fan_crankshaft(counterweights=fans), name="fans", source="fans.toml")
+        data = changed.balance.crankshaft
+        assert data is not None
+        sums = crankshaft_sums(data.parts)
+        # what lies across the fans (x) they cannot correct without turning
+        assert abs(sums.static_kg_mm.imag) < 1e-4 * 108
+        assert abs(sums.dynamic_kg_mm2.imag) < 1e-4 * 9176
+
+
+@given(
+    st.floats(20, 300), st.floats(0, 0.95), st.floats(1, 350), st.floats(0.3, 1.5), st.floats(-40, 40), st.floats(1, 60)
+)
+def test_analytic_a_resized_fan_has_the_unbalance_asked_for(
+    radius: float, inner: float, fan: float, more: float, angle: float, thickness: float
+) -> None:
+    weight = FanCounterweight(
+        radius_mm=radius, inner_radius_mm=inner * radius, thickness_mm=thickness, fan_angle_deg=fan,
+        density_kg_m3=7850.0, angle_deg=angle,
+    )  # fmt: skip
+    wanted = more * weight.unbalance_kg_mm
+    for size, value in weight.resized(wanted).items():
+        if value is not None:
+            changed = weight.model_copy(update={size: value})
+            # near a fan of half a turn the sine is flat: half the digits of the angle
+            rel = 1e-7 if size == "fan_angle_deg" else 1e-9
+            assert changed.unbalance_kg_mm == pytest.approx(wanted, rel=rel)
+    at = weight.section
+    assert abs(complex(at.x_mm, at.y_mm)) == pytest.approx(weight.centroid_mm, rel=1e-12)
+
+
+def test_analytic_a_slug_moves_both_sums_by_its_own_product_and_place() -> None:
+    with_slug = balanced_engine(fan_crankshaft(), name="fans", source="fans.toml").balance.crankshaft
+    without = balanced_engine(fan_crankshaft(slugs=[]), name="fans", source="fans.toml").balance.crankshaft
+    assert with_slug is not None
+    assert without is not None
+    added = np.pi / 4 * 20**2 * 30 * 1e-9 * (17600 - 7850) * 70
+    moved = crankshaft_sums(with_slug.parts).static_kg_mm - crankshaft_sums(without.parts).static_kg_mm
+    assert moved == pytest.approx(-1j * added, rel=1e-9)
+    dynamic = crankshaft_sums(with_slug.parts).dynamic_kg_mm2 - crankshaft_sums(without.parts).dynamic_kg_mm2
+    assert dynamic == pytest.approx(-1j * added * 38.3443, rel=1e-9)
+
+
+def test_the_rod_as_cut_and_as_weighed_takes_the_place_of_the_bob_weight() -> None:
+    content = fan_crankshaft()
+    content["balance"]["rod_split"]["on_pin"] = {
+        "mass_g": 1673.0, "centre_from_big_end_mm": 38.6, "rod_length_mm": 157.0916,
+    }  # fmt: skip
+    table = balance_sheet(balanced_engine(content, name="fans", source="fans.toml"))["crankshaft"]
+    found = {one["method"]: one for one in table["bob_weights"]}
+    assert list(found) == ["stated", "cut", "scale", "on pin"]
+    assert found["on pin"]["mass_kg"] == pytest.approx(1.673 * (1 - 38.6 / 157.0916), rel=1e-12)
+    change = found["scale"]["static_kg_mm"]["y"] - found["cut"]["static_kg_mm"]["y"]
+    assert change == pytest.approx((1.2624 - 1.0159) * 47.3, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bob_weight": "Bob"}, "Bob"),
+        ({"counterweights": ["Cheek 1"]}, "two counterweights or more"),
+        ({"slugs": [{"into": "Cheek 1", "diameter_mm": 1.0, "length_mm": 1.0, "radius_mm": 9.0,
+                     "density_kg_m3": 17600.0}]}, "one of the counterweights"),
+        ({"slugs": [{"into": "Counterweight 1", "diameter_mm": 1.0, "length_mm": 31.0, "radius_mm": 9.0,
+                     "density_kg_m3": 17600.0}]}, "longer than"),
+        ({"slugs": [{"into": "Counterweight 1", "diameter_mm": 40.0, "length_mm": 3.0, "radius_mm": 70.0,
+                     "density_kg_m3": 17600.0}]}, "stands out"),
+        ({"counterweights": [{"shape": "cube"}, "Cheek 2"]}, "shape"),
+    ],
+)  # fmt: skip
+def test_a_crankshaft_that_cannot_be_is_refused_by_name(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ManyErrors, match=message):
+        balanced_engine(fan_crankshaft(**change), name="spoilt", source="spoilt.toml")

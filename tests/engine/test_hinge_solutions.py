@@ -12,6 +12,7 @@ from crankorder.engine.elastic_hinge import (
     air_spring_pressure,
     balanced_crank,
     crank_angle_of_hinge,
+    hinge_guides,
     hinge_moment,
     hinge_table,
     shaking_force,
@@ -22,7 +23,15 @@ from crankorder.engine.elastic_hinge import (
     weight_without_side_force,
     withheld_moment,
 )
-from crankorder.engine.hinged_crank import CrankTorque, Kinematics, TorqueBranch, load_hinged_engine, rod_motion
+from crankorder.engine.hinge_sheet import hinge_sheet
+from crankorder.engine.hinged_crank import (
+    CrankTorque,
+    GuideData,
+    Kinematics,
+    TorqueBranch,
+    load_hinged_engine,
+    rod_motion,
+)
 from crankorder.errors import RequestError
 
 ENGINE = load_hinged_engine("elastic-hinge")
@@ -223,3 +232,73 @@ def test_a_spring_without_moment_or_speed_is_refused() -> None:
         air_spring_pressure(weightless, NO_TORQUE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=2000.0)
     with pytest.raises(RequestError, match="positive"):
         air_spring_pressure(weightless, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=0.0)
+
+
+SPRING = GuideData(
+    free_length_m=0.3, least_compression_m=0.03, most_compression_m=0.13, middle_radius_m=0.22, roller_radius_m=0.012
+)
+
+
+@pytest.mark.parametrize("joint", ["pin", "strut"])
+@pytest.mark.parametrize("name", ["fig3_bd", "fig4_a", "fig5_bcd"])
+def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(name: str, joint: Joint) -> None:
+    table = hinge_table(ENGINE.cranks[name], CURVE, joint=joint, speed_rpm=3000.0, n_steps=7200)
+    guides = hinge_guides(table, SPRING)
+    compression = SPRING.free_length_m - guides.length_m
+    assert compression.min() == pytest.approx(0.03, rel=1e-9)
+    assert compression.max() == pytest.approx(0.13, rel=1e-9)
+    # by the contacts: the force along the common normal of roller and guide, whose share along the spring is k c
+    step = 2 * np.pi / 7200
+    moment = np.zeros(7200)
+    for sign, surface in ((1, guides.outer_m), (-1, guides.inner_m)):
+        centre = (0.22 + sign * guides.length_m / 2) * np.exp(2j * np.pi * table.hinge_angle_rev)
+        tangent = (np.roll(centre[:-1], -1) - np.roll(centre[:-1], 1)) / (2 * step)
+        normal = -1j * tangent / np.abs(tangent)
+        along = centre[:-1] / np.abs(centre[:-1])
+        force = -sign * guides.stiffness_n_per_m * compression[:-1] / (normal * along.conj()).real  # of guide on roller
+        moment += (centre[:-1].conj() * force * normal).imag
+        # the surface touches the roller and no more
+        assert np.abs(np.abs(surface - centre) - 0.012).max() < 1e-12
+        nearest = np.abs(surface[:, None] - centre[None, ::600]).min(axis=0)
+        assert nearest == pytest.approx(0.012, abs=1e-9)
+    # what the guides do to the spring turns it on: work that the hinge gives
+    assert np.abs(moment - table.moment_nm[:-1]).max() < 2e-3 * np.abs(table.moment_nm).max()
+
+
+def test_a_roller_larger_than_the_bends_of_its_guide_is_told() -> None:
+    table = hinge_table(ENGINE.cranks["fig5_bcd"], CURVE, joint="pin", speed_rpm=3000.0, n_steps=720)
+    assert not hinge_guides(table, SPRING).undercut
+    assert hinge_guides(table, SPRING.model_copy(update={"roller_radius_m": 0.2})).undercut
+
+
+def test_a_hinge_that_gives_work_has_no_guides() -> None:
+    table = hinge_table(ENGINE.cranks["fig3_ac"], CURVE, joint="pin", speed_rpm=3000.0, pin_hinge="full")
+    with pytest.raises(RequestError, match="no work in a turn"):
+        hinge_guides(table, SPRING)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [({"most_compression_m": 0.02}, "most_compression_m"), ({"middle_radius_m": 0.1}, "middle_radius_m")],
+)
+def test_a_spring_that_cannot_be_is_refused(change: dict[str, float], key: str) -> None:
+    with pytest.raises(ValueError, match=key):
+        GuideData(**(SPRING.model_dump() | change))
+
+
+def test_the_sheet_has_the_truncated_weights_of_figure_4_and_the_curves_of_figure_3(truth: dict[str, Any]) -> None:
+    found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4)["mechanisms"]}
+    known = truth["seed003"]["fig4_solutions"]
+    for name, weight, key in FIGURE_4:
+        kinds = found[name]["solutions"]["weight_without_side_force"][weight]
+        assert kinds["printed_truncated"] == pytest.approx(float(known[key]["truncated"]), rel=1e-12)
+        assert kinds["printed"] == pytest.approx(float(known[key]["exact"]), rel=1e-12)
+    crank = ENGINE.cranks["fig3_ac"]
+    for speed, curves in found["fig3_ac"]["curves"].items():
+        angles = np.array(curves["crank_angle_deg"]) / 360
+        full = hinge_moment(angles, crank, CURVE, speed_rpm=float(speed))
+        assert curves["m12_full_nm"] == pytest.approx(full.tolist(), rel=1e-6)
+        withheld = np.array(curves["m12_full_nm"]) - curves["m12_printed_nm"]
+        # equations (6) and (7): what the hinge leaves out is what the cylinder wall takes
+        cosine = rod_motion(angles, crank).rod_cosine
+        assert withheld == pytest.approx(np.array(curves["r43_printed_n"]) * crank.rod_length_m * cosine, rel=1e-6)

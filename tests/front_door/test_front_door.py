@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import json
 import pkgutil
 import subprocess
 import sys
@@ -344,3 +345,41 @@ def test_folders_need_a_place_for_results_and_recordings_none(folder: Path, tmp_
         co.compare(tmp_path)
     with pytest.raises(RequestError, match="out of range"):
         co.compare(tmp_path, tmp_path, fdr=2.0)
+
+
+def test_a_notebook_shows_what_matters_and_escapes_what_files_say() -> None:
+    hostile = "<script>alert(1)</script>"
+    rng = np.random.default_rng(3)
+    signal = line(3.0, 2.0) + 0.1 * rng.standard_normal(TIME.size)
+    made = co.recording({hostile: signal}, rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
+    found = co.diagnose(made, test=hostile)
+    shown = found._repr_html_()
+    assert "<script" not in shown
+    assert "&lt;script&gt;" in shown
+    assert "Order 3" in shown
+    assert "<table>" in shown
+    assert type(found).from_dict(found.as_dict()) == found
+    sheet = co.balance("msu-standard")
+    assert sheet["sentences"][0] in sheet._repr_html_()
+
+
+def test_a_folder_of_tests_opens_as_a_table_of_them(tmp_path: Path) -> None:
+    folders = [
+        *co.synthesise("hard-two-revolutions", tmp_path / "slow", quick=True),
+        *co.synthesise("hard-close-orders", tmp_path / "close", quick=True),
+    ]
+    co.run(folders, out=tmp_path / "out")
+    tree = co.open(tmp_path / "out")
+    table = tree.to_dataset().to_dataframe().set_index("folder")
+    assert set(table.index) == set(tree.children)
+    for folder, row in table.iterrows():
+        said = json.loads((tmp_path / "out" / str(folder) / "findings.json").read_text(encoding="utf-8"))
+        assert row["name"] == said["test"]
+        assert (row["speed_low_rpm"], row["speed_high_rpm"]) == tuple(said["speed_range_rpm"])
+        largest = max(said["orders"], key=lambda one: one["amplitude"])
+        assert (row["strongest_order"], row["amplitude"]) == (largest["order"], largest["amplitude"])
+        assert row["natural_frequencies"] == sum(mode["explained_by"] == "mode" for mode in said["modes"])
+    (tmp_path / "out" / str(table.index[0]) / "findings.json").write_text("{}", encoding="utf-8")
+    with pytest.warns(UserWarning, match="findings.json"):
+        again = co.open(tmp_path / "out")
+    assert again["name"].values[0] == ""

@@ -52,6 +52,7 @@ SCENES = (
     _Scene("run-up", (DEFAULT, "order-levels")),
     _Scene("thesis-first-motoring"),
     _Scene("thesis-literal-fourfold"),
+    _Scene("thesis-second-compared"),
     _Scene("thesis-second-firing", (DEFAULT, "waveforms")),
     _Scene("thesis-second-motoring", (DEFAULT, "maps", "maps-full-band", "bearing-envelope", "waveforms")),
     _Scene("two-shafts"),

@@ -17,14 +17,14 @@ from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.dataset import balance_dataset
 from crankorder.report.balance.figures import force_figure
-from crankorder.report.balance.hinge_figure import hinge_figure
+from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 from crankorder.report.balance.look import alike, called
-from crankorder.report.balance.polar_figure import polar_figure
+from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
 from crankorder.report.figures import picture_bytes
 from crankorder.settings import shipped, toml_table
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
-PICTURES = [polar_figure, force_figure, order_bars_figure]
+PICTURES = [polar_figure, force_figure, order_bars_figure, harmonics_figure]
 SPEED = 3000.0
 
 
@@ -124,7 +124,9 @@ def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5: Any) -> No
 def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5: Any, settings: Any) -> None:
     figure = polar_figure(task5, title="t", settings=settings)
     turning: dict[str, list[float]] = {}
-    for axes, name in zip(figure.axes, task5["system"].values, strict=True):
+    counterweights = ["none", "a", "b", "c", "d"]  # twice: by the first harmonic alone, and by all
+    names = [*counterweights, *counterweights, *task5["system"].values[5:]]
+    for axes, name in zip(figure.axes, names, strict=True):
         for arrow in axes.texts:
             if arrow.get_text() or getattr(arrow, "arrow_patch", None) is None or not arrow.get_gid():
                 continue
@@ -133,6 +135,59 @@ def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5: Any, setti
     assert set(turning) == {"none", "c"}
     assert all(turn < 0 for turn in turning["none"])  # clockwise, as the crank: up is along the cylinder
     assert all(turn > 0 for turn in turning["c"])
+
+
+def test_the_first_harmonic_of_strategy_c_is_a_circle_and_of_the_bare_engine_an_ellipse(
+    task5: Any, settings: Any
+) -> None:
+    figure = polar_figure(task5, title="t", settings=settings)
+    curves = [next(line for line in axes.lines if line.get_gid() == "polar").get_data() for axes in figure.axes]
+    newton = float(unbalance_force_n(1.0, SPEED))
+    across, along = curves[3]
+    assert np.hypot(across, along) == pytest.approx(160 * 25 * newton, rel=1e-12)  # document 000: 160 g, turning back
+    across, along = curves[0]
+    assert (along / (770 * 25)) ** 2 + (across / (450 * 25)) ** 2 == pytest.approx(newton**2, rel=1e-12)
+    across, along = curves[5]
+    assert np.abs((along / (770 * 25)) ** 2 + (across / (450 * 25)) ** 2 - newton**2).max() > 0.1 * newton**2
+
+
+def test_primary_and_secondary_force_add_up_as_in_figure_7_of_the_thesis(settings: Any) -> None:
+    ratio = 0.25
+    subject = _changed("msu-standard", crank_radius_m=0.04, rod_length_m=0.16, reciprocating_mass_kg=1.0)
+    figure = harmonics_figure(_dataset(subject), title="t", settings=settings)
+    (axes,) = figure.axes  # nothing across: one panel
+    lines = {line.get_gid(): np.asarray(line.get_ydata()) for line in axes.lines if line.get_gid()}
+    np.testing.assert_allclose(lines["both-x"], lines["primary-x"] + lines["secondary-x"], rtol=1e-12, atol=1e-9)
+    top, bottom = 0, 360
+    assert lines["primary-x"][top] == pytest.approx(40_000 * float(unbalance_force_n(1.0, SPEED)), rel=1e-12)
+    # "25 % more at top dead centre, 25 % less at the bottom": λ, where A2 is 1.6 % more than that
+    for at, sign in ((top, 1), (bottom, -1)):
+        assert sign * lines["secondary-x"][at] / lines["primary-x"][at] == pytest.approx(
+            0.254025042306975277, rel=1e-12
+        )
+    assert lines["all-x"][top] / lines["primary-x"][top] == pytest.approx(1 + ratio, abs=2e-6)  # exact: 1 + λ
+
+
+def test_amplitude_and_phase_stand_in_the_dataset_as_in_the_sheet() -> None:
+    for name in ("msu-optical-second", "v-twin", "inline-3"):
+        subject = load_balanced_engine(name)
+        sheet = balance_sheet(subject, speeds_rpm=[SPEED])
+        dataset = _dataset(subject)
+        for axis in "xy":
+            amplitudes, phases = (sheet[f"force_{kind}"][axis] or {} for kind in ("g_mm", "phase_deg"))
+            assert list(amplitudes) == list(phases)
+            found = dataset.sel(system="none", axis=axis)
+            for order, amount in amplitudes.items():
+                there = complex(found["force"].sel(order=float(order)).values)
+                turn = amount * np.exp(1j * np.radians(phases[order]))
+                assert turn == pytest.approx(there, rel=1e-9)
+                assert np.exp(1j * np.radians(found["phase"].sel(order=float(order)).values)) == pytest.approx(
+                    there / abs(there), abs=1e-9
+                )
+        for about, phases in (sheet["moment_phase_deg"] if "moment" in dataset else {}).items():
+            for order, phase in (phases or {}).items():
+                found = complex(dataset["moment"].sel(moment_axis=about, order=float(order)).values)
+                assert abs(np.exp(1j * np.radians(phase)) - found / abs(found)) < 1e-9
 
 
 def test_force_curves_are_in_newtons_at_the_highest_speed(task5: Any, settings: Any) -> None:
@@ -187,3 +242,18 @@ def test_the_picture_of_each_hinge_mechanism_has_no_text_on_another(number: int,
     assert _overlaps(figure) == []
     lines = [line for axes in figure.axes for line in axes.lines if str(line.get_gid()).startswith("pin-")]
     assert len(lines) == len(mechanism.speeds_rpm)
+    drawn = {str(line.get_gid()) for axes in figure.axes for line in axes.lines}
+    assert {"side-force-printed", "side-force-potential", "m12-full-0", "m12-printed-0", "torque-potential"} <= drawn
+
+
+def test_the_guides_of_both_hinges_are_drawn_to_scale(settings: Any) -> None:
+    engine = load_hinged_engine("elastic-hinge")
+    mechanism = next(one for one in engine.mechanisms if one.pin_guides is not None)
+    figure = guide_figure(engine, mechanism, 2865.0, settings=settings)
+    assert _overlaps(figure) == []
+    assert len(figure.axes) == 2
+    for axes in figure.axes:
+        guides = [line for line in axes.lines if line.get_gid() == "guide"]
+        assert len(guides) == 2
+        reach = [np.hypot(*line.get_data()).min() for line in guides]
+        assert max(reach) > mechanism.pin_guides.middle_radius_m > min(reach) > 0  # type: ignore[union-attr]

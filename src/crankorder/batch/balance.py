@@ -101,7 +101,7 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     from crankorder.report.balance.bars_figure import order_bars_figure
     from crankorder.report.balance.dataset import balance_dataset
     from crankorder.report.balance.figures import force_figure
-    from crankorder.report.balance.polar_figure import polar_figure
+    from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
     from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
@@ -112,7 +112,12 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     dataset = balance_dataset(subject, balance.document, max_order=balance.max_order, speeds_rpm=balance.speeds_rpm)
     groups = {"balance": dataset}
     shown = as_stored(groups)["balance"]
-    pictures = {"polar": polar_figure, "force": force_figure, "orders": order_bars_figure}
+    pictures = {
+        "polar": polar_figure,
+        "force": force_figure,
+        "orders": order_bars_figure,
+        "harmonics": harmonics_figure,
+    }
     kind = settings.picture_format
     made = {
         f"{name}.{kind}": picture_bytes(draw(shown, title=title, settings=settings), dpi=settings.dpi, kind=kind)
@@ -124,7 +129,7 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
 
 def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.batch.plan import folder_name
-    from crankorder.report.balance.hinge_figure import hinge_figure
+    from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
     from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import results_bytes
 
@@ -139,6 +144,9 @@ def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]
         if settings.pictures:
             figure, kind = hinge_figure(engine, mechanism, speeds, settings=settings), settings.picture_format
             made[f"hinges_{name}.{kind}"] = picture_bytes(figure, dpi=settings.dpi, kind=kind)
+            if mechanism.pin_guides is not None or mechanism.strut_guides is not None:
+                cut = guide_figure(engine, mechanism, max(speeds), settings=settings)
+                made[f"guides_{name}.{kind}"] = picture_bytes(cut, dpi=settings.dpi, kind=kind)
         groups |= {f"{joint}_{name}": _characteristic(table) for joint, table in found["characteristic"].items()}
     return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
 

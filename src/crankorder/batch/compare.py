@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from crankorder.batch.result_folder import DONE, publish, read_document, read_findings
+from crankorder.batch.result_folder import DONE, FINDINGS, RESULTS, publish, read_document, read_findings
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
 from crankorder.errors import InputError, RequestError
 from crankorder.identify.changes.compared import Compared, Tested, compared
@@ -126,7 +126,7 @@ def publish_comparison(comparison: Comparison, out: Path, *, report: dict[str, A
     """
     refuse_results(out, comparison.folders)
     files = _files(comparison, load_settings(asked={"report": report or {}}).report)
-    marks = [file_sha256(folder / name) for folder in comparison.folders for name in ("results.nc", "findings.json")]
+    marks = [file_sha256(folder / name) for folder in comparison.folders for name in (RESULTS, FINDINGS)]
     publish(out, files, key=text_sha256(version("crankorder"), json.dumps(comparison.document, default=str), *marks))
     return [out / name for name in files]
 

@@ -24,7 +24,7 @@ from crankorder.errors import EnvironmentFailure, InputError, RequestError, prin
 from crankorder.findings import SCHEMA_VERSION, Findings
 from crankorder.ingest.folder import is_leftover
 
-DONE, RESULTS = "done.json", "results.nc"
+DONE, RESULTS, FINDINGS = "done.json", "results.nc", "findings.json"
 TIMINGS = "timings.json"
 """Seconds of the stages: no result, and not the same in a second run."""
 
@@ -331,5 +331,5 @@ def read_findings(folder: Path) -> Findings:
 
     Raises InputError where they cannot be read, naming file, place, the value found and what is allowed.
     """
-    file = folder / "findings.json"
+    file = folder / FINDINGS
     return Findings.from_dict(read_document(file), file=file)

@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator
 
 from crankorder.engine.balancing import (
     CounterweightPlaces,
@@ -20,8 +20,8 @@ from crankorder.engine.balancing import (
     phasor,
     unbalance_force_n,
 )
-from crankorder.engine.crankshaft import CrankshaftSection, couple_n_m, crankshaft_sums, two_plane_correction
-from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, NonNegative, Positive
+from crankorder.engine.crankshaft import CrankshaftData, crankshaft_table
+from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.rod import RodSplits, cut_consequences, two_mass_inertia_g_mm2
 from crankorder.engine.shafts import (
@@ -39,6 +39,8 @@ from crankorder.engine.shafts import (
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
+
+DesignOrder = Annotated[int, Field(ge=1, le=12)]
 
 
 class UnbalanceClass(EngineData):
@@ -131,36 +133,13 @@ AGREEMENT = 1e-9
 """Largest relative difference of a number that an engine file states in two places."""
 
 
-class CrankshaftData(EngineData):
-    """Sections of a crankshaft, the two counterweights' names, and the overbalance left for the balancing machine."""
-
-    sections: Annotated[tuple[CrankshaftSection, ...], NOT_EMPTY] = Field(strict=False)
-    counterweights: tuple[str, str] = Field(strict=False)
-    overbalance_kg_mm: tuple[NonNegative, NonNegative] | None = Field(default=None, strict=False)
-
-    @model_validator(mode="after")
-    def _counterweights_are_sections(self) -> Self:
-        names = [section.name for section in self.sections]
-        missing = [name for name in self.counterweights if names.count(name) != 1]
-        if missing:
-            raise ValueError(f"counterweights must each name one section; not so: {', '.join(missing)}")
-        if self.planes_mm[0] == self.planes_mm[1]:
-            raise ValueError("the two counterweights must not lie in one plane")
-        return self
-
-    @property
-    def planes_mm(self) -> tuple[float, float]:
-        """Places of the two counterweights along the crankshaft."""
-        places = {section.name: section.z_mm for section in self.sections}
-        first, second = self.counterweights
-        return places[first], places[second]
-
-
 class BalanceData(EngineData):
     """What an engine file may say about balance beyond masses and lengths; every part may be missing.
 
     ``added_mass_g`` sits on the piston and is known to no shaft. ``offset_mm`` is the offset of the cylinder to be
     studied, whether or not the engine itself has it. ``notes`` say what the numbers are and which were assumed.
+    For several cylinders webs and shafts are worked out for ``design_orders``, with weights in the two planes of
+    ``design_planes_m`` along the crankshaft; the first and the last cylinder's where left out.
     """
 
     notes: tuple[str, ...] = Field(default=(), strict=False)
@@ -174,6 +153,15 @@ class BalanceData(EngineData):
     offset_mm: Annotated[float, Field(gt=0)] | None = None
     residual_classes: tuple[UnbalanceClass, ...] = Field(default=(), strict=False)
     gears: GearTrain | None = None
+    design_orders: tuple[DesignOrder, ...] = Field(default=(1, 2), strict=False)
+    design_planes_m: tuple[float, float] | None = Field(default=None, strict=False)
+
+    @field_validator("design_planes_m")
+    @classmethod
+    def _two_planes(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and value[0] >= value[1]:
+            raise ValueError("must be two ascending positions")
+        return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,39 +283,13 @@ def harmonic_shares(mechanism: SliderCrank, max_order: int) -> dict[str, float]:
     return {str(k): float(share[k]) for k in range(2, max_order + 1) if share[k]}
 
 
-def crankshaft_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
-    """Static and dynamic sums, rocking couple at ``speeds`` (rpm), and what the counterweights of ``subject`` need."""
-    data = subject.balance.crankshaft
+def crankshaft_of(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
+    """Table of the crankshaft of ``subject`` at ``speeds`` (rpm), with the rod's big end as cut and as weighed."""
+    data, splits = subject.balance.crankshaft, subject.balance.rod_split
     if data is None:
         return None
-    sums = crankshaft_sums(data.sections)
-    correction = two_plane_correction(sums, data.planes_mm)
-    by_name = {section.name: section for section in data.sections}
-    planes = []
-    for name, added in zip(data.counterweights, correction, strict=True):
-        section = by_name[name]
-        has = section.mass_kg * complex(section.x_mm, section.y_mm)
-        needs = has + added
-        planes.append(
-            {
-                "name": name,
-                "z_mm": section.z_mm,
-                "has_kg_mm": _xy(has),
-                "correction_kg_mm": _xy(added),
-                "needs_kg_mm": _xy(needs),
-            }
-        )
-    return {
-        "static_kg_mm": _xy(sums.static_kg_mm),
-        "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
-        "couple_Nm_at_rpm": {speed_key(speed): float(couple_n_m(sums.dynamic_kg_mm2, speed)) for speed in speeds},
-        "planes": planes,
-        "overbalance_kg_mm": None if data.overbalance_kg_mm is None else list(data.overbalance_kg_mm),
-    }
-
-
-def _xy(value: complex) -> dict[str, float]:
-    return {"x": value.real, "y": value.imag}
+    big_ends = {} if splits is None else {name: split.big_end_g for name, split in splits.by_method.items()}
+    return crankshaft_table(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
 
 
 def rod_split_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
@@ -338,6 +300,16 @@ def rod_split_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[st
     left = cut_consequences(splits, subject.engine.mechanism)
     length_mm = subject.engine.rod_length_m * 1e3
     return {
+        "methods": {
+            name: {
+                "big_end_g": split.big_end_g,
+                "small_end_g": split.small_end_g,
+                "total_g": split.total_g,
+                "centroid_fraction": split.centroid_fraction,
+            }
+            for name, split in splits.by_method.items()
+        },
+        "weighed_whole_g": splits.weighed_whole_g,
         "cut_centroid_fraction": splits.cut.centroid_fraction,
         "scale_centroid_fraction": splits.scale.centroid_fraction,
         "centroid_shift_mm": left.centroid_shift_mm,

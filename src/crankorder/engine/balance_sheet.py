@@ -12,7 +12,7 @@ from crankorder.engine.balance_data import (
     FULL_TURN_REV,
     BalancedEngine,
     added_mass_table,
-    crankshaft_table,
+    crankshaft_of,
     harmonic_shares,
     leading_harmonics,
     newton,
@@ -36,8 +36,17 @@ from crankorder.engine.balancing import (
     rod_counterweight_couple,
     unbalance_force_n,
 )
-from crankorder.engine.definition import BalanceShafts, Engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
+from crankorder.engine.definition import BalanceShafts
+from crankorder.engine.engine_tables import (
+    by_axis,
+    design_sentences,
+    design_table,
+    moment_phases,
+    moment_sentences,
+    phases_by_axis,
+    whole_force,
+    whole_moments,
+)
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.shafts import (
     Possibility,
@@ -68,9 +77,10 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     state = plain_state(sheet)
     said = [f"{state[0].upper()}{state[1:]} the engine shakes with "]
     said[0] += f"{_amounts(sheet['force_g_mm'], speed_rpm, where=where)}."
-    said += _of_moments(sheet["moment_g_mm2"] or {}, speed_rpm)
+    said += moment_sentences(sheet["moment_g_mm2"], speed_rpm)
     said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
     said += _of_shafts(sheet["shafts"], speed_rpm, where)
+    said += design_sentences(sheet["design"], speed_rpm)
     said += _of_pairs(sheet["shafts"]["pairs"] or [], speed_rpm)
     said += _of_crankshaft(sheet["crankshaft"], speed_rpm)
     said += _of_rod_split(sheet["rod_split"], speed_rpm)
@@ -102,19 +112,6 @@ def _amounts(
         orders = list((axes[axis] or {}).items())[:most]
         phrases += [f"{_one(amount, speed_rpm)} of order {order} {direction}" for order, amount in orders]
     return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else (phrases or ["no force"])[0]
-
-
-def _of_moments(moments: dict[str, dict[str, float] | None], speed_rpm: float) -> list[str]:
-    said = []
-    for name, axis in (("about_y", "X"), ("about_x", "Z")):
-        orders = moments.get(name) or {}
-        for order, amount in list(orders.items())[:2]:
-            moment = 1e-3 * float(unbalance_force_n(amount, speed_rpm))
-            said.append(
-                f"A rocking moment of {moment:.4g} N·m at {speed_key(speed_rpm)} rpm of order {order} about {axis} "
-                "remains."
-            )
-    return said
 
 
 def _of_strategies(strategies: dict[str, Any], speed_rpm: float) -> list[str]:
@@ -169,6 +166,7 @@ def _of_shafts(shafts: dict[str, Any], speed_rpm: float, where: dict[str, str]) 
         orders = " and ".join(str(order) for order in own["orders"])
         left = _amounts(own["residual_g_mm"], speed_rpm, most=4, where=where)
         said.append(f"With its own shafts for order {orders} the engine still shakes with {left}.")
+        said += moment_sentences(own["residual_moment_g_mm2"], speed_rpm, state="With them")
     return said
 
 
@@ -203,10 +201,18 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
         f"{abs(complex(plane['correction_kg_mm']['x'], plane['correction_kg_mm']['y'])):.4g} kg·mm in {plane['name']}"
         for plane in table["planes"]
     )
-    return [
+    said = [
         f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
         f"({couple:.4g} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would end."
     ]
+    if table["overbalance_met"] is not None:
+        least, most = table["overbalance_kg_mm"]
+        by = table["overbalanced_by_kg_mm"]
+        said.append(
+            f"Its counterweights have {abs(by):.4g} kg·mm too {'much' if by >= 0 else 'little'}; {least:g} to {most:g} "
+            f"too much are wanted for the balancing machine: {'met' if table['overbalance_met'] else 'not met'}."
+        )
+    return said
 
 
 def _of_rod_split(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
@@ -264,9 +270,6 @@ def _of_reverse_cranks(table: dict[str, Any] | None, speed_rpm: float) -> list[s
 
 STRATEGIES: tuple[Strategy, ...] = ("a", "b", "c", "d")
 POSSIBILITIES: tuple[Possibility, ...] = ("1", "2", "3", "4", "4+2")
-ONE_RADIAN_PER_S_RPM = 30 / math.pi
-DUST = 1e-15
-"""A sum over cylinders below this share of its terms is round-off of what cancels."""
 
 
 def balance_sheet(
@@ -281,31 +284,30 @@ def balance_sheet(
     speeds at which forces are given, > 0; the engine file's where left out. Raises RequestError outside these ranges.
     """
     speeds = tuple(float(speed) for speed in (subject.balance.speeds_rpm if speeds_rpm is None else speeds_rpm))
-    if max_order < 4 or not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
-        raise RequestError(
-            "no such balance sheet", found=f"order {max_order}, speeds {speeds} rpm", allowed="≥ 4, and speeds > 0"
-        )
+    _check(subject, max_order, speeds)
     engine, data = subject.engine, subject.balance
-    single = len(engine.cylinders) == 1
+    single = len(engine.cylinders) == 1 and not engine.webs
     masses = reduced_masses(subject)
-    made = force_by_order(masses, max_order=max_order)
-    if not single:
-        made = _engine_force(engine.model_copy(update={"shafts": BalanceShafts()}), max_order)
+    bare = engine.model_copy(update={"shafts": BalanceShafts()})
+    made = force_by_order(masses, max_order=max_order) if single else whole_force(bare, max_order)
     one = masses if single else None
     sheet: dict[str, Any] = {
         "engine": engine.title or subject.name,
         "lambda": masses.mechanism.crank_ratio,
         "harmonics": harmonic_shares(masses.mechanism, max_order),
         "masses_g": _masses(subject, masses),
-        "force_g_mm": _axes(made),
-        "moment_g_mm2": None if single else _moments(engine, max_order),
+        "force_g_mm": by_axis(made),
+        "force_phase_deg": phases_by_axis(made),
+        "moment_g_mm2": whole_moments(bare, max_order),
+        "moment_phase_deg": moment_phases(bare, max_order),
         "leading_g_mm": None if one is None or engine.offset_m else _leading(masses, max_order),
         "force_n": {speed_key(speed): _forces_n(made, speed) for speed in speeds},
         "strategies": None
         if one is None
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
-        "crankshaft": crankshaft_table(subject, speeds),
+        "design": None if single else design_table(subject, max_order),
+        "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),
         "added_mass": None if one is None else added_mass_table(subject, max_order, speeds),
         "offset": None if one is None else offset_table(subject, speeds),
@@ -313,60 +315,31 @@ def balance_sheet(
         "notes": list(data.notes),
     }
     if not single:
-        sheet["notes"].append(
-            "Masses are those of each cylinder; strategies and shafts are worked out for engines of one cylinder."
-        )
+        sheet["notes"].append("Masses are those of each cylinder; couples are counted from position 0.")
     sheet["sentences"] = balance_sentences(sheet, speed_rpm=max(speeds))
     return sheet
 
 
-def _engine_force(engine: Engine, max_order: int) -> tuple[OrderForce, ...]:
-    """Force of the whole engine over ω², by order."""
-    forces = crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e6
-    along, across = forces[DIRECTIONS.index("Z")], forces[DIRECTIONS.index("X")]
-    largest = _terms_g_mm(engine)
-    made = [
-        OrderForce.of_axes(order=k, x_g_mm=_dusted(along[k], largest), y_g_mm=_dusted(across[k], largest))
-        for k in range(1, max_order + 1)
-    ]
-    return tuple(force for force in made if force.rotation != "none")
-
-
-def _moments(engine: Engine, max_order: int) -> dict[str, dict[str, float] | None]:
-    """Moments of several cylinders over ω², by order, about the axes along and across them and the crankshaft's."""
-    moments = np.abs(crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)) * 1e9
-    named = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
-    reach_mm = 1e3 * (engine.rod_length_m + max(abs(cylinder.position_m) for cylinder in engine.cylinders))
-    dust = DUST * _terms_g_mm(engine) * reach_mm
-    found = {
-        name: {str(k): float(amount) for k, amount in enumerate(moments[DIRECTIONS.index(axis)]) if k and amount > dust}
-        for name, axis in named.items()
-    }
-    return {name: orders or None for name, orders in found.items()}
-
-
-def _terms_g_mm(engine: Engine) -> float:
-    """Size of what is summed over the cylinders: the whole first order."""
-    one = engine.reciprocating_mass_kg * engine.crank_radius_m + engine.rotating_unbalance_kg_m
-    return 1e6 * len(engine.cylinders) * one
-
-
-def _dusted(value: Any, largest: float) -> complex:
-    """``value``, or zero where it is round-off of the sum over cylinders."""
-    return complex(value) if abs(value) > DUST * largest else 0j
-
-
-def _axes(forces: Iterable[OrderForce]) -> dict[str, dict[str, float] | None]:
-    every = tuple(forces)
-    along = {f"{force.order:g}": abs(force.x_g_mm) for force in every if force.x_g_mm}
-    across = {f"{force.order:g}": abs(force.y_g_mm) for force in every if force.y_g_mm}
-    return {"x": along or None, "y": across or None}
+def _check(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> None:
+    if max_order < 4 or not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
+        raise RequestError(
+            "no such balance sheet", found=f"order {max_order}, speeds {speeds} rpm", allowed="≥ 4, and speeds > 0"
+        )
+    engine = subject.engine
+    if engine.shafts.every_order and engine.shafts.every_order[-1] > max_order:
+        raise RequestError(
+            "the engine has shafts beyond the highest order of the tables",
+            place="shafts",
+            found=f"order {engine.shafts.every_order[-1]}",
+            allowed=f"up to {max_order}",
+            remedy=f"Ask for --max-order {engine.shafts.every_order[-1]}",
+        )
 
 
 def _forces_n(forces: Iterable[OrderForce], speed_rpm: float) -> dict[str, dict[str, float] | None]:
     return {
         axis: None if orders is None else {order: newton(amount, speed_rpm) for order, amount in orders.items()}
-        for axis, orders in _axes(forces).items()
+        for axis, orders in by_axis(forces).items()
     }
 
 
@@ -406,7 +379,7 @@ def _strategy(
         "residual_x_g_mm": abs(first.x_g_mm),
         "residual_y_g_mm": abs(first.y_g_mm),
         "rotation": first.rotation,
-        "higher_orders_x_g_mm": _axes(higher)["x"],
+        "higher_orders_x_g_mm": by_axis(higher)["x"],
         "couple_g_mm2": couple,
     }
 
@@ -417,8 +390,13 @@ def _shafts(
     engine, data = subject.engine, subject.balance
     own = None
     if engine.shafts.every_order:
-        left = _engine_force(engine, max_order)
-        own = {"orders": list(engine.shafts.every_order), "residual_g_mm": _axes(left)}
+        left = whole_force(engine, max_order)
+        own = {
+            "orders": list(engine.shafts.every_order),
+            "residual_g_mm": by_axis(left),
+            "residual_phase_deg": phases_by_axis(left),
+            "residual_moment_g_mm2": whole_moments(engine, max_order),
+        }
     layouts: dict[str, Any] = {
         name: None if masses is None else _layout(masses, name, data.places, max_order) for name in POSSIBILITIES
     }
@@ -452,7 +430,8 @@ def _layout(masses: ReducedMasses, name: Possibility, places: CounterweightPlace
             }
         )
     remains = [force for force in layout.residual if force.rotation != "none"]
-    return {"strategy": layout.strategy, "shafts": shafts, "residual_g_mm": _axes(remains)}
+    left = {"residual_g_mm": by_axis(remains), "residual_phase_deg": phases_by_axis(remains)}
+    return {"strategy": layout.strategy, "shafts": shafts, **left}
 
 
 def _pair(pair: ShaftPairParts, subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any]:

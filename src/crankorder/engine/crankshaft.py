@@ -1,17 +1,24 @@
-"""Balance of the crankshaft to itself: static and dynamic sums, rocking couple, two planes, counterweights."""
+"""Balance of the crankshaft to itself: its parts from a file, static and dynamic sums, rocking couple, two planes.
+
+Counterweights are sections by mass and centre of gravity, or fans by radius, thickness and fan angle; slugs of a
+heavier metal sit in them. Source: Ruckle 2014, section 3.1.1, table 2 and figure 12.
+"""
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from crankorder.engine.definition import EngineData, NonNegative
+from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import RequestError
 
 
@@ -37,29 +44,30 @@ class CrankshaftSums:
     dynamic_kg_mm2: complex
 
 
-@dataclass(frozen=True, kw_only=True)
-class FanCounterweight:
-    """A counterweight shaped as a fan: outer and inner radius, thickness (mm), full fan angle (deg), density."""
+class FanCounterweight(EngineData):
+    """A counterweight shaped as a fan, opposite to the crank pin: outer and inner radius, thickness, full fan angle.
 
-    radius_mm: float
-    thickness_mm: float
-    fan_angle_deg: float
-    density_kg_m3: float
-    inner_radius_mm: float = 0.0
+    ``z_mm``: place of its middle along the axis. ``angle_deg``: how far its middle stands on from opposite to the pin,
+    in the sense of rotation.
+    """
 
-    def __post_init__(self) -> None:
-        sizes = (self.radius_mm, self.thickness_mm, self.density_kg_m3)
-        if not (
-            all(math.isfinite(size) and size > 0 for size in sizes)
-            and 0 < self.fan_angle_deg < 360
-            and 0 <= self.inner_radius_mm < self.radius_mm
-        ):
-            raise RequestError(
-                "no such counterweight",
-                found=f"radii {self.inner_radius_mm} to {self.radius_mm} mm, thickness {self.thickness_mm} mm, "
-                f"fan {self.fan_angle_deg}°, density {self.density_kg_m3} kg/m³",
-                allowed="positive sizes, a fan angle below 360°, an inner radius below the outer",
-            )
+    name: Annotated[str, Field(min_length=1)] = "fan"
+    shape: Literal["fan"] = "fan"
+    radius_mm: Positive
+    inner_radius_mm: NonNegative = 0.0
+    thickness_mm: Positive
+    fan_angle_deg: Annotated[float, Field(gt=0, lt=360)]
+    density_kg_m3: Positive
+    z_mm: float = 0.0
+    angle_deg: float = 0.0
+
+    @field_validator("inner_radius_mm")
+    @classmethod
+    def _below_the_outer(cls, value: float, info: ValidationInfo) -> float:
+        outer = info.data.get("radius_mm")
+        if outer is not None and value >= outer:
+            raise ValueError("the inner radius of a fan must be below its radius_mm")
+        return value
 
     @property
     def mass_kg(self) -> float:
@@ -86,6 +94,158 @@ class FanCounterweight:
         half = math.radians(self.fan_angle_deg) / 2
         share = (self.inner_radius_mm / self.radius_mm) ** 3
         return {"radius": 3 / (1 - share), "thickness": 1.0, "fan_angle": half / math.tan(half)}
+
+    @property
+    def section(self) -> CrankshaftSection:
+        """The counterweight as a section of its crankshaft."""
+        centre = -1j * self.centroid_mm * cmath.exp(-1j * math.radians(self.angle_deg))
+        return CrankshaftSection(
+            name=self.name, mass_kg=self.mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=self.z_mm
+        )
+
+    def resized(self, unbalance_kg_mm: float) -> dict[str, float | None]:
+        """The radius (mm), the thickness (mm) or the fan angle (degrees) that alone gives another unbalance.
+
+        ``unbalance_kg_mm``: wanted, > 0. None for a fan angle where half a turn of fan is too little. The unbalance is
+        ⅔ density · thickness · (radius³ − inner radius³) · sin(fan angle / 2).
+        """
+        more = unbalance_kg_mm / self.unbalance_kg_mm
+        inner = self.inner_radius_mm**3
+        sine = more * math.sin(math.radians(self.fan_angle_deg) / 2)
+        wider = 2 * math.degrees(math.asin(sine)) if sine <= 1 else None
+        if wider is not None and self.fan_angle_deg > 180:
+            wider = 360 - wider
+        return {
+            "radius_mm": (inner + more * (self.radius_mm**3 - inner)) ** (1 / 3),
+            "thickness_mm": more * self.thickness_mm,
+            "fan_angle_deg": wider,
+        }
+
+
+class Slug(EngineData):
+    """A round slug of heavier metal in the counterweight ``into``: its centre ``radius_mm`` from the axis.
+
+    It takes the place of crank metal, ``crank_density_kg_m3``; left out where ``into`` is a fan, which states its own.
+    """
+
+    into: Annotated[str, Field(min_length=1)]
+    diameter_mm: Positive
+    length_mm: Positive
+    radius_mm: Positive
+    density_kg_m3: Positive
+    crank_density_kg_m3: Positive | None = None
+
+
+def _kind_of_counterweight(value: object) -> str:
+    return "section" if isinstance(value, str) else "fan"
+
+
+Counterweight = Annotated[
+    Annotated[str, Tag("section")] | Annotated[FanCounterweight, Tag("fan")], Discriminator(_kind_of_counterweight)
+]
+"""A counterweight of a file: the name of one of the sections, or a table of its shape."""
+
+
+class CrankshaftData(EngineData):
+    """Sections of a crankshaft, its counterweights in order along it, slugs, and the overbalance left for machining.
+
+    ``counterweights``: names of sections, or fans; corrections are made in the first and the last.
+    ``overbalance_kg_mm``: least and most that the counterweights are to have too much, for the balancing machine to
+    take away. ``bob_weight``: the section that stands for the big end of the rod, so that what the rod really has can
+    be put in its place.
+    """
+
+    sections: Annotated[tuple[CrankshaftSection, ...], NOT_EMPTY] = Field(strict=False)
+    counterweights: tuple[Counterweight, ...] = Field(strict=False)
+    slugs: tuple[Slug, ...] = Field(default=(), strict=False)
+    overbalance_kg_mm: tuple[NonNegative, NonNegative] | None = Field(default=None, strict=False)
+    bob_weight: str | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        names = [section.name for section in self.sections] + [fan.name for fan in self.fans.values()]
+        wanted = [one for one in self.counterweights if isinstance(one, str)]
+        wanted += [self.bob_weight] if self.bob_weight is not None else []
+        missing = [name for name in wanted if names.count(name) != 1]
+        if missing:
+            raise ValueError(f"counterweights and bob weight must each name one section; not so: {', '.join(missing)}")
+        twice = sorted({fan for fan in self.fans if names.count(fan) > 1})
+        if twice:
+            raise ValueError(f"more than one section is called {', '.join(twice)}")
+        if len(self.counterweights) < 2:
+            raise ValueError("a crankshaft needs two counterweights or more, to be corrected in two planes")
+        places = self._places
+        if any(after <= before for before, after in pairwise(places.values())):
+            shown = ", ".join(f"{name} {place:g} mm" for name, place in places.items())
+            raise ValueError(f"counterweights must ascend along the axis, no two in one plane: {shown}")
+        for slug in self.slugs:
+            if slug.into not in places:
+                raise ValueError(f"a slug must sit in one of the counterweights; not so: {slug.into}")
+            if slug.crank_density_kg_m3 is None and slug.into not in self.fans:
+                raise ValueError(
+                    f"the slug in {slug.into} needs crank_density_kg_m3, of the metal whose place it takes"
+                )
+            fan = self.fans.get(slug.into)
+            if fan is None and not any(part.name == slug.into and (part.x_mm or part.y_mm) for part in self.sections):
+                raise ValueError(f"{slug.into} has its centre of gravity in the axis: a slug in it has no direction")
+            if fan is not None and slug.length_mm > fan.thickness_mm:
+                raise ValueError(f"the slug in {slug.into} is longer than the counterweight is thick")
+            if fan is not None and slug.radius_mm + slug.diameter_mm / 2 > fan.radius_mm:
+                raise ValueError(f"the slug in {slug.into} stands out of the counterweight's radius")
+        return self
+
+    @cached_property
+    def fans(self) -> dict[str, FanCounterweight]:
+        """The counterweights that are given by their shape, by name."""
+        return {one.name: one for one in self.counterweights if isinstance(one, FanCounterweight)}
+
+    @property
+    def _places(self) -> dict[str, float]:
+        by_name = {section.name: section.z_mm for section in self.sections}
+        return {
+            (one if isinstance(one, str) else one.name): (by_name[one] if isinstance(one, str) else one.z_mm)
+            for one in self.counterweights
+        }
+
+    @property
+    def planes(self) -> tuple[str, str]:
+        """Names of the first and the last counterweight, in which the shaft is corrected."""
+        names = list(self._places)
+        return names[0], names[-1]
+
+    @property
+    def planes_mm(self) -> tuple[float, float]:
+        """Places of these two along the crankshaft."""
+        places = self._places
+        return places[self.planes[0]], places[self.planes[1]]
+
+    @cached_property
+    def parts(self) -> tuple[CrankshaftSection, ...]:
+        """Every part of the crankshaft: the sections, the fans, and what each slug adds to its counterweight."""
+        fans = [fan.section for fan in self.fans.values()]
+        holders = {part.name: part for part in (*self.sections, *fans)}
+        return (*self.sections, *fans, *(_slug_section(slug, holders[slug.into], self.fans) for slug in self.slugs))
+
+
+def _slug_section(slug: Slug, holder: CrankshaftSection, fans: Mapping[str, FanCounterweight]) -> CrankshaftSection:
+    """What ``slug`` adds, as a section: the mass that it has more than the metal whose place it takes."""
+    density = slug.crank_density_kg_m3 or fans[slug.into].density_kg_m3
+    added = slug_unbalance_kg_mm(
+        diameter_mm=slug.diameter_mm,
+        length_mm=slug.length_mm,
+        radius_mm=slug.radius_mm,
+        slug_density_kg_m3=slug.density_kg_m3,
+        crank_density_kg_m3=density,
+    )
+    out = complex(holder.x_mm, holder.y_mm)
+    centre = math.copysign(slug.radius_mm, added) * out / abs(out)
+    return CrankshaftSection(
+        name=f"Slug in {slug.into}",
+        mass_kg=abs(added) / slug.radius_mm,
+        x_mm=centre.real,
+        y_mm=centre.imag,
+        z_mm=holder.z_mm,
+    )
 
 
 def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
@@ -144,3 +304,95 @@ def slug_unbalance_kg_mm(
     """
     volume_mm3 = math.pi / 4 * diameter_mm**2 * length_mm
     return 1e-9 * volume_mm3 * (slug_density_kg_m3 - crank_density_kg_m3) * radius_mm
+
+
+def crankshaft_table(
+    data: CrankshaftData, speeds: Mapping[str, float], *, big_ends_g: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Rows and sums of a crankshaft as one document, its couple at each speed, and what its counterweights need.
+
+    ``data``: the crankshaft. ``speeds``: crank speeds (rpm) by the text that names each. ``big_ends_g``: masses of the
+    rod's big end (g) by the method that found each; every one is put in the place of the bob weight, if there is one.
+    Amounts are in kg·mm, kg·mm² and N·m. Source: Ruckle 2014, table 2.
+    """
+    sums = crankshaft_sums(data.parts)
+    towards = -sums.static_kg_mm.imag
+    asked = data.overbalance_kg_mm
+    return {
+        "sections": [_row(part) for part in data.parts],
+        "static_kg_mm": _xy(sums.static_kg_mm),
+        "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
+        "couple_Nm_at_rpm": {key: float(couple_n_m(sums.dynamic_kg_mm2, speed)) for key, speed in speeds.items()},
+        "planes": _planes(data, sums),
+        "overbalance_kg_mm": None if asked is None else list(asked),
+        "overbalanced_by_kg_mm": towards,
+        "overbalance_met": None if asked is None else asked[0] <= towards <= asked[1],
+        "bob_weights": _bob_weights(data, big_ends_g or {}),
+    }
+
+
+def _row(part: CrankshaftSection) -> dict[str, Any]:
+    one = crankshaft_sums([part])
+    return {
+        "name": part.name,
+        "mass_kg": part.mass_kg,
+        "x_mm": part.x_mm,
+        "y_mm": part.y_mm,
+        "z_mm": part.z_mm,
+        "static_kg_mm": _xy(one.static_kg_mm),
+        "dynamic_kg_mm2": _xy(one.dynamic_kg_mm2),
+    }
+
+
+def _planes(data: CrankshaftData, sums: CrankshaftSums) -> list[dict[str, Any]]:
+    """What the first and the last counterweight have, slugs included, lack, and need; of a fan also its sizes."""
+    made = []
+    for name, place, added in zip(data.planes, data.planes_mm, two_plane_correction(sums, data.planes_mm), strict=True):
+        own = [part for part in data.parts if part.name in (name, f"Slug in {name}")]
+        has = crankshaft_sums(own).static_kg_mm
+        fan = data.fans.get(name)
+        shape = None
+        if fan is not None:
+            slugs = has - crankshaft_sums([fan.section]).static_kg_mm
+            shape = {
+                "mass_kg": fan.mass_kg,
+                "centroid_mm": fan.centroid_mm,
+                "unbalance_kg_mm": fan.unbalance_kg_mm,
+                "sensitivity": dict(fan.sensitivity),
+                "resized": fan.resized(abs(has + added - slugs)),
+            }
+        made.append(
+            {
+                "name": name,
+                "z_mm": place,
+                "has_kg_mm": _xy(has),
+                "correction_kg_mm": _xy(added),
+                "needs_kg_mm": _xy(has + added),
+                "fan": shape,
+            }
+        )
+    return made
+
+
+def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> list[dict[str, Any]] | None:
+    """Sums with each mass of the rod's big end in the place of the bob weight, the stated one first."""
+    if data.bob_weight is None:
+        return None
+    bob = next(part for part in data.parts if part.name == data.bob_weight)
+    others = [part for part in data.parts if part is not bob]
+    made = []
+    for method, mass_kg in {"stated": bob.mass_kg, **{key: 1e-3 * grams for key, grams in big_ends_g.items()}}.items():
+        sums = crankshaft_sums([*others, bob.model_copy(update={"mass_kg": mass_kg})])
+        made.append(
+            {
+                "method": method,
+                "mass_kg": mass_kg,
+                "static_kg_mm": _xy(sums.static_kg_mm),
+                "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
+            }
+        )
+    return made
+
+
+def _xy(value: complex) -> dict[str, float]:
+    return {"x": value.real, "y": value.imag}

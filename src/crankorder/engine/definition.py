@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sized
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -47,14 +46,47 @@ class StatedPair(EngineData):
     unbalance_g_mm: Positive
 
 
+class Weight(EngineData):
+    """An unbalance of a shaft or a crank web: mass times radius, where it points, and its place along the crankshaft.
+
+    ``angle_deg``: of its heavy side when the engine's crank angle is zero, from Z towards X, the crank's way.
+    ``position_m``: along Y.
+    """
+
+    unbalance_g_mm: NonNegative
+    angle_deg: float = 0.0
+    position_m: float = 0.0
+
+
+class SingleShaft(EngineData):
+    """One balance shaft parallel to the crankshaft, with weights at places of their own: for force, couple or both.
+
+    ``speed_ratio``: its speed over the crank's, a whole number, below zero against the crank; a weight makes its square
+    times the unbalance of force over ω² of the crank. ``x_m``, ``z_m``: its axis from the crankshaft, for the moment
+    that its force has about that.
+    """
+
+    speed_ratio: Annotated[int, Field(ge=-20, le=20)]
+    weights: Annotated[tuple[Weight, ...], NOT_EMPTY] = Field(strict=False)
+    x_m: float = 0.0
+    z_m: float = 0.0
+
+    @field_validator("speed_ratio")
+    @classmethod
+    def _turns(cls, value: int) -> int:
+        if value == 0:
+            raise ValueError("must not be 0: a shaft that stands balances nothing")
+        return value
+
+
 class BalanceShafts(EngineData):
-    """Pairs of counter-rotating shafts: which orders of the force along Z they cancel and the mass that they leave.
+    """Balance shafts: pairs that act along Z, by the orders that they cancel or by their unbalance, and single ones.
 
     ``orders`` are cancelled but for ``unbalanced_mass_kg``, the reciprocating mass of each cylinder that is left. A
     pair of ``pairs`` stands against the force of its order with what unbalance it has: too little leaves force, too
     much reverses it. ``timed_to = "force"``: each pair stands against the whole force of its order, the quadrature part
     that an offset makes included. ``"crank"``: the pair is timed to the crank and leaves that part. ``position_m``:
-    their middle, along the crankshaft.
+    their middle, along the crankshaft. Each of ``single`` acts as it stands there, in any direction.
     """
 
     orders: tuple[Annotated[int, Field(ge=1)], ...] = Field(default=(), strict=False)
@@ -62,6 +94,7 @@ class BalanceShafts(EngineData):
     unbalanced_mass_kg: float = 0.0
     timed_to: Literal["force", "crank"] = "force"
     position_m: float = 0.0
+    single: tuple[SingleShaft, ...] = Field(default=(), strict=False)
 
     @field_validator("pairs")
     @classmethod
@@ -74,8 +107,9 @@ class BalanceShafts(EngineData):
 
     @property
     def every_order(self) -> tuple[int, ...]:
-        """Orders of all pairs, ascending."""
-        return tuple(sorted({*self.orders, *(pair.order for pair in self.pairs)}))
+        """Orders of all shafts, ascending."""
+        stated = {*(pair.order for pair in self.pairs), *(abs(shaft.speed_ratio) for shaft in self.single)}
+        return tuple(sorted({*self.orders, *stated}))
 
 
 class Rod(EngineData):
@@ -95,13 +129,18 @@ class Cylinder(EngineData):
 
     ``crank_deg``: of its pin, in the sense of rotation, when the engine's crank angle is zero; 0 is along Z.
     ``bank_deg``: of its axis from Z towards X. ``position_m``: along Y. ``firing_deg``: engine crank angle within the
-    cycle at which its pin stands along its axis and it fires; needed for gas forces only.
+    cycle at which its pin stands along its axis and it fires; needed for gas forces only. The masses and the offset are
+    those of the engine where the cylinder has none of its own.
     """
 
     crank_deg: float = 0.0
     bank_deg: float = 0.0
     position_m: float = 0.0
     firing_deg: float | None = None
+    reciprocating_mass_kg: NonNegative | None = None
+    rotating_unbalance_kg_m: NonNegative | None = None
+    rotating_unbalance_deg: float | None = None
+    offset_m: float | None = None
 
 
 class GasCurve(EngineData):
@@ -150,6 +189,7 @@ class Engine(EngineData):
 
     Masses are those of each cylinder. ``reciprocating_mass_kg`` includes the rod's share. ``rotating_unbalance_kg_m``
     includes the rod's other share and the counterweights: what is left of a throw, its angle counted from the pin.
+    ``webs``: counterweights beside those that ``rotating_unbalance_kg_m`` holds already, each on a web of its own.
     ``main_bearings_m``: along the crankshaft, ascending; between two of them the shaft is a beam on two supports.
     ``flywheel_inertia_kg_m2``: of all that turns with the crank; needed for its speed within the cycle only.
     """
@@ -164,6 +204,7 @@ class Engine(EngineData):
     rotating_unbalance_deg: float = 0.0
     rod: Rod | None = None
     cylinders: Annotated[tuple[Cylinder, ...], NOT_EMPTY] = Field(default=(Cylinder(),), strict=False)
+    webs: tuple[Weight, ...] = Field(default=(), strict=False)
     main_bearings_m: tuple[float, ...] = Field(default=(), strict=False)
     bore_m: Positive | None = None
     gas: GasCurve | None = None
@@ -207,6 +248,20 @@ class Engine(EngineData):
             raise ValueError(f"firing_deg is off the dead centre, bank_deg - crank_deg: {', '.join(astray)}")
         return value
 
+    @field_validator("cylinders")
+    @classmethod
+    def _each_crank_turns(cls, value: tuple[Cylinder, ...], info: ValidationInfo) -> tuple[Cylinder, ...]:
+        radius, length, rod = (info.data.get(key) for key in ("crank_radius_m", "rod_length_m", "rod"))
+        if radius is None or length is None:
+            return value
+        share = 0.0 if rod is None else rod.mass_kg * rod.centre_from_big_end_m / length
+        for number, cylinder in enumerate(value):
+            if cylinder.offset_m is not None and length <= radius + abs(cylinder.offset_m):
+                raise ValueError(f"offset_m of cylinder {number} is so large that its crank could not turn")
+            if cylinder.reciprocating_mass_kg is not None and cylinder.reciprocating_mass_kg < share:
+                raise ValueError(f"the rod's share exceeds reciprocating_mass_kg of cylinder {number}")
+        return value
+
     @field_validator("main_bearings_m")
     @classmethod
     def _carries_every_cylinder(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
@@ -231,7 +286,7 @@ class Engine(EngineData):
             raise ValueError("a pressure needs bore_m")
         return value
 
-    @cached_property
+    @property
     def mechanism(self) -> SliderCrank:
         """Lengths of the crank mechanism alone."""
         return SliderCrank(crank_radius_m=self.crank_radius_m, rod_length_m=self.rod_length_m, offset_m=self.offset_m)
@@ -240,6 +295,39 @@ class Engine(EngineData):
     def revs_per_cycle(self) -> int:
         """Crank revolutions of an engine cycle."""
         return REVS_PER_CYCLE[self.cycle]
+
+    # no cached property: a copy with other values would take the old one along
+
+    @property
+    def each(self) -> tuple[Engine, ...]:
+        """An engine for each cylinder alone, without shafts and webs, its masses and offset those of the cylinder."""
+        own = ("reciprocating_mass_kg", "rotating_unbalance_kg_m", "rotating_unbalance_deg", "offset_m")
+        none: dict[str, None] = dict.fromkeys(own)
+        return tuple(
+            Engine.model_construct(
+                **{
+                    **{key: getattr(self, key) for key in Engine.model_fields},
+                    "cylinders": (cylinder.model_copy(update=none),),
+                    "shafts": BalanceShafts(),
+                    "webs": (),
+                    **{key: value for key in own if (value := getattr(cylinder, key)) is not None},
+                }
+            )
+            for cylinder in self.cylinders
+        )
+
+    @property
+    def pistons_alone(self) -> Engine:
+        """The engine without balance shafts, webs and whatever unbalance turns with its crank."""
+        bare = {"rotating_unbalance_kg_m": None, "rotating_unbalance_deg": None}
+        cylinders = tuple(cylinder.model_copy(update=bare) for cylinder in self.cylinders)
+        alone = {"shafts": BalanceShafts(), "webs": (), "rotating_unbalance_kg_m": 0.0, "cylinders": cylinders}
+        return self.model_copy(update=alone)
+
+    @property
+    def largest_piston_kg(self) -> float:
+        """Reciprocating mass of the heaviest cylinder."""
+        return max(one.reciprocating_mass_kg for one in self.each)
 
 
 def load_engine(name: str, beside: Path | None = None) -> Engine:

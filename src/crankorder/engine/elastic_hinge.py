@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.hinged_crank import (
     CrankTorque,
+    GuideData,
     HingedCrank,
     Kinematics,
     RodMotion,
@@ -433,6 +434,65 @@ def hinge_table(
         crank_angle_rev=crank_angle(rows),
         moment_nm=moment(rows),
         work_j=np.concatenate(([0.0], np.cumsum(steps))),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guides:
+    """Guides of a hinge that give its moment by a spring between them; rows over one turn of the hinge angle."""
+
+    hinge_angle_rev: Angles
+    """Angle of the hinge (revolutions), 0 to 1, both ends included."""
+    stiffness_n_per_m: float
+    """Of the spring."""
+    length_m: Angles
+    """Length of the spring."""
+    outer_m: NDArray[np.complex128]
+    """Surface of the outer guide, x + iy from the hinge's axis: the path of the roller, moved by its radius."""
+    inner_m: NDArray[np.complex128]
+    """Surface of the inner guide."""
+    steepest_deg: float
+    """Largest angle between the force on a roller and the spring: above some 45° the rollers jam."""
+    undercut: bool
+    """Whether a guide is curved more sharply than its roller, so that it cannot be cut."""
+
+
+def hinge_guides(table: HingeTable, data: GuideData) -> Guides:
+    """Guides whose spring makes the moment of a hinge: document 003, figure 7.
+
+    What the hinge gives, the spring loses: ½ k c² = ½ k c₀² + (greatest work − work), c its compression, c₀ the least.
+    Its two ends share the change of length evenly. The surfaces are the parallel curves of the rollers' paths.
+
+    ``table``: moment and work against the hinge's own angle, in many steps. ``data``: spring and rollers. Raises
+    RequestError where the hinge gives work in a turn, which no spring can.
+    """
+    swing = float(np.ptp(table.work_j))
+    if swing == 0 or abs(table.work_j[-1]) > 1e-6 * swing:
+        raise RequestError("a spring in guides gives no work in a turn, and some moment within it",
+                           found=f"{table.work_j[-1]} J a turn")  # fmt: skip
+    least, most = data.least_compression_m, data.most_compression_m
+    stiffness = 2 * swing / ((most - least) * (most + least))
+    compression = np.sqrt(least**2 + 2 / stiffness * (table.work_j.max() - table.work_j))
+    length = data.free_length_m - compression
+    rate = table.moment_nm / (stiffness * compression)  # dℓ/dα: moment = force · dℓ/dα
+    turn = np.exp(2j * np.pi * table.hinge_angle_rev)
+    surfaces, steepest, undercut = [], 0.0, False
+    for side in (1, -1):
+        radius, slope = data.middle_radius_m + side * length / 2, side * rate / 2
+        normal = (radius - 1j * slope) / np.hypot(radius, slope)
+        heading = np.unwrap(np.angle(normal * turn))
+        bend = np.gradient(heading, 2 * np.pi * table.hinge_angle_rev) / np.hypot(radius, slope)
+        surfaces.append((radius + side * data.roller_radius_m * normal) * turn)
+        steepest = max(steepest, float(np.abs(np.arctan2(slope, radius)).max()))
+        undercut |= bool((1 + side * data.roller_radius_m * bend <= 0).any())
+    return Guides(
+        hinge_angle_rev=table.hinge_angle_rev,
+        stiffness_n_per_m=stiffness,
+        length_m=length,
+        outer_m=surfaces[0],
+        inner_m=surfaces[1],
+        steepest_deg=math.degrees(steepest),
+        undercut=undercut,
     )
 
 

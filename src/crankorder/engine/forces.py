@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.definition import BalanceShafts, Cylinder, Engine, StatedPair
+from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
 from crankorder.engine.harmonics import acceleration_harmonics, last_order_above_round_off, rod_acceleration_harmonics
 from crankorder.engine.rod import rod_couple, two_masses
 from crankorder.engine.slider_crank import piston_acceleration, piston_velocity, rod_direction, sine_cosine
@@ -124,6 +124,9 @@ def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) ->
     per_omega_squared = engine.crank_radius_m * _pistons(engine, max_order).sum(axis=0)
     per_omega_squared[Z] += engine.crank_radius_m * _shafts(engine, max_order)
     per_omega_squared[:, 1] += _rotating(engine).sum(axis=0)
+    for weight in turning_weights(engine):
+        if weight.order <= max_order:
+            per_omega_squared[:, weight.order] += weight.force_kg_m
     return _at_speed(speed_rpm, per_omega_squared)
 
 
@@ -145,15 +148,59 @@ def crankcase_moments(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -
     moments = np.zeros_like(at_place)
     moments[X] = at_place[Z] + engine.shafts.position_m * engine.crank_radius_m * _shafts(engine, max_order)
     moments[Z] = -at_place[X]
-    moments[Y] = _rolling(engine, max_order) * _phases(engine, max_order).sum(axis=0)
+    moments[Y] = (_phases(engine, max_order) * [_rolling(one, max_order) for one in engine.each]).sum(axis=0)
+    for weight in turning_weights(engine):
+        if weight.order <= max_order:
+            moments[:, weight.order] += np.cross([weight.x_m, weight.position_m, weight.z_m], weight.force_kg_m)
     return _at_speed(speed_rpm, moments)
+
+
+@dataclass(frozen=True)
+class TurningWeight:
+    """A weight of a crank web or single balance shaft: its order, force over ω² (kg·m) by direction, and place (m)."""
+
+    order: int
+    force_kg_m: Complex
+    x_m: float
+    position_m: float
+    z_m: float
+
+
+def turning_weights(engine: Engine) -> tuple[TurningWeight, ...]:
+    """Every weight of the crank webs and of the single balance shafts of ``engine``, as the crankcase feels it.
+
+    A force is a complex peak, shape (3,): Re(force · exp(2πi order rev)). Source: m r Ω², Ω the speed of the shaft.
+    """
+    turning = [(1, 0.0, 0.0, weight) for weight in engine.webs]
+    turning += [(one.speed_ratio, one.x_m, one.z_m, weight) for one in engine.shafts.single for weight in one.weights]
+    made = []
+    for ratio, x_m, z_m, weight in turning:
+        sine, cosine = (float(part) for part in sine_cosine(weight.angle_deg / 360))
+        size = 1e-6 * ratio**2 * weight.unbalance_g_mm
+        # against the crank the heavy side stands at angle − |ratio| φ: along Z the conjugate turns with the crank
+        along = size * complex(cosine, sine if ratio > 0 else -sine)
+        across = -1j * along if ratio > 0 else 1j * along
+        force = np.array([across, 0j, along])
+        made.append(TurningWeight(abs(ratio), force, x_m, weight.position_m, z_m))
+    return tuple(made)
+
+
+def inertia_torque(engine: Engine, max_order: int) -> Complex:
+    """Complex peak torque over ω² (kg·m²) that all masses of ``engine`` give to its crank, shape (max_order + 1,).
+
+    A line is Re(torque · exp(2πi order rev)), rev the engine's crank angle. ``max_order``: ≥ 1.
+    """
+    each = [inertia_torque_by_order(one, max_order) for one in engine.each]
+    torque: Complex = (_phases(engine, max_order) * each).sum(axis=0)
+    return torque
 
 
 def inertia_torque_by_order(engine: Engine, max_order: int) -> Complex:
     """Complex peak torque over ω² (kg·m²) that the masses of one cylinder give to the crank, shape (max_order + 1,).
 
-    Counted from the cylinder's own dead centre, in the sense of rotation. ``engine``: lengths, masses and rod;
-    ``max_order``: ≥ 1. Without offset and true rod inertia it leads with m r² (λ/4 sin φ − ½ sin 2φ − ¾ λ sin 3φ).
+    Counted from the cylinder's own dead centre, in the sense of rotation. ``engine``: lengths, masses and rod, those of
+    a cylinder of its own aside; ``max_order``: ≥ 1.
+    Without offset and true rod inertia it leads with m r² (λ/4 sin φ − ½ sin 2φ − ¾ λ sin 3φ).
     Source: energy, T = −½ ω² d/dφ (m x'² + (J − m a b) ψ'²).
     """
     every = last_order_above_round_off(engine.mechanism) + max_order
@@ -175,8 +222,7 @@ def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float,
     one. What cancels to round-off counts for nothing. The share does not depend on speed, for every inertia force grows
     with its square.
     """
-    alone = engine.model_copy(update={"cylinders": (Cylinder(),), "shafts": BalanceShafts()})
-    size = np.abs(crankcase_forces(alone, 1000.0, max_order=max_order)).max()
+    size = max(float(np.abs(crankcase_forces(one, 1000.0, max_order=max_order)).max()) for one in engine.each)
     span = max(abs(cylinder.position_m) for cylinder in engine.cylinders)
     forces = np.abs(crankcase_forces(engine, 1000.0, max_order=max_order)).max(axis=0)
     rocking = np.abs(crankcase_moments(engine, 1000.0, max_order=max_order))[[X, Z]].max(axis=0)
@@ -205,56 +251,58 @@ def _phases(engine: Engine, max_order: int) -> Complex:
 
 def _pistons(engine: Engine, max_order: int) -> Complex:
     """Complex mass of each cylinder by direction and order, shape (cylinder, 3, max_order + 1)."""
-    shaken = engine.reciprocating_mass_kg * acceleration_harmonics(engine.mechanism, max_order)
+    shaken = _phases(engine, max_order) * _shaken(engine, max_order)
     across, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
     axes = np.stack([across, np.zeros_like(along), along], axis=1)
-    masses: Complex = axes[:, :, None] * (_phases(engine, max_order) * shaken)[:, None, :]
+    masses: Complex = axes[:, :, None] * shaken[:, None, :]
     return masses
 
 
+def _shaken(engine: Engine, max_order: int) -> Complex:
+    """Mass of each piston times the harmonics of its acceleration, shape (cylinder, max_order + 1)."""
+    harmonics = {one.offset_m: acceleration_harmonics(one.mechanism, max_order) for one in engine.each}
+    return np.array([one.reciprocating_mass_kg * harmonics[one.offset_m] for one in engine.each])
+
+
 def _shafts(engine: Engine, max_order: int) -> Complex:
-    """Complex mass along Z that the balance shafts set against the pistons, shape (max_order + 1,)."""
+    """Complex mass along Z that the pairs of balance shafts set against the pistons, shape (max_order + 1,).
+
+    Raises RequestError for a pair at an order of which the pistons together make no force along Z.
+    """
     against = np.zeros(max_order + 1, dtype=np.complex128)
     shafts = engine.shafts
     orders = [order for order in shafts.orders if order <= max_order]
     pairs = [pair for pair in shafts.pairs if pair.order <= max_order]
     if not orders and not pairs:
         return against
-    opposed = _opposed_by_shafts(engine, max_order)
-    against[orders] = (shafts.unbalanced_mass_kg - engine.reciprocating_mass_kg) * opposed[orders]
-    for pair in pairs:
-        against[pair.order] = -_pair_mass_kg(engine, pair, opposed) * opposed[pair.order]
-    return against
-
-
-def _opposed_by_shafts(engine: Engine, max_order: int) -> Complex:
-    """What pairs of shafts are timed against: force along Z of all pistons over m r ω², shape (max_order + 1,)."""
-    harmonics = acceleration_harmonics(engine.mechanism, max_order)
-    cancelled = harmonics if engine.shafts.timed_to == "force" else harmonics.real
+    shaken = _shaken(engine, max_order)
     _, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
-    opposed: Complex = cancelled * (along @ _phases(engine, max_order))
-    return opposed
-
-
-def _pair_mass_kg(engine: Engine, pair: StatedPair, opposed: Complex) -> float:
-    """Reciprocating mass of each cylinder whose force of its order a stated pair makes, the other way."""
-    alone = len(engine.cylinders) * abs(acceleration_harmonics(engine.mechanism, pair.order)[pair.order])
-    size = float(abs(opposed[pair.order]))
-    if size <= CANCELLED * alone:
-        raise RequestError(
-            "the pistons make no force along Z that this pair of shafts could stand against",
-            place="shafts.pairs",
-            found=f"order {pair.order}",
-            remedy="Leave the pair out",
-        )
-    return 1e-6 * pair.order**2 * pair.unbalance_g_mm / (engine.crank_radius_m * size)
+    phases = along[:, None] * _phases(engine, max_order)
+    opposed = (phases * (shaken if shafts.timed_to == "force" else shaken.real)).sum(axis=0)
+    terms = np.abs(shaken).sum(axis=0)
+    for key, order in [("orders", order) for order in orders] + [("pairs", pair.order) for pair in pairs]:
+        if abs(opposed[order]) <= CANCELLED * terms[order] and engine.largest_piston_kg:
+            raise RequestError(
+                "the pistons make no force along Z that this pair of shafts could stand against",
+                place=f"shafts.{key}",
+                found=f"order {order}",
+                remedy="Leave it out, or state what acts in another direction as [[shafts.single]]",
+            )
+    if orders:
+        unit = np.array([acceleration_harmonics(one.mechanism, max_order) for one in engine.each])
+        left = (phases * (unit if shafts.timed_to == "force" else unit.real)).sum(axis=0)
+        against[orders] = shafts.unbalanced_mass_kg * left[orders] - opposed[orders]
+    for pair in pairs:
+        size = 1e-6 * pair.order**2 * pair.unbalance_g_mm / engine.crank_radius_m
+        against[pair.order] = -size * opposed[pair.order] / abs(opposed[pair.order])
+    return against
 
 
 def _rotating(engine: Engine) -> Complex:
     """First-order force over ω² of each throw's unbalance, shape (cylinder, 3)."""
-    angle_rev = [(cylinder.crank_deg + engine.rotating_unbalance_deg) / 360 for cylinder in engine.cylinders]
+    angle_rev = [(one.cylinders[0].crank_deg + one.rotating_unbalance_deg) / 360 for one in engine.each]
     sine, cosine = sine_cosine(np.array(angle_rev))
-    unbalance = engine.rotating_unbalance_kg_m * (cosine + 1j * sine)
+    unbalance = np.array([one.rotating_unbalance_kg_m for one in engine.each]) * (cosine + 1j * sine)
     forces: Complex = np.stack([-1j * unbalance, np.zeros_like(unbalance), unbalance], axis=1)
     return forces
 
@@ -308,8 +356,10 @@ def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float,
     """
     where = engine.cylinders[cylinder]
     angles = np.asarray(crank_angle_rev, dtype=np.float64)
+    fires_rev = 0.0 if engine.gas is None else firing_angle_deg(engine, where) / 360
+    engine = engine.each[cylinder]
+    gas = gas_force(engine, angles - fires_rev)
     own = angles + (where.crank_deg - where.bank_deg) / 360
-    gas = _gas_on_piston(engine, where, angles)
     omega_squared = (speed_rpm * np.pi / 30) ** 2
     sine, cosine = sine_cosine(own)
     rod_sine, rod_cosine = rod_direction(own, engine.mechanism)
@@ -355,15 +405,21 @@ def main_bearing_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: fl
     for number, cylinder in enumerate(engine.cylinders):
         along, across = cylinder_loads(engine, angles, speed_rpm, cylinder=number).main_n
         lean_sine, lean_cosine = sine_cosine(cylinder.bank_deg / 360)
-        behind = min(max(int(np.searchsorted(places, cylinder.position_m)), 1), places.size - 1)
-        share = (cylinder.position_m - places[behind - 1]) / (places[behind] - places[behind - 1])
-        for bearing, part in ((behind - 1, 1 - share), (behind, share)):
+        for bearing, part in _carried(places, cylinder.position_m):
             loads[bearing, X] += part * (along * lean_sine + across * lean_cosine)
             loads[bearing, Z] += part * (along * lean_cosine - across * lean_sine)
+    omega_squared = (speed_rpm * np.pi / 30) ** 2
+    for weight in turning_weights(engine.model_copy(update={"shafts": BalanceShafts()})):
+        sine, cosine = sine_cosine(angles)
+        for bearing, part in _carried(places, weight.position_m):
+            for axis in (X, Z):
+                force = omega_squared * weight.force_kg_m[axis]
+                loads[bearing, axis] += part * (force.real * cosine - force.imag * sine)
     return loads
 
 
-def _gas_on_piston(engine: Engine, cylinder: Cylinder, angles: Angles) -> Angles:
-    if engine.gas is None:
-        return np.zeros(angles.shape)
-    return gas_force(engine, angles - firing_angle_deg(engine, cylinder) / 360)
+def _carried(places: Angles, position_m: float) -> tuple[tuple[int, float], tuple[int, float]]:
+    """The two bearings that carry what acts at a position, and their shares; beyond the last ones it overhangs."""
+    behind = min(max(int(np.searchsorted(places, position_m)), 1), places.size - 1)
+    share = float((position_m - places[behind - 1]) / (places[behind] - places[behind - 1]))
+    return (behind - 1, 1 - share), (behind, share)

@@ -14,6 +14,8 @@ from crankorder.engine.elastic_hinge import (
     Weight,
     air_spring_pressure,
     balanced_crank,
+    hinge_guides,
+    hinge_moment,
     hinge_table,
     mean_gas_moment,
     pin_hinge_work,
@@ -27,9 +29,11 @@ from crankorder.engine.elastic_hinge import (
 )
 from crankorder.engine.hinged_crank import (
     CrankTorque,
+    GuideData,
     HingedCrank,
     HingedCrankData,
     HingedEngine,
+    Kinematics,
     torque_extrema,
     torque_harmonics,
 )
@@ -106,6 +110,7 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
             str(round(speed, 6)): _largest(side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
             for speed in speeds
         },
+        "curves": {str(round(speed, 6)): _curves(crank, curve, speed) for speed in speeds},
         "side_force_n": {kind: _largest(side_force(_ANGLES, crank, curve, pin_hinge=kind)) for kind in kinds},
         "work_j": {
             kind: {
@@ -117,6 +122,54 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         "solutions": _solutions(crank, curve),
         "characteristic": {joint: _characteristic(crank, curve, joint, max(speeds)) for joint in get_args(Joint)},
         "air_spring": _air_spring(crank, curve, speeds),
+        "guides": {
+            joint: _guides(crank, curve, joint, max(speeds), guides)
+            for joint, guides in zip(get_args(Joint), (data.pin_guides, data.strut_guides), strict=True)
+        },
+    }
+
+
+def _curves(crank: HingedCrank, curve: CrankTorque, speed_rpm: float) -> dict[str, list[float]]:
+    """Figure 3: M12 by (4), by (6) and of a spring, R430 and R43 by (7), every 10° of crank angle."""
+    angles = np.arange(TABLE_STEPS + 1) / TABLE_STEPS
+    moments = {
+        f"m12_{kind}_nm": hinge_moment(angles, crank, curve, speed_rpm=speed_rpm, pin_hinge=kind)
+        for kind in get_args(PinHinge)
+    }
+    without = side_force_without_hinge(angles, crank, curve, speed_rpm=speed_rpm)
+    left = side_force(angles, crank, curve, pin_hinge="printed")
+    return {
+        "crank_angle_deg": (360 * angles).tolist(),
+        **{name: moment.tolist() for name, moment in moments.items()},
+        "r430_n": without.tolist(),
+        "r43_printed_n": left.tolist(),
+    }
+
+
+GUIDE_STEPS = 20 * TABLE_STEPS
+"""Rows from which guides are cut: half a degree."""
+
+
+def _guides(
+    crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float, data: GuideData | None
+) -> dict[str, Any] | None:
+    if data is None:
+        return None
+    table = hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS)
+    found = hinge_guides(table, data)
+    rows = slice(None, None, GUIDE_STEPS // TABLE_STEPS)
+    return {
+        "speed_rpm": speed_rpm,
+        "stiffness_n_per_m": found.stiffness_n_per_m,
+        "steepest_deg": found.steepest_deg,
+        "undercut": found.undercut,
+        "hinge_angle_deg": (360 * found.hinge_angle_rev[rows]).tolist(),
+        "length_m": found.length_m[rows].tolist(),
+        **{
+            f"{side}_{axis}_m": part[rows].tolist()
+            for side, surface in (("outer", found.outer_m), ("inner", found.inner_m))
+            for axis, part in (("x", surface.real), ("y", surface.imag))
+        },
     }
 
 
@@ -131,6 +184,7 @@ def _solutions(crank: HingedCrank, curve: CrankTorque) -> dict[str, Any]:
         weights[weight] = {
             "potential": _found(lambda w=weight: _weight(crank, curve, w, "potential")),
             "printed": _found(lambda w=weight: _weight(crank, curve, w, "printed")),
+            "printed_truncated": _found(lambda w=weight: _weight(crank, curve, w, "printed", "truncated")),
         }
     both = _found(lambda: balanced_crank(crank))
     return {
@@ -145,8 +199,10 @@ def _solutions(crank: HingedCrank, curve: CrankTorque) -> dict[str, Any]:
     }
 
 
-def _weight(crank: HingedCrank, curve: CrankTorque, weight: Weight, pin_hinge: Any) -> float:
-    return weight_without_side_force(crank, curve, weight=weight, pin_hinge=pin_hinge)
+def _weight(
+    crank: HingedCrank, curve: CrankTorque, weight: Weight, pin_hinge: Any, kinematics: Kinematics = "exact"
+) -> float:
+    return weight_without_side_force(crank, curve, weight=weight, pin_hinge=pin_hinge, kinematics=kinematics)
 
 
 def _found(solve: Any) -> Any:

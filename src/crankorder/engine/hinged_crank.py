@@ -400,11 +400,43 @@ class TorqueBranchData(EngineData):
         return TorqueBranch(angle_deg=self.angle_deg, torque_nm=self.torque_nm)
 
 
+class GuideData(EngineData):
+    """Spring, guides and rollers of a hinge (m), document 003, figure 7.
+
+    A straight compression spring lies along a radius between two guides, a roller at each end. ``free_length_m``: of
+    the spring; ``least_compression_m`` and ``most_compression_m``: where it stores least and most; its stiffness
+    follows from these. ``middle_radius_m``: of the spring's middle about the hinge's axis. ``roller_radius_m``: of the
+    rollers.
+    """
+
+    free_length_m: Positive
+    least_compression_m: Positive
+    most_compression_m: Positive
+    middle_radius_m: Positive
+    roller_radius_m: NonNegative = 0.0
+
+    @field_validator("most_compression_m")
+    @classmethod
+    def _leaves_a_spring(cls, value: float, info: ValidationInfo) -> float:
+        least, free = info.data.get("least_compression_m"), info.data.get("free_length_m")
+        if (least is not None and value <= least) or (free is not None and value >= free):
+            raise ValueError("most_compression_m must lie between least_compression_m and free_length_m")
+        return value
+
+    @field_validator("middle_radius_m")
+    @classmethod
+    def _clears_the_axis(cls, value: float, info: ValidationInfo) -> float:
+        least, free = info.data.get("least_compression_m"), info.data.get("free_length_m")
+        if least is not None and free is not None and value <= (free - least) / 2:
+            raise ValueError("middle_radius_m must exceed half the spring's length, or its inner end passes the axis")
+        return value
+
+
 class HingedCrankData(EngineData):
     """One mechanism of a file; its fields are those of :class:`crankorder.engine.hinged_crank.HingedCrank`.
 
     Where ``rod_inertia_kg_m2`` is left out the rod is taken as uniform and slender. ``speeds_rad_s``: crank speeds that
-    it is meant to run at.
+    it is meant to run at. ``pin_guides``, ``strut_guides``: springs and guides to be cut for the hinges.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -423,6 +455,8 @@ class HingedCrankData(EngineData):
     crank_counterweight_radius_m: NonNegative = 0.0
     gravity_m_s2: Positive = 9.81
     speeds_rad_s: tuple[Positive, ...] = Field(default=(), strict=False)
+    pin_guides: GuideData | None = None
+    strut_guides: GuideData | None = None
 
     @field_validator("rod_centre_to_piston_m")
     @classmethod
@@ -435,7 +469,7 @@ class HingedCrankData(EngineData):
     @cached_property
     def crank(self) -> HingedCrank:
         """The mechanism as the model needs it."""
-        values = self.model_dump(exclude={"name", "speeds_rad_s"})
+        values = self.model_dump(exclude={"name", "speeds_rad_s", "pin_guides", "strut_guides"})
         if self.rod_inertia_kg_m2 is None:
             length_m = self.pin_to_rod_centre_m + self.rod_centre_to_piston_m
             inertia = slender_rod_inertia(self.rod_weight_n, length_m, gravity_m_s2=self.gravity_m_s2)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import gas_torque_by_order, inertia_torque_by_order
-from crankorder.engine.slider_crank import sine_cosine
+from crankorder.engine.forces import gas_torque_by_order, inertia_torque
 from crankorder.errors import RequestError
 
 Floats = NDArray[np.float64]
@@ -137,7 +136,7 @@ def lag_from_torque(
     omega = speed_rpm * math.pi / 30
     cycle = engine.revs_per_cycle if with_gas else 1
     masses = np.zeros(math.floor(highest_order * cycle) + 1, dtype=np.complex128)
-    of_masses = _inertia_torque(engine, max(1, math.floor(highest_order)))
+    of_masses = inertia_torque(engine, max(1, math.floor(highest_order)))
     masses[::cycle] = of_masses[: masses[::cycle].size]
     gas = np.zeros_like(masses)
     if with_gas:
@@ -182,14 +181,6 @@ def stops_within_cycle(speed_rpm: float, slowest_rpm: float) -> RequestError:
         allowed="no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm",
         remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
     )
-
-
-def _inertia_torque(engine: Engine, max_order: int) -> Complex:
-    """Torque over ω² (kg·m²) of the masses of all cylinders on the crank, orders 0 … ``max_order`` of its angle."""
-    lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
-    sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(max_order + 1))
-    torque: Complex = inertia_torque_by_order(engine, max_order) * (cosine + 1j * sine).sum(axis=0)
-    return torque
 
 
 def _work(torque: Complex, orders: Floats) -> Complex:

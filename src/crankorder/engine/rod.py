@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from crankorder.engine.definition import Engine, EngineData, Positive
 from crankorder.engine.harmonics import acceleration_harmonics, rod_acceleration_harmonics
@@ -81,12 +81,41 @@ class RodSplit(EngineData):
         return self.small_end_g / self.total_g
 
 
+class RodOnPin(EngineData):
+    """A rod weighed whole and balanced on a pin or blade: mass (g), and its centre of gravity from the big end (mm)."""
+
+    mass_g: Positive
+    centre_from_big_end_mm: Positive
+    rod_length_mm: Positive
+
+    @field_validator("rod_length_mm")
+    @classmethod
+    def _centre_is_between(cls, value: float, info: ValidationInfo) -> float:
+        centre = info.data.get("centre_from_big_end_mm")
+        if centre is not None and centre >= value:
+            raise ValueError("centre_from_big_end_mm must lie between the ends of the rod")
+        return value
+
+
 class RodSplits(EngineData):
-    """The same rod divided twice: by a cut through its centre of gravity in a drawing, and by a scale at its pins."""
+    """The same rod divided by a cut through its centre of gravity in a drawing, by a scale at its pins, and on a pin.
+
+    ``on_pin``: balanced on a pin or blade, where that was done; ``weighed_whole_g``: the whole rod on the scale.
+    """
 
     cut: RodSplit
     scale: RodSplit
+    on_pin: RodOnPin | None = None
     weighed_whole_g: Annotated[float, Field(gt=0)] | None = None
+
+    @property
+    def by_method(self) -> dict[str, RodSplit]:
+        """Each division by its name: ``"cut"``, ``"scale"`` and, where it was done, ``"on pin"``."""
+        made = {"cut": self.cut, "scale": self.scale}
+        if self.on_pin is not None:
+            fraction = self.on_pin.centre_from_big_end_mm / self.on_pin.rod_length_mm
+            made["on pin"] = split_by_scale(rod_mass_g=self.on_pin.mass_g, centroid_fraction=fraction)
+        return made
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -138,7 +138,7 @@ def mass_lag(engine: Engine, *, flywheel_inertia_kg_m2: float | None = None) -> 
     large one, for only the shape is known then.
     """
     inertia = flywheel_inertia_kg_m2 or engine.flywheel_inertia_kg_m2
-    stiff = STIFF_INERTIA * max(1e-12, engine.reciprocating_mass_kg * engine.crank_radius_m**2)
+    stiff = STIFF_INERTIA * max(1e-12, engine.largest_piston_kg * engine.crank_radius_m**2)
     shape = lag_from_torque(
         engine, flywheel_inertia_kg_m2=stiff, speed_rpm=1000.0, highest_order=TORQUE_ORDERS, with_gas=False
     )

@@ -356,7 +356,7 @@ def _masses(scene: Scene) -> list[_Force]:
     acts[:3] = crankcase_forces(scene.engine, at_rpm, max_order=top)
     if scene.engine_forces.moments:
         acts[3:] = crankcase_moments(scene.engine, at_rpm, max_order=top)
-    cause = "rotating" if scene.engine.reciprocating_mass_kg == 0 else "reciprocating"
+    cause = "rotating" if scene.engine.largest_piston_kg == 0 else "reciprocating"
     forces = [
         _Force(float(k), acts[:, k], cause, at_speed_rpm=at_rpm, inertia=True)
         for k in range(1, top + 1)
@@ -385,13 +385,14 @@ def _acceleration_moment(scene: Scene, top: int) -> Complex:
     Source: energy, T = −d/dt (½ I ω²) / ω, as for :func:`crankorder.engine.forces.inertia_torque_by_order`.
     """
     engine, angle_rev = scene.engine, np.arange(ANGLES) / ANGLES
-    inertia = engine.reciprocating_mass_kg * piston_velocity(angle_rev, engine.mechanism) ** 2
-    inertia += two_masses(engine).missing_inertia_kg_m2 * rod_angle(angle_rev, engine.mechanism)[1] ** 2
-    lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
-    sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(top + 1))
     moment = np.zeros((len(AXES), top + 1), dtype=np.complex128)
-    # half of the lines' peaks, and the whole of the mean
-    moment[AXES.index("RY")] = np.fft.rfft(inertia)[: top + 1] / ANGLES * (cosine + 1j * sine).sum(axis=0)
+    for one in engine.each:
+        inertia = one.reciprocating_mass_kg * piston_velocity(angle_rev, one.mechanism) ** 2
+        inertia += two_masses(one).missing_inertia_kg_m2 * rod_angle(angle_rev, one.mechanism)[1] ** 2
+        lead_rev = (one.cylinders[0].crank_deg - one.cylinders[0].bank_deg) / 360
+        sine, cosine = sine_cosine(lead_rev * np.arange(top + 1))
+        # half of the lines' peaks, and the whole of the mean
+        moment[AXES.index("RY")] += np.fft.rfft(inertia)[: top + 1] / ANGLES * (cosine + 1j * sine)
     return moment
 
 

@@ -130,7 +130,10 @@ class Scene(Part):
     @cached_property
     def highest_engine_order(self) -> int:
         """Highest order of the engine's forces that the tolerance needs; 0 where the scene has none."""
-        return orders_for(self.engine_forces.tolerance, self.engine.mechanism) if self.engine_forces else 0
+        if not self.engine_forces:
+            return 0
+        lengths = {one.mechanism for one in self.engine.each}
+        return max(orders_for(self.engine_forces.tolerance, mechanism) for mechanism in lengths)
 
     @cached_property
     def speed_range_rpm(self) -> tuple[float, float]:

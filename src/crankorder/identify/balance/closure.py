@@ -101,7 +101,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 def _by_engine_orders(
     order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine
 ) -> Balance:
-    if engine.cycle == "rotor" or engine.reciprocating_mass_kg == 0:
+    if engine.cycle == "rotor" or engine.largest_piston_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
     if not modal.modes:
         raise _Refused(f"no natural frequency was found, without which the path is not known; {TRIAL_MASS}")

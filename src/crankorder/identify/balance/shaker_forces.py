@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
 from crankorder.identify.balance.order_shaker import OrderForces
 from crankorder.identify.balance.transfer_path import Complex, Real
@@ -54,7 +54,7 @@ def engine_shaker(engine: Engine, speed_rpm: Real, *, seen: set[int], highest: i
     """
     if highest < 2:
         return "the order map ends below order 2"
-    bare = engine.model_copy(update={"shafts": BalanceShafts(), "rotating_unbalance_kg_m": 0.0})
+    bare = engine.pistons_alone
     forces = crankcase_forces(bare, speed_rpm, max_order=highest)
     moments = crankcase_moments(bare, speed_rpm, max_order=highest)
     size = np.abs(forces).max(axis=(0, 1))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, Z
 from crankorder.engine.transfer_paths import StatedPath
 from crankorder.findings import Balance
@@ -55,7 +55,7 @@ def by_stated_paths(
     directions = tuple(d for d in ("X", "Z") if any(path.direction == d for path in paths))
     if not directions:
         return "a path along the shaft tells no unbalance: state one of direction X or Z"
-    pistons = engine is not None and engine.cycle != "rotor" and engine.reciprocating_mass_kg > 0
+    pistons = engine is not None and engine.cycle != "rotor" and engine.largest_piston_kg > 0
     radius_m = engine.crank_radius_m if engine is not None and pistons else ROTOR_RADIUS_M
     parts = [(1, directions)]
     if pistons and engine is not None and 2 in engine.shafts.every_order and 2 in measured.orders and "Z" in directions:
@@ -152,7 +152,7 @@ def _split(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]]], engin
     sought = tuple((order, axis) for order, axes in parts for axis in axes)
     per_kg = np.ones(len(sought), dtype=np.complex128)
     if engine is not None:
-        bare = engine.model_copy(update={"shafts": BalanceShafts(), "rotating_unbalance_kg_m": 0.0})
+        bare = engine.pistons_alone
         along_only = (1, "X") not in sought
         for number, (order, axis) in enumerate(sought):
             per_kg[number] = force_per_kg(

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.definition import Engine
 from crankorder.engine.forces import Z
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Influence, TrialBalance
@@ -60,7 +60,7 @@ def trial_mass(
     if len(references) > 1 or not references <= set(STEADY_REFERENCES):
         return None, "the two tests have no mark of the shaft in common, so their phases cannot be compared"
     on_piston = kinds == {"piston"}
-    if on_piston and (engine is None or len(engine.cylinders) != 1 or engine.reciprocating_mass_kg == 0):
+    if on_piston and (engine is None or len(engine.cylinders) != 1 or engine.largest_piston_kg == 0):
         return None, "a mass on a piston tells a residual of an engine of one cylinder alone"
     total: complex = sum((_unbalance(mass) for mass in added), 0j)
     if abs(total) < 1e-9:
@@ -88,7 +88,7 @@ def trial_mass(
 
 
 def _radius_mm(engine: Engine | None) -> float | None:
-    return None if engine is None or engine.reciprocating_mass_kg == 0 else 1e3 * engine.crank_radius_m
+    return None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m
 
 
 def _unbalance(mass: AddedMass) -> complex:
@@ -248,7 +248,7 @@ def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBa
 def _of_piston(
     record: TrialBalance, found: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str
 ) -> TrialBalance:
-    bare = engine.model_copy(update={"shafts": BalanceShafts(), "rotating_unbalance_kg_m": 0.0})
+    bare = engine.pistons_alone
     per_g = abs(force_per_kg(bare, 1, Z, along_only=True))
     half = np.abs(mass_g) * half_width(found.freedom) * np.sqrt(np.diag(found.covariance))
     record = with_interval(record, "along_g", per_g * mass_g * found.value.real, per_g * float(half[0]))

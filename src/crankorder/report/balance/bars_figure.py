@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
-from crankorder.report.balance.look import MOMENT_TEXT, alike, axis_names, called, color_key, system_color
+from crankorder.report.balance.look import alike, axis_names, called, color_key, system_color
 from crankorder.report.notation import number_text, order_text
 from crankorder.report.style import (
-    LINES,
     NOTE,
     SMALL,
     axes_at,
@@ -43,16 +42,18 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     engine; ``settings`` of the report.
     """
     with house_style():
-        figure = new_figure(settings.width_in, settings.height_in)
+        tall_in = settings.height_in * (1.35 if "moment_by_system" in balance else 1.0)
+        figure = new_figure(settings.width_in, tall_in)
         speed = float(balance["speed"].values.max())
         per_omega = float(unbalance_force_n(1.0, speed))
         force = balance["force"]
         systems = [names for names in alike(force) if np.abs(force.sel(system=names[0]).values).max() > 0]
         tall = _tall_orders(balance, settings)
         last = max([4.0, *tall[: settings.max_labelled_orders]])
-        groups = _groups(balance.sel(order=slice(None, last)), systems, per_omega)
+        rocking = alike(balance["moment_by_system"]) if "moment_by_system" in balance else []
+        groups = _groups(balance.sel(order=slice(None, last)), systems, rocking, per_omega)
         orders = balance["order"].sel(order=slice(None, last)).values
-        inner = settings.height_in - _TOP - _BOTTOM - (len(groups) - 1) * _GAP
+        inner = tall_in - _TOP - _BOTTOM - (len(groups) - 1) * _GAP
         height, width = inner / len(groups), settings.width_in - _LEFT - _RIGHT
         for number, (name, unit, most, values, hues) in enumerate(groups):
             bottom = _BOTTOM + (len(groups) - 1 - number) * (height + _GAP)
@@ -63,15 +64,14 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
             axes.set_ylabel(unit)
             factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
             _second_scale(axes, factor, right)
-            if unit == "N·m":
-                keyed = zip(balance["moment_axis"].values, hues, values, strict=True)
-                named = [(MOMENT_TEXT[str(axis)], hue) for axis, hue, amounts in keyed if amounts.max() > 0]
-                color_key(figure, (_LEFT + 1.0, bottom, width, height), named)
+            if number == 2:
+                keyed = [(called(names), system_color(names[0])) for names in rocking]
+                color_key(figure, (_LEFT + 2.6, bottom, width - 2.6, height), keyed)
             if number == len(groups) - 1:
                 axes.set_xlabel("order, cycles per crank revolution")
         entries = [(called(system), system_color(system[0])) for system in systems]
         if len(entries) > 1:
-            color_key(figure, (_LEFT, settings.height_in - _TOP + 0.2, width, 0.1), entries)
+            color_key(figure, (_LEFT, tall_in - _TOP + 0.2, width, 0.1), entries)
         said = (
             f"Amplitude at {speed_key(speed)} rpm. Bars below 1/{1 / _share(settings):.0f} of the largest are left out."
         )
@@ -85,14 +85,14 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
 def _tall_orders(balance: xr.Dataset, settings: ReportSettings) -> list[float]:
     """Orders at which a force or a moment is large enough to be drawn, ascending."""
     high = np.zeros(balance.sizes["order"], dtype=bool)
-    for name in ("force", "moment"):
+    for name in ("force", "moment_by_system"):
         if name in balance:
             amplitude = np.abs(balance[name].transpose(..., "order").values).reshape(-1, len(high))
             high |= (amplitude > _share(settings) * amplitude.max()).any(axis=0)
     return [float(order) for order in balance["order"].values[high]]
 
 
-def _groups(balance: xr.Dataset, systems: list[list[str]], per_omega: float) -> list[Group]:
+def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[str]], per_omega: float) -> list[Group]:
     """Panels: name, unit, largest amplitude of the unit, amplitudes (order) of each bar beside another, colours."""
     shown = systems or [["none"]]
     forces = [np.abs(balance["force"].sel(system=names[0]).values) * per_omega for names in shown]
@@ -102,9 +102,15 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], per_omega: float) -> 
         (name[0].upper() + name[1:], "N", largest, [force[row] for force in forces], colors)
         for row, name in enumerate(axis_names(balance))
     ]
-    if "moment" in balance:
-        moments = 1e-3 * per_omega * np.abs(balance["moment"].values)
-        groups.append(("Moments", "N·m", float(moments.max()), list(moments), list(LINES[: len(moments)])))
+    if "moment_by_system" in balance:
+        systems_of = [balance["moment_by_system"].sel(system=names[0]).values for names in moments]
+        hues = [system_color(names[0]) for names in moments]
+        about_z, about_x, roll = (1e-3 * per_omega * np.array([one[row] for one in systems_of]) for row in range(3))
+        # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
+        rocking = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
+        most = float(max(rocking.max(), np.abs(roll).max()))
+        groups.append(("Rocking couple, the most of a turn", "N·m", most, list(rocking), hues))
+        groups.append(("Roll moment of the masses", "N·m", most, list(np.abs(roll)), hues))
     return groups
 
 

@@ -10,10 +10,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import BalancedEngine, reduced_masses
-from crankorder.engine.balance_sheet import ONE_RADIAN_PER_S_RPM, POSSIBILITIES, STRATEGIES
+from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES
 from crankorder.engine.balancing import OrderForce, balanced, force_by_order, polar_diagram, unbalance_force_n
 from crankorder.engine.definition import BalanceShafts, Engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
+from crankorder.engine.engine_tables import MOMENT_AXES, designs_for, whole_force, whole_moments
+from crankorder.engine.forces import DIRECTIONS, crankcase_moments
+from crankorder.engine.shaft_design import ONE_RADIAN_PER_S_RPM
 from crankorder.engine.shafts import shaft_layout
 
 Forces = tuple[OrderForce, ...]
@@ -22,13 +24,13 @@ SYSTEMS: dict[str, str] = {
     "none": "no balancing",
     **{str(name): f"strategy {name}" for name in STRATEGIES},
     **{str(name): f"shafts {name}" for name in POSSIBILITIES},
+    "webs": "crank webs",
+    **{f"order {order}": f"shafts up to order {order}" for order in range(1, 13)},
     "own": "its own shafts",
 }
 """What each system is called: the plain engine, counterweights, counterweights with additional shafts, as it is."""
 
-MOMENT_AXES = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
-"""Axes that moments are named for in a balance sheet, and the engine's direction that each of them is."""
-
+_PHASE = "largest where order · crank angle is minus this"
 _POINTS = 720  # half a degree; at high orders 16 points a cycle
 
 
@@ -44,16 +46,14 @@ def balance_dataset(
     """
     orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
     systems = forces_by_system(subject, sheet, max_order=max_order)
-    force = np.zeros((len(systems), 2, max_order), dtype=complex)
-    for number, forces in enumerate(systems.values()):
-        for one in forces:
-            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    force = _amplitudes(systems, max_order)
     curves = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
     shares = {int(order): share for order, share in sheet["harmonics"].items()}
     dataset = xr.Dataset(
         {
             "force": (("system", "axis", "order"), force, _about("amplitude over squared crank speed", "g mm")),
+            "phase": (("system", "axis", "order"), phase_deg(force), _about("of the force; " + _PHASE, "degree")),
             "force_at_speed": (
                 ("system", "axis", "order", "speed"),
                 unbalance_force_n(np.abs(force)[..., None], speeds),
@@ -80,7 +80,16 @@ def balance_dataset(
             "harmonic_order": ("harmonic_order", np.array(list(shares), dtype=np.float64), _about("order", "1")),
         },
     )
-    return dataset if sheet["moment_g_mm2"] is None else _with_moments(dataset, subject, sheet, max_order)
+    return dataset if sheet["strategies"] is not None else _with_moments(dataset, subject, sheet, max_order)
+
+
+def _amplitudes(systems: Mapping[str, Forces], max_order: int) -> NDArray[np.complex128]:
+    """Complex amplitudes (system, axis, order) of the forces of each system."""
+    force = np.zeros((len(systems), 2, max_order), dtype=complex)
+    for number, forces in enumerate(systems.values()):
+        for one in forces:
+            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    return force
 
 
 def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int) -> dict[str, Forces]:
@@ -89,10 +98,8 @@ def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_o
     ``subject``: engine with its balance data. ``sheet``: its balance sheet, which says what systems it has.
     ``max_order``: highest order.
     """
-    engine = subject.engine
     if sheet["strategies"] is None:
-        bare = engine.model_copy(update={"shafts": BalanceShafts(orders=())})
-        systems = {"none": _engine_force(bare, sheet["force_g_mm"], max_order)}
+        systems = {name: whole_force(one, max_order) for name, one in _designed(subject, sheet).items()}
     else:
         masses = reduced_masses(subject)
         systems = {"none": force_by_order(masses, max_order=max_order)}
@@ -102,34 +109,40 @@ def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_o
         for possibility in POSSIBILITIES:
             if sheet["shafts"][possibility] is not None:
                 systems[possibility] = shaft_layout(masses, possibility, max_order=max_order).residual
-    own = sheet["shafts"]["own"]
-    if own is not None:
-        systems["own"] = _engine_force(engine, own["residual_g_mm"], max_order)
+    if sheet["shafts"]["own"] is not None:
+        systems["own"] = whole_force(subject.engine, max_order)
     return systems
 
 
-def _engine_force(engine: Engine, listed: Mapping[str, Any], max_order: int) -> Forces:
-    """Force of the whole engine; orders that the sheet has not ``listed`` are round-off of the sum over cylinders."""
-    forces = crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e6
-    kept = {
-        axis: [
-            complex(forces[DIRECTIONS.index(along)][k]) if str(k) in (listed[axis] or {}) else 0j
-            for k in range(max_order + 1)
-        ]
-        for axis, along in (("x", "Z"), ("y", "X"))
-    }
-    return tuple(OrderForce.of_axes(order=k, x_g_mm=kept["x"][k], y_g_mm=kept["y"][k]) for k in range(1, max_order + 1))
+def _designed(subject: BalancedEngine, sheet: Mapping[str, Any]) -> dict[str, Engine]:
+    """An engine of several cylinders by system: without shafts, with each design, as it is."""
+    engine = subject.engine
+    made = {"none": engine.model_copy(update={"shafts": BalanceShafts()})}
+    made |= {design.name: design.on(engine) for design in designs_for(subject)}
+    return made if sheet["shafts"]["own"] is None else {**made, "own": engine}
 
 
 def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: Mapping[str, Any], max_order: int) -> xr.Dataset:
-    """The dataset with the moments of several cylinders, of the engine as it is."""
-    found = crankcase_moments(subject.engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
-    moment = np.zeros((len(MOMENT_AXES), max_order), dtype=complex)
-    for row, (name, direction) in enumerate(MOMENT_AXES.items()):
-        for order in sheet["moment_g_mm2"].get(name) or {}:
-            moment[row, int(order) - 1] = found[DIRECTIONS.index(direction)][int(order)]
+    """The dataset with the moments of several cylinders: of the engine without its shafts, and of every system."""
+    systems = _designed(subject, sheet)
+    moment = np.zeros((len(systems), len(MOMENT_AXES), max_order), dtype=complex)
+    for number, engine in enumerate(systems.values()):
+        found = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
+        for row, (name, kept) in enumerate(whole_moments(engine, max_order).items()):
+            for order in kept or {}:
+                moment[number, row, int(order) - 1] = found[DIRECTIONS.index(MOMENT_AXES[name])][int(order)]
     about = _about("amplitude over squared crank speed", "g mm2")
-    return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(moment=(("moment_axis", "order"), moment, about))
+    phase = _about("of the moment; " + _PHASE, "degree")
+    return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(
+        moment=(("moment_axis", "order"), moment[0], about),
+        moment_phase=(("moment_axis", "order"), phase_deg(moment[0]), phase),
+        moment_by_system=(("system", "moment_axis", "order"), moment, about),
+    )
+
+
+def phase_deg(amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Phases (degrees, −180 to 180) of complex ``amplitudes`` of any shape; NaN where there is nothing."""
+    return np.where(np.abs(amplitudes) > 0, np.degrees(np.angle(amplitudes)), np.nan)
 
 
 def order_sum(amplitudes: NDArray[np.complex128], crank_angle_rev: NDArray[np.float64]) -> NDArray[np.float64]:

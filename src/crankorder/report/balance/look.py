@@ -11,7 +11,9 @@ from crankorder.report.notation import listed
 from crankorder.report.style import INK, LINES, text_width_in, write
 
 COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
-SHAFT_SETS = ("none", "1", "2", "3", "4", "4+2", "own")
+DESIGNS = ("webs", *(f"order {order}" for order in range(1, 13)))
+"""Crank webs and shafts for several cylinders."""
+SHAFT_SETS = ("none", "1", "2", "3", "4", "4+2", *DESIGNS, "own")
 MEANING = {
     "none": "no counterweight, no shaft",
     "a": "order 1 along cancelled",
@@ -23,6 +25,8 @@ MEANING = {
     "3": "both pairs",
     "4": "one, against the crank",
     "4+2": "one, and pair at twice speed",
+    "webs": "weights on the crank",
+    **{f"order {order}": "webs and shafts" for order in range(1, 13)},
     "own": "as the engine file has them",
 }
 """What strategies of counterweights and possibilities of additional shafts are."""

@@ -1,4 +1,4 @@
-"""Polar diagrams of the force that an engine's balance leaves: how large, where to, and which way round."""
+"""Forces as they turn: polar diagrams of what a balance leaves, and primary and secondary force against crank angle."""
 
 from __future__ import annotations
 
@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
-from crankorder.report.balance.look import COUNTERWEIGHTS, MEANING, NO_FORCE, SHAFT_SETS, axis_names, system_color
+from crankorder.report.balance.look import (
+    COUNTERWEIGHTS,
+    MEANING,
+    NO_FORCE,
+    SHAFT_SETS,
+    axis_names,
+    color_key,
+    system_color,
+)
 from crankorder.report.notation import number_text
 from crankorder.report.style import (
     FAINT,
     GRID,
+    INK,
     LINES,
     NORMAL,
     SMALL,
@@ -23,6 +32,7 @@ from crankorder.report.style import (
     drawable,
     house_style,
     new_figure,
+    quiet_frame,
     title_lines,
     write,
 )
@@ -38,7 +48,7 @@ TURNS = {
 }
 """How a force moves, under its diagram."""
 
-_LEFT, _RIGHT, _TOP, _BOTTOM, _HEAD = 0.55, 0.25, 0.7, 0.3, 0.84  # inches
+_LEFT, _RIGHT, _TOP, _BOTTOM, _HEAD = 0.75, 0.25, 0.7, 0.3, 0.84  # inches
 _WIDEST = 4.4
 _HEADED = "-|>,head_width=0.28,head_length=0.55"
 
@@ -46,6 +56,7 @@ _HEADED = "-|>,head_width=0.28,head_length=0.55"
 def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Figure:
     """Curve that the force draws during a revolution at the highest speed, for each way of balancing, to one scale.
 
+    Counterweights come twice: by the first harmonic alone, whose curves are ellipses, and by all harmonics together.
     Up is along the cylinder, right is across it, to the side that the crank turns to; the crank turns clockwise.
     ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
     ``settings`` of the report.
@@ -53,15 +64,17 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     with house_style():
         speed = float(balance["speed"].values.max())
         panels = _panels(balance, speed)
-        columns = max(len(row) for row in panels)
+        columns = max(len(row) for _, row in panels)
         step = (settings.width_in - _LEFT - _RIGHT) / columns
         side = min(step - 0.16, _WIDEST)
         figure = new_figure(settings.width_in, _TOP + _BOTTOM + len(panels) * (side + _HEAD))
         limit = 1.15 * max(
-            float(np.abs(curve).max()) for row in panels for _, _, curve, _, _, unit in row if unit == "N"
+            float(np.abs(curve).max()) for _, row in panels for _, _, curve, _, _, unit in row if unit == "N"
         )
-        for number, row in enumerate(panels):
+        for number, (of_row, row) in enumerate(panels):
             bottom = _BOTTOM + (len(panels) - 1 - number) * (side + _HEAD)
+            write(figure, 0.42, bottom + side / 2, of_row, rotation=90, ha="center", va="center", fontsize=NORMAL,
+                  fontweight="bold")  # fmt: skip
             for place, (head, meaning, curve, color, turns, unit) in enumerate(row):
                 left = _LEFT + place * step
                 axes = axes_at(figure, left + (step - side) / 2, bottom, side, side)
@@ -86,26 +99,34 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 Panel = tuple[str, str, Curve, str, str, str]
 
 
-def _panels(balance: xr.Dataset, speed: float) -> list[list[Panel]]:
-    """Rows of (head, what it means, curve, colour, how it turns, unit): counterweights, shafts; or force and moment."""
+def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
+    """Rows with what each is of: counterweights by the first and by all harmonics, shafts; or force and moment.
+
+    A panel: head, what it means, curve, colour, how it turns, unit.
+    """
     per_omega = float(unbalance_force_n(1.0, speed))
     curves = per_omega * (balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values)
+    along, across = order_sum(balance["force"].sel(order=[1.0]).values, balance["crank_angle"].values).swapaxes(0, 1)
+    first = per_omega * (along + 1j * across)
     names = [str(name) for name in balance["system"].values]
 
-    def panel(name: str) -> Panel:
+    def panel(name: str, drawn: Curve) -> Panel:
         at = names.index(name)
         turns = TURNS[str(balance["rotation"].values[at])]
         head, meaning = (SYSTEMS[name], MEANING[name]) if len(names) > 1 else ("force", "")
-        return (head, meaning, curves[at], system_color(name), turns, "N")
+        return (head, meaning, drawn[at], system_color(name), turns, "N")
 
-    rows = [[panel(name) for name in kinds if name in names] for kinds in (COUNTERWEIGHTS, SHAFT_SETS[1:])]
+    kinds = [name for name in COUNTERWEIGHTS if name in names]
+    rows = [("first harmonic alone", [panel(name, first) for name in kinds])] if first.any() else []
+    rows.append(("all harmonics", [panel(name, curves) for name in kinds]))
+    rows.append(("shafts, all harmonics", [panel(name, curves) for name in SHAFT_SETS[1:] if name in names]))
     if "moment" in balance:
         about = 1e-3 * per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
         moment = about[0] + 1j * about[1]
         most = float(np.abs(moment).max())
         text = f"its axis; the frame is ±{number_text(1.15 * most)} N·m" if most else ""
-        rows[0].append(("rocking moment", "", moment, LINES[1], text, "N·m"))
-    return [row for row in rows if row]
+        rows[-2][1].append(("rocking moment", "", moment, LINES[1], text, "N·m"))
+    return [row for row in rows if row[1]]
 
 
 def _largest(curve: Curve, unit: str, limit: float) -> str:
@@ -154,3 +175,62 @@ def _encloses(curve: Curve) -> bool:
     """Whether a curve has a sense of rotation: more area than a line drawn there and back."""
     area = 0.5 * abs(float(np.sum((curve[:-1].conj() * curve[1:]).imag)))
     return area > 0.12 * float(np.abs(curve).max()) ** 2
+
+
+_PARTS = {"primary": ((1.0,), LINES[0]), "secondary": ((2.0,), LINES[1]), "both": ((1.0, 2.0), INK)}
+"""Orders of each curve and its colour."""
+
+
+def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Figure:
+    """Primary force, secondary force and their sum against crank angle at the highest speed, without any balancing.
+
+    Faint behind them all orders together. Positive away from the crankshaft: the piston pulls on its rod.
+    ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``settings`` of the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
+    """
+    with house_style():
+        speed = float(balance["speed"].values.max())
+        per_omega = float(unbalance_force_n(1.0, speed))
+        forces = balance["force"].sel(system="none")
+        shown = [axis for axis in "xy" if np.abs(forces.sel(axis=axis).values).max() > 0] or ["x"]
+        figure = new_figure(settings.width_in, settings.height_in * 0.72)
+        width = (settings.width_in - 1.3 - (len(shown) - 1) * 0.95) / len(shown)
+        height = settings.height_in * 0.72 - 1.85
+        limit = 1.12 * per_omega * float(np.abs(balance["curve"].sel(system="none").values).max()) or 1.0
+        for number, axis in enumerate(shown):
+            box = (0.95 + number * (width + 0.95), 0.62, width, height)
+            axes = axes_at(figure, *box)
+            _harmonics(axes, balance, axis, per_omega)
+            axes.set_ylim(-limit, limit)
+            axes.set_title(axis_names(balance)["xy".index(axis)], fontsize=9, color=INK, pad=18)
+            entries = [(name, color) for name, (_, color) in _PARTS.items()]
+            color_key(figure, box, [*entries, ("all orders", FAINT)])
+        said = f"Force of the moving masses at {speed_key(speed)} rpm, no balancing; {_at_dead_centres(forces)}"
+        title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", said)
+        return figure
+
+
+def _harmonics(axes: Axes, balance: xr.Dataset, axis: str, per_omega: float) -> None:
+    quiet_frame(axes)
+    angles = balance["crank_angle"].values
+    every = per_omega * balance["curve"].sel(system="none", axis=axis).values
+    axes.plot(360 * angles, every, color=FAINT, linewidth=2.6, alpha=0.5, gid=f"all-{axis}")
+    amplitudes = balance["force"].sel(system="none", axis=axis)
+    for name, (orders, color) in _PARTS.items():
+        chosen = np.where(np.isin(balance["order"].values, orders), amplitudes.values, 0)
+        axes.plot(360 * angles, per_omega * order_sum(chosen, angles), color=color, gid=f"{name}-{axis}",
+                  linewidth=1.8 if name == "both" else 1.3)  # fmt: skip
+    axes.set_xlim(0, 360)
+    axes.set_xticks(range(0, 361, 45))
+    axes.set_xlabel("crank angle from top dead centre, °")
+    axes.set_ylabel("N")
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+
+
+def _at_dead_centres(forces: xr.DataArray) -> str:
+    """How much the secondary force adds to the primary one along the cylinder, and takes off."""
+    first, second = (complex(forces.sel(axis="x", order=order).values) for order in (1.0, 2.0))
+    if not first or not second:
+        return "no secondary force." if first else "no primary force."
+    share = 100 * (second.real / first.real) if first.real else 0.0
+    return f"the secondary one adds {share:.3g} % at top dead centre and takes as much off at the bottom."

@@ -82,7 +82,19 @@ def balance_text(sheet: Sheet) -> str:
     out.
     """
     lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}", ""]
-    for table in (_masses, _forces, _moments, _strategies, _shafts, _shaft_residuals, _pairs, _crankshaft, _gears):
+    for table in (
+        _masses,
+        _forces,
+        _moments,
+        _strategies,
+        _shafts,
+        _designs,
+        _shaft_residuals,
+        _pairs,
+        _crankshaft,
+        _rod,
+        _gears,
+    ):
         lines += table(sheet)
     speeds = list(sheet["force_n"])
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
@@ -130,7 +142,7 @@ def _forces(sheet: Sheet) -> list[str]:
 
 def _axes_of(sheet: Sheet) -> tuple[tuple[str, str], ...]:
     """Keys of the two axes and what they are called: one cylinder has a direction of its own, several have Z and X."""
-    return (("x", "along"), ("y", "across")) if sheet["moment_g_mm2"] is None else (("x", "Z"), ("y", "X"))
+    return (("x", "along"), ("y", "across")) if sheet["strategies"] is not None else (("x", "Z"), ("y", "X"))
 
 
 def _moments(sheet: Sheet) -> list[str]:
@@ -214,9 +226,46 @@ def _shafts(sheet: Sheet) -> list[str]:
     return text_table(title, [*heads, "heavy side °"], rows, kept=2)
 
 
+def _designs(sheet: Sheet) -> list[str]:
+    """Crank webs and shafts of several cylinders: what each carries, and what is left of force and couples."""
+    design = sheet["design"]
+    if design is None:
+        return []
+    rows: list[Sequence[Cell]] = []
+    for name, layout in design["layouts"].items():
+        carriers = [("crank", layout["webs"])] if name == "webs" or not rows else []
+        carriers += [(f"shaft {one['speed_ratio']:+d}", one["weights"]) for one in layout["shafts"]]
+        rows += [
+            [name, carrier, *(weight[key] for key in ("position_mm", "unbalance_g_mm", "angle_deg"))]
+            for carrier, weights in carriers
+            for weight in weights
+        ]
+    heads = ["design", "on", "at mm", "g·mm", "heavy side °"]
+    title = "Webs and shafts for force and couple (speed × crank, < 0 against it; heavy side: at crank angle 0 from Z)"
+    lines = text_table(title, heads, rows, kept=2)
+    throws = [[str(number), *weight.values()] for number, weight in enumerate(design["throw_counterweights"])]
+    title = "Or a counterweight at each throw, for all of order 1 that turns with the crank"
+    lines += text_table(title, ["cylinder", "g·mm", "heavy side °", "at mm"], throws, kept=1)
+    return lines + _left_moments(sheet)
+
+
+def _left_moments(sheet: Sheet) -> list[str]:
+    left = {"none": sheet["moment_g_mm2"]}
+    left |= {name: layout["residual_moment_g_mm2"] for name, layout in sheet["design"]["layouts"].items()}
+    if sheet["shafts"]["own"] is not None:
+        left["own"] = sheet["shafts"]["own"]["residual_moment_g_mm2"]
+    rows: list[Sequence[Cell]] = [
+        [order, text, *((moments[key] or {}).get(order, 0.0) for moments in left.values())]
+        for key, text in _MOMENTS.items()
+        for order in shown_orders(moments[key] for moments in left.values())
+    ]
+    return text_table("Moments that remain, g·mm²", ["order", "axis", *left], rows, kept=2)
+
+
 def _shaft_residuals(sheet: Sheet) -> list[str]:
     left: dict[str, Axes] = {"none": sheet["force_g_mm"]}
     left |= {name: layout["residual_g_mm"] for name, layout in _layouts(sheet).items()}
+    left |= {name: layout["residual_g_mm"] for name, layout in (sheet["design"] or {"layouts": {}})["layouts"].items()}
     if sheet["shafts"].get("own") is not None:
         left["own"] = sheet["shafts"]["own"]["residual_g_mm"]
     if len(left) == 1:
@@ -257,11 +306,14 @@ def _crankshaft(sheet: Sheet) -> list[str]:
     table = sheet["crankshaft"]
     if table is None:
         return []
-    sums = [
-        ("static, kg·mm", table["static_kg_mm"]["x"], table["static_kg_mm"]["y"]),
-        ("dynamic, kg·mm²", table["dynamic_kg_mm2"]["x"], table["dynamic_kg_mm2"]["y"]),
+    rows = [
+        [row["name"], *(row[key] for key in ("mass_kg", "x_mm", "y_mm")), *_products(row)] for row in table["sections"]
     ]
-    lines = text_table("Crankshaft: sums over its sections", ["", "x", "y"], sums)
+    rows.append(["sum", None, None, None, *_products({**table, "z_mm": None})])
+    heads = ["part", "Wr kg", "X mm", "Y mm", "Wr X", "Wr Y", "Z mm", "CX", "CY"]
+    lines = text_table(
+        "Crankshaft: static (Wr X, Wr Y: kg·mm) and dynamic (CX, CY: kg·mm²) balance of its parts", heads, rows
+    )
     couples = [(f"at {speed} rpm", amount) for speed, amount in table["couple_Nm_at_rpm"].items()]
     lines += text_table("Rocking couple that turns with the crankshaft", ["", "N·m"], couples)
     heads = ["plane", "z mm"] + [f"{text} {axis}" for text in ("has", "add", "needs") for axis in "xy"]
@@ -270,7 +322,38 @@ def _crankshaft(sheet: Sheet) -> list[str]:
         + [plane[f"{key}_kg_mm"][axis] for key in ("has", "correction", "needs") for axis in "xy"]
         for plane in table["planes"]
     ]
-    return lines + text_table("Two-plane correction, kg·mm", heads, planes)
+    lines += text_table("Two-plane correction, kg·mm", heads, planes)
+    fans = [
+        [name, *(fan[key] for key in ("mass_kg", "centroid_mm", "unbalance_kg_mm")), *fan["resized"].values()]
+        for name, fan in ((plane["name"], plane["fan"]) for plane in table["planes"])
+        if fan is not None
+    ]
+    heads = ["counterweight", "kg", "centroid mm", "kg·mm", "or radius mm", "or thickness mm", "or fan °"]
+    lines += text_table("Fans, and the one size that would meet both sums", heads, fans)
+    bobs = [
+        [bob["method"], bob["mass_kg"], *(bob[key]["y"] for key in ("static_kg_mm", "dynamic_kg_mm2"))]
+        for bob in table["bob_weights"] or []
+    ]
+    heads = ["rod's big end", "kg", "static y, kg·mm", "dynamic y, kg·mm²"]
+    return lines + text_table(
+        "The crankshaft with another mass in the place of its bob weight", heads, bobs[1:] and bobs
+    )
+
+
+def _products(row: Mapping[str, Any]) -> list[Cell]:
+    static, dynamic = row["static_kg_mm"], row["dynamic_kg_mm2"]
+    return [static["x"], static["y"], row["z_mm"], dynamic["x"], dynamic["y"]]
+
+
+def _rod(sheet: Sheet) -> list[str]:
+    table = sheet["rod_split"]
+    if table is None:
+        return []
+    keys = ("big_end_g", "small_end_g", "total_g", "centroid_fraction")
+    rows: list[list[Cell]] = [[name, *(one[key] for key in keys)] for name, one in table["methods"].items()]
+    rows.append(["weighed whole", None, None, table["weighed_whole_g"], None])
+    heads = ["by", "big end g", "small end g", "total g", "centre / length"]
+    return text_table("The rod in two masses", heads, rows)
 
 
 def _gears(sheet: Sheet) -> list[str]:
@@ -323,7 +406,7 @@ def hinge_text(sheet: Mapping[str, Any]) -> str:
     lines += _side_forces(sheet["mechanisms"]) + _hinge_moments(sheet["mechanisms"]) + _solutions(sheet["mechanisms"])
     for one in sheet["mechanisms"]:
         lines += _characteristic(one)
-    lines += _air_springs(sheet["mechanisms"])
+    lines += _air_springs(sheet["mechanisms"]) + _guides(sheet["mechanisms"])
     return "\n".join([*lines, *closing("What remains", sheet)]) + "\n"
 
 
@@ -359,12 +442,13 @@ def _solutions(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
         found = one["solutions"]
         for weight, text in _WEIGHTS.items():
             kinds = found["weight_without_side_force"][weight]
-            rows.append([one["name"], f"{text}, no side force", kinds["potential"], kinds["printed"]])
-        rows.append([one["name"], "crank counterweight, eq. (12)", found["crank_counterweight_n"], None])
+            weights = (kinds[kind] for kind in ("potential", "printed", "printed_truncated"))
+            rows.append([one["name"], f"{text}, no side force", *weights])
+        rows.append([one["name"], "crank counterweight, eq. (12)", found["crank_counterweight_n"], None, None])
         for key, text in (("rod_counterweight_n", "rod"), ("crank_counterweight_n", "crank")):
             amount = None if found["balanced"] is None else found["balanced"][key]
-            rows.append([one["name"], f"{text} counterweight, eq. (13)", amount, None])
-    heads = ["mechanism", "what to choose", "N", "N, printed (6)"]
+            rows.append([one["name"], f"{text} counterweight, eq. (13)", amount, None, None])
+    heads = ["mechanism", "what to choose", "N", "N, printed (6)", "… cos ψ truncated"]
     return text_table("Solutions", heads, rows, kept=2)
 
 
@@ -384,3 +468,22 @@ def _air_springs(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = [[one["name"], *(change[key] for key in keys)] for one in mechanisms for change in one["air_spring"]]
     heads = ["mechanism", "hinge", "cut for rpm", "at rpm", "pressure ratio", "share left", "unevenness"]
     return text_table("Air spring at another speed", heads, rows, kept=2)
+
+
+def _guides(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows: list[list[Cell]] = [
+        [
+            f"{one['name']}, {joint}",
+            guides["speed_rpm"],
+            1e-3 * guides["stiffness_n_per_m"],
+            1e3 * min(guides["length_m"]),
+            1e3 * max(guides["length_m"]),
+            guides["steepest_deg"],
+            "no: sharper than the roller" if guides["undercut"] else "yes",
+        ]
+        for one in mechanisms
+        for joint, guides in one["guides"].items()
+        if guides is not None
+    ]
+    heads = ["hinge", "rpm", "spring N/mm", "shortest mm", "longest mm", "steepest °", "can be cut"]
+    return text_table("Springs and guides of the hinges", heads, rows)

@@ -1,0 +1,318 @@
+"""Engines of the textbooks: forces and couples against sums that share no code, and shafts that cancel what can be."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crankorder.engine.balance_data import BalanceData, BalancedEngine
+from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft
+from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments, orders_made
+from crankorder.engine.shaft_design import designs, primary_shares, roll_height_m, throw_counterweights
+from crankorder.errors import RequestError
+
+X, Y, Z = (DIRECTIONS.index(name) for name in ("X", "Y", "Z"))
+RADIUS_M, ROD_M, MASS_KG = 0.043, 0.141, 0.58
+RPM = 30 / math.pi
+ORDERS = 8
+EXACT = 1e-12
+Throw = tuple[float, float, float]  # angle of the pin, angle of the bank, place along the crankshaft
+
+
+def row(*cranks: float) -> list[Throw]:
+    return [(angle, 0.0, 0.1 * (n - (len(cranks) - 1) / 2)) for n, angle in enumerate(cranks)]
+
+
+def vee(half_deg: float, *pins: float, split_deg: float = 0.0, stagger_m: float = 0.0) -> list[Throw]:
+    """Banks at ± ``half_deg``; the pins of a throw ``split_deg`` apart, its rods ``stagger_m`` apart."""
+    made = []
+    for n, pin in enumerate(pins):
+        for side in (-1, 1):
+            place = 0.11 * (n - (len(pins) - 1) / 2) + side * stagger_m / 2
+            made.append((pin + side * split_deg / 2, side * half_deg, place))
+    return made
+
+
+def boxer(*pins: float) -> list[Throw]:
+    """Opposed pistons on pins half a turn apart, so that both go out together."""
+    return [
+        (pin if side < 0 else pin + 180, 90.0 * side, 0.12 * (n - (len(pins) - 1) / 2) + 0.02 * side)
+        for n, pin in enumerate(pins)
+        for side in (-1, 1)
+    ]
+
+
+# free of: primary force, secondary force, primary couple, secondary couple (textbooks)
+ENGINES: dict[str, tuple[list[Throw], tuple[bool, ...]]] = {
+    "inline-1": (row(0), (False, False, True, True)),
+    "inline-2, 180°": (row(0, 180), (True, False, False, True)),
+    "inline-2, 360°": (row(0, 0), (False, False, True, True)),
+    "inline-2, 270°": (row(0, 270), (False, True, False, False)),
+    "inline-3": (row(0, 240, 120), (True, True, False, False)),
+    "inline-3, two-stroke": (row(0, 120, 240), (True, True, False, False)),
+    "inline-4, flat": (row(0, 180, 180, 0), (True, False, True, True)),
+    "inline-4, cross": (row(0, 90, 270, 180), (True, True, False, True)),
+    "inline-5": (row(0, 216, 144, 72, 288), (True, True, False, False)),
+    "inline-6": (row(0, 120, 240, 240, 120, 0), (True, True, True, True)),
+    "v-twin, 45°": (vee(22.5, 0), (False, False, True, True)),
+    "v-twin, 60°": (vee(30, 0), (False, False, True, True)),
+    "v-twin, 90°": (vee(45, 0, stagger_m=0.025), (False, False, False, False)),
+    "v4, 90°, 180° crank": (vee(45, 0, 180), (True, False, False, True)),
+    "v6, 60°, pins split by 60°": (vee(30, 0, 240, 120, split_deg=60), (True, True, False, False)),
+    "v6, 90°, pins split by 30°": (vee(45, 0, 240, 120, split_deg=-30), (True, True, False, False)),
+    "v6, 90°, common pins": (vee(45, 0, 240, 120), (True, True, False, False)),
+    "v8, 90°, cross": (vee(45, 0, 90, 270, 180), (True, True, False, True)),
+    "v8, 90°, flat": (vee(45, 0, 180, 180, 0), (True, False, True, True)),
+    "v12, 60°": (vee(30, 0, 120, 240, 240, 120, 0), (True, True, True, True)),
+    "boxer-2": (boxer(0), (True, True, False, False)),
+    "boxer-4": (boxer(0, 180), (True, True, True, False)),
+    "boxer-6": (boxer(0, 120, 240), (True, True, True, True)),
+    "w-3": ([(0, bank, 0.0) for bank in (-60.0, 0.0, 60.0)], (False, False, True, True)),
+    "w-12": (
+        [(pin, bank, 0.1 * (n - 1.5)) for n, pin in enumerate((0, 180, 180, 0)) for bank in (-60.0, 0.0, 60.0)],
+        (True, False, True, True),
+    ),
+    "radial-5": ([(0, 72.0 * n, 0.0) for n in range(5)], (False, True, True, True)),
+    "radial-7": ([(0, 360 / 7 * n, 0.0) for n in range(7)], (False, True, True, True)),
+}
+
+
+def engine(throws: list[Throw], **differences: Any) -> Engine:
+    cylinders = [
+        {"crank_deg": float(crank), "bank_deg": float(bank), "position_m": place} for crank, bank, place in throws
+    ]
+    lengths = {"crank_radius_m": RADIUS_M, "rod_length_m": ROD_M, "reciprocating_mass_kg": MASS_KG}
+    return Engine.model_validate({**lengths, "cylinders": cylinders, **differences})
+
+
+def summed(model: Engine) -> tuple[np.ndarray, np.ndarray]:
+    """Force and first moment along the crankshaft by (direction, order), from positions differentiated by hand."""
+    phi = 2 * np.pi * np.arange(512) / 512
+    force, moment = np.zeros((2, 3, phi.size))
+    for cylinder in model.cylinders:
+
+        def own(key: str, cylinder: Any = cylinder) -> float:
+            value = getattr(cylinder, key)
+            return float(getattr(model, key) if value is None else value)
+
+        pin, bank = math.radians(cylinder.crank_deg), math.radians(cylinder.bank_deg)
+        turned = phi + pin - bank
+        across = model.crank_radius_m * np.sin(turned) - own("offset_m")
+        along = np.sqrt(model.rod_length_m**2 - across**2)
+        rate = model.crank_radius_m * np.cos(turned)
+        bend = -model.crank_radius_m * np.sin(turned)
+        second = (
+            -model.crank_radius_m * np.cos(turned) - (rate**2 + across * bend) / along - (across * rate) ** 2 / along**3
+        )
+        size = -own("reciprocating_mass_kg") * second
+        rest = phi + pin + math.radians(own("rotating_unbalance_deg"))
+        unbalance = own("rotating_unbalance_kg_m")
+        parts = np.stack(
+            [
+                size * math.sin(bank) + unbalance * np.sin(rest),
+                0 * size,
+                size * math.cos(bank) + unbalance * np.cos(rest),
+            ]
+        )
+        force, moment = force + parts, moment + cylinder.position_m * parts
+    for web in model.webs:
+        turned = phi + math.radians(web.angle_deg)
+        parts = 1e-6 * web.unbalance_g_mm * np.stack([np.sin(turned), 0 * turned, np.cos(turned)])
+        force, moment = force + parts, moment + web.position_m * parts
+    for shaft in model.shafts.single:
+        for weight in shaft.weights:
+            turned = shaft.speed_ratio * phi + math.radians(weight.angle_deg)
+            parts = (
+                1e-6
+                * shaft.speed_ratio**2
+                * weight.unbalance_g_mm
+                * np.stack([np.sin(turned), 0 * turned, np.cos(turned)])
+            )
+            force, moment = force + parts, moment + weight.position_m * parts
+    by_order = [2 * np.fft.rfft(one)[:, : ORDERS + 1] / phi.size for one in (force, moment)]
+    return by_order[0], by_order[1]
+
+
+def scale(model: Engine) -> float:
+    return len(model.cylinders) * MASS_KG * RADIUS_M
+
+
+def off_by(model: Engine) -> float:
+    """Largest difference from the independent sum, over the size of what is summed."""
+    force, moment = summed(model)
+    ours = crankcase_forces(model, RPM, max_order=ORDERS)
+    about = crankcase_moments(model, RPM, max_order=ORDERS)
+    apart = (ours - force, about[X] - moment[Z], about[Z] + moment[X])
+    return max(float(np.abs(one[..., 1:]).max()) for one in apart) / scale(model)
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_forces_and_couples_are_those_of_an_independent_sum(name: str) -> None:
+    assert off_by(engine(ENGINES[name][0])) < EXACT
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_what_textbooks_call_free_is_free_and_nothing_else(name: str) -> None:
+    throws, free = ENGINES[name]
+    model = engine(throws)
+    forces = np.abs(crankcase_forces(model, RPM, max_order=2)).max(axis=0) / scale(model)
+    couples = np.abs(crankcase_moments(model, RPM, max_order=2)[[X, Z]]).max(axis=0) / scale(model)
+    found = [size < EXACT for size in (forces[1], forces[2], couples[1], couples[2])]
+    assert found == list(free)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    cylinders = [
+        {
+            "crank_deg": float(draw.uniform(-360, 360)),
+            "bank_deg": float(draw.uniform(-180, 180)),
+            "position_m": float(draw.uniform(-0.3, 0.3)),
+            "reciprocating_mass_kg": float(draw.uniform(0.2, 0.9)),
+            "rotating_unbalance_kg_m": float(draw.uniform(0, 0.02)),
+            "rotating_unbalance_deg": float(draw.uniform(0, 360)),
+            "offset_m": float(draw.uniform(-0.02, 0.02)),
+        }
+        for _ in range(draw.integers(1, 9))
+    ]
+
+    def weights(n: int) -> list[dict[str, float]]:
+        return [
+            {
+                "unbalance_g_mm": float(draw.uniform(0, 3e4)),
+                "angle_deg": float(draw.uniform(0, 360)),
+                "position_m": float(draw.uniform(-0.3, 0.3)),
+            }
+            for _ in range(n)
+        ]
+
+    shafts = {"single": [{"speed_ratio": ratio, "weights": weights(2)} for ratio in (-1, 2, -2, -3)]}
+    assert off_by(engine([], cylinders=cylinders, webs=weights(3), shafts=shafts)) < EXACT
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name: str) -> None:
+    model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.004, rotating_unbalance_deg=15.0)
+    places = [cylinder.position_m for cylinder in model.cylinders]
+    planes = (min(places), max(places))
+    made = designs(model, orders=(1, 2), planes_m=planes, max_order=2)
+    if name in ("inline-6", "v12, 60°", "boxer-6"):
+        assert made == ()
+        return
+    left = made[-1].on(model)
+    forces, moments = summed(left)
+    assert off_by(left) < EXACT
+    assert np.abs(forces[:, 1:3]).max() < EXACT * scale(model)
+    if planes[0] < planes[1] or max(map(abs, places)) == 0:
+        assert np.abs(moments[:, 1:3]).max() < EXACT * scale(model)
+    assert np.abs(forces[:, 3:] - summed(model)[0][:, 3:]).max() < EXACT * scale(model)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 6])
+def test_a_design_takes_any_order_asked_for(order: int) -> None:
+    model = engine(ENGINES["v-twin, 60°"][0], offset_m=0.012)
+    planes = (-0.05, 0.08)
+    made = designs(model, orders=(order,), planes_m=planes, max_order=order)
+    left = made[-1].on(model)
+    forces, moments = summed(left)
+    before = np.abs(summed(model)[0][:, order]).max()
+    assert before > 1e-6 * scale(model)
+    assert np.abs(forces[:, order]).max() < EXACT * scale(model)
+    assert np.abs(moments[:, order]).max() < EXACT * scale(model)
+
+
+@pytest.mark.parametrize(
+    ("name", "force", "couple"),
+    [
+        ("inline-3", None, 0.5),
+        ("inline-5", None, 0.5),
+        ("inline-2, 180°", None, 0.5),
+        ("inline-2, 360°", 0.5, None),
+        ("v8, 90°, cross", None, 1.0),
+        ("v6, 90°, common pins", None, 1.0),
+        ("v6, 60°, pins split by 60°", None, 0.5),
+        ("v-twin, 60°", 2 / 3, None),
+        ("v-twin, 90°", 1.0, 0.0),
+        ("radial-7", 1.0, None),
+    ],
+)
+def test_crank_webs_take_the_share_that_turns_with_the_crank(name: str, force: Any, couple: Any) -> None:
+    shares = primary_shares(engine(ENGINES[name][0]))
+    for found, known in ((shares.force, force), (shares.couple, couple)):
+        assert found is None if known is None else found == pytest.approx(known, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["v8, 90°, cross", "v-twin, 90°", "radial-5"])
+def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(name: str) -> None:
+    model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.003)
+    weights = throw_counterweights(model)
+    size = 1e6 * (0.5 * MASS_KG * RADIUS_M + 0.003)
+    assert [weight.unbalance_g_mm for weight in weights] == pytest.approx([size] * len(weights), rel=1e-12)
+    left = summed(model.model_copy(update={"webs": weights}))
+    assert np.abs(left[0][:, 1]).max() < EXACT * scale(model)
+
+
+@pytest.mark.parametrize("name", ["inline-4, flat", "inline-2, 180°", "inline-1"])
+def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name: str) -> None:
+    model = engine(ENGINES[name][0])
+    height = roll_height_m(model, 2)
+    assert height is not None
+    shafts = designs(model, orders=(2,), planes_m=(-0.1, 0.1), max_order=2)[-1].shafts
+    placed = [
+        SingleShaft(speed_ratio=one.speed_ratio, weights=one.weights, z_m=height / 2 * np.sign(one.speed_ratio))
+        for one in shafts
+    ]
+    left = model.model_copy(update={"shafts": BalanceShafts(single=tuple(placed))})
+    before, after = (np.abs(crankcase_moments(one, RPM, max_order=2)[Y, 2]) for one in (model, left))
+    assert after < EXACT * scale(model) < before
+
+
+def sheet(model: Engine, **options: Any) -> dict[str, Any]:
+    return balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()), **options)
+
+
+def test_forces_and_moments_of_the_sheet_leave_shafts_out_and_its_own_shafts_have_both() -> None:
+    weights = [{"unbalance_g_mm": 3e4, "angle_deg": 10.0, "position_m": place} for place in (-0.1, 0.06)]
+    shafts = {"single": [{"speed_ratio": -1, "weights": weights, "z_m": 0.1}]}
+    plain = sheet(engine(ENGINES["inline-3"][0]))
+    with_shafts = sheet(engine(ENGINES["inline-3"][0], shafts=shafts))
+    for key in ("force_g_mm", "moment_g_mm2", "design"):
+        assert with_shafts[key] == plain[key]
+    own = with_shafts["shafts"]["own"]
+    assert own["residual_g_mm"]["x"]["1"] == pytest.approx(6e4)
+    assert own["residual_moment_g_mm2"]["about_crankshaft"]["1"] == pytest.approx(6e4 * 100)
+    assert own["residual_moment_g_mm2"]["about_y"] != plain["moment_g_mm2"]["about_y"]
+
+
+@pytest.mark.parametrize(
+    "shafts", [{"orders": [1]}, {"pairs": [{"order": 1, "unbalance_g_mm": 100.0}]}, {"orders": [2, 3]}]
+)
+def test_shafts_for_an_order_that_the_engine_does_not_make_are_refused(shafts: dict[str, Any]) -> None:
+    model = engine(ENGINES["inline-4, flat"][0], shafts=shafts)
+    with pytest.raises(RequestError, match="no force along Z"):
+        sheet(model)
+
+
+def test_shafts_beyond_the_tables_are_refused_with_what_to_ask_for() -> None:
+    with pytest.raises(RequestError, match="--max-order 10"):
+        sheet(engine(ENGINES["inline-1"][0], shafts={"orders": [10]}))
+
+
+def test_one_cylinder_has_its_roll_moment_and_the_couple_of_shafts_off_its_plane() -> None:
+    found = sheet(engine(ENGINES["inline-1"][0], shafts={"orders": [1, 2], "position_m": 0.05}))
+    force = found["force_g_mm"]["x"]
+    assert found["moment_g_mm2"]["about_crankshaft"]["2"] > 0
+    assert found["moment_g_mm2"]["about_y"] is None
+    left = found["shafts"]["own"]["residual_moment_g_mm2"]["about_y"]
+    assert left == pytest.approx({order: 50 * force[order] for order in ("1", "2")}, rel=1e-12)
+    assert any("rocking couple about X" in sentence for sentence in found["sentences"])
+
+
+def test_a_copy_with_other_masses_has_its_own_cylinders() -> None:
+    model = engine(ENGINES["inline-2, 180°"][0])
+    assert orders_made(model, share=1e-3, max_order=2) == (1.0, 2.0)
+    copied = model.model_copy(update={"reciprocating_mass_kg": 2 * MASS_KG})
+    assert [one.reciprocating_mass_kg for one in copied.each] == [2 * MASS_KG] * 2
