@@ -32,6 +32,7 @@ bench: $(STAMP)
 
 gallery: $(STAMP)
 	$(BIN)/python reports/make_gallery.py
+	$(BIN)/python reports/make_thesis.py
 
 readmes: $(STAMP)
 	$(BIN)/python reports/make_readmes.py
