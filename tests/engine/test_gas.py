@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import firing_angle_deg, gas_force, gas_torque, gas_torque_by_order
+from crankorder.engine.gas import firing_angle_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.slider_crank import piston_drop
 from crankorder.errors import RequestError
 

@@ -9,7 +9,8 @@ import pytest
 from pydantic import ValidationError
 
 from crankorder.engine.definition import Cylinder, Engine, GasCurve
-from crankorder.engine.forces import gas_torque_by_order, inertia_torque_by_order
+from crankorder.engine.forces import inertia_torque_by_order
+from crankorder.engine.gas import gas_torque_by_order
 from crankorder.engine.in_cycle import Lag, lag_from_torque, lag_of_speed
 from crankorder.errors import RequestError
 from crankorder.synth.motion import Motion

@@ -11,10 +11,10 @@ from crankorder.engine.forces import (
     crankcase_forces,
     crankcase_moments,
     cylinder_loads,
-    gas_torque,
     inertia_torque_by_order,
     main_bearing_loads,
 )
+from crankorder.engine.gas import gas_torque
 from crankorder.engine.slider_crank import piston_acceleration, rod_angle, sine_cosine
 from crankorder.errors import RequestError
 

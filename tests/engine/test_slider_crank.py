@@ -122,7 +122,7 @@ def test_every_form_of_call_gives_the_same_acceleration() -> None:
 
 
 def test_one_compiled_form_serves_every_call() -> None:
-    from crankorder.engine.slider_crank import fill_acceleration
+    from crankorder.engine.compiled_slider_crank import fill_acceleration
 
     frozen = np.linspace(0, 1, 5)
     frozen.flags.writeable = False

@@ -13,9 +13,8 @@ from crankorder.engine.forces import (
     DIRECTIONS,
     crankcase_forces,
     crankcase_moments,
-    gas_force,
-    gas_torque_by_order,
 )
+from crankorder.engine.gas import gas_force, gas_torque_by_order
 from crankorder.engine.slider_crank import piston_drop
 from crankorder.errors import ManyErrors, RequestError
 

@@ -13,6 +13,7 @@ from crankorder.identify.modal.order_modes import OrderPole, Proof, mode_of
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.order_search import poles_of_orders, settled
 from crankorder.identify.modal.surface_fit import NO_POLES
+from crankorder.identify.resonance import resonance
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine, judged
 
@@ -189,6 +190,47 @@ def test_one_order_that_sweeps_through_both_flanks_with_its_phase_tells_a_mode(s
         assert "order 1 has amplitude and phase of a resonance" in mode.evidence
     assert "at the end of what was swept" in found[1].undecided
     assert found[0].undecided == ""
+
+
+def _light_between(seed: int) -> tuple[Block, float]:
+    """Block of one order past one light mode that two to four of its rows lie near, and the mode's frequency."""
+    random = np.random.default_rng([seed, 7])
+    speed = np.linspace(900.0, 900.0 * random.uniform(1.8, 3.5), int(random.integers(14, 40)))
+    speed += 0.1 * (speed[1] - speed[0]) * random.uniform(-1.0, 1.0, len(speed))
+    hertz, x = 3.0 * speed / 60.0, speed / speed[-1]
+    f = float(hertz[4] * (hertz[-5] / hertz[4]) ** random.random())
+    h = resonance(hertz, np.array([f]), np.array([np.exp(random.uniform(np.log(0.002), np.log(0.01)))]))[:, 0]
+    shares = random.normal(size=(2, 2, 1)) + 1j * random.normal(size=(2, 2, 1)) * np.array([[[1.0]], [[0.0]]])
+    grown = (random.uniform(0.0, 1.0) + x ** random.uniform(1.0, 2.5)) * np.exp(0.3j * random.uniform(-1.0, 1.0) * x)
+    amplitude = (shares[0] + shares[1] * h) * grown
+    error = 0.005 * float(np.median(np.abs(amplitude)))
+    amplitude = amplitude + error * (random.normal(size=amplitude.shape) + 1j * random.normal(size=amplitude.shape))
+    return Block(3.0, ("X", "Y"), hertz, speed, amplitude, np.full(amplitude.shape, error), 3000.0), f
+
+
+def test_one_order_proves_a_light_mode_between_coarse_speeds_by_its_flanks() -> None:
+    decided = 0
+    for seed in range(8):
+        block, f = _light_between(seed)
+        found = _modes([block])
+        assert all(abs(item.frequency_hz / f - 1.0) < SAME for item in found if not item.undecided), seed
+        decided += any(not item.undecided for item in found)
+    assert decided >= 6
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_peak_of_a_row_or_two_is_no_proof_without_its_flanks(rows: int) -> None:
+    """A mode whose peak alone is left over smooth flanks, as a force that differs there makes it, is not decided."""
+    for seed in range(6):
+        block, f = _light_between(seed)
+        random = np.random.default_rng([seed, 11])
+        at = np.argsort(np.abs(block.frequency_hz - f))[:rows]
+        smooth = 0.5 + np.linspace(0.0, 1.0, block.amplitude.shape[1]) ** 2 + 0.0j
+        made = np.median(np.abs(block.amplitude), axis=1, keepdims=True) * smooth
+        made[:, at] *= block.amplitude[:, at] / np.median(np.abs(block.amplitude), axis=1, keepdims=True)
+        made += block.error * (random.normal(size=made.shape) + 1j * random.normal(size=made.shape))
+        found = _modes([replace(block, amplitude=made)])
+        assert not [item for item in found if not item.undecided], seed
 
 
 def test_a_mode_far_above_what_is_swept_invents_none_within() -> None:

@@ -63,8 +63,18 @@ def bound_of(machine: Machine) -> Bound:
         seen.append(clear)
     if machine.force_density:
         information = information + _from_floor(machine)
-    spread = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)))
+    spread = standard_errors(information)
     return Bound(spread[:n_modes], spread[n_modes:], np.asarray(order_error), tuple(seen))
+
+
+def standard_errors(information: FloatArray) -> FloatArray:
+    """Standard errors (P,) of parameters at the bound, from their positive definite ``information`` (P, P).
+
+    In units of what each tells alone: a pole that is seen a million times worse than another is not known at all, where
+    a cut by the largest singular value would call it exact.
+    """
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.asarray(scale * np.sqrt(np.diag(np.linalg.inv(information * scale[:, None] * scale))))
 
 
 def told_from_a_tone(machine: Machine, bound: Bound) -> list[bool]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from machines.bound import Bound, bound_of
+from machines.bound import Bound, bound_of, standard_errors
 from machines.folder import Take
 from machines.judge import Judgement, Said, judged
 from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile
@@ -241,6 +242,21 @@ def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound() -> None:
     bound = bound_of(machine)
     assert scatter[0] == pytest.approx(bound.frequency_hz[0], rel=0.15)
     assert scatter[1] == pytest.approx(bound.damping_ratio[0], rel=0.15)
+
+
+def test_a_pole_that_is_hardly_seen_beside_one_that_is_seen_well_is_not_called_exact() -> None:
+    """Held against the inverse in whole numbers: information on a mode that orders pass, and on one that none does."""
+    information = [[2.0**43, 2.0**17, 2.0**7], [2.0**17, 2.0**-7, -(2.0**-13)], [2.0**7, -(2.0**-13), 2.0**-10]]
+    exact = [Fraction(0)] * 3
+    for number in range(3):
+        rows = [[Fraction(value) for value in row] + [Fraction(k == number)] for k, row in enumerate(information)]
+        for k in range(3):
+            rows[k] = [value / rows[k][k] for value in rows[k]]
+            for j in range(3):
+                if j != k:
+                    rows[j] = [one - rows[j][k] * other for one, other in zip(rows[j], rows[k], strict=True)]
+        exact[number] = rows[number][3]
+    assert standard_errors(np.array(information)) == pytest.approx([float(value) ** 0.5 for value in exact], rel=1e-9)
 
 
 def test_the_table_pools_by_class_and_lists_seeds_and_failures(tmp_path: Path) -> None:

@@ -1,17 +1,19 @@
-"""The page says what shakes first, escapes everything, refers to nothing outside and needs no script."""
+"""The page says what shakes first, escapes everything, refers to nothing outside and is whole without its script."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import re
 from html.parser import HTMLParser
 from typing import Any
 
+import numpy as np
 import pytest
 
 from crankorder.quantities import schema_of
-from crankorder.report.page import index_page, report_page
+from crankorder.report.page import ShownPicture, index_page, report_page
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
 from made.typed import from_dicts
@@ -21,6 +23,7 @@ report_page, headline, story_of, tables_of = map(
     (report_page, headline, story_of, tables_of),
 )
 
+PNG = b"\x89PNG picture"
 HOSTILE = (
     "</script><script>alert(1)</script>",
     '" onload="alert(1)',
@@ -69,7 +72,10 @@ def provenance() -> dict[str, Any]:
 
 @pytest.fixture
 def page(campaign: Any, settings: Any, provenance: dict[str, Any]) -> str:
-    pictures = [("campbell_Z.png", "Campbell diagram of channel Z"), ("orders.png", "Orders against speed")]
+    pictures = [
+        ShownPicture("campbell_Z.png", "Campbell diagram of channel Z", PNG),
+        ShownPicture("orders.png", "Orders against speed", PNG),
+    ]
     return report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings)
 
 
@@ -166,7 +172,7 @@ def test_the_bars_of_the_energy_are_the_shares_and_never_longer_than_the_whole(f
 def test_sixty_orders_in_three_channels_show_the_strongest_and_fold_the_others_away(hard: Any, settings: Any) -> None:
     findings = hard["sixty orders"].findings
     made = report_page(findings, pictures=[], provenance={}, settings=settings)
-    part = made[made.index('<h2 id="orders">') : made.index('<h2 id="modes">')]
+    part = made[made.index('<div id="orders">') : made.index('<div id="modes">')]
     shown, folded = part.split("<details>")
     assert shown.count("<tr><td") == 40
     assert folded.count("<tr><td") == len(findings["orders"]) == 180
@@ -175,13 +181,13 @@ def test_sixty_orders_in_three_channels_show_the_strongest_and_fold_the_others_a
     assert f"{strongest['amplitude']:.3f}" in shown
 
 
-def test_the_page_refers_to_nothing_but_its_pictures_and_runs_no_script(page: str) -> None:
+def test_the_page_holds_its_pictures_and_without_maps_runs_no_script(page: str) -> None:
     reader = _Reader(page)
     assert not {"script", "link", "iframe", "object", "base", "form"} & set(reader.tags)
-    links = {
-        value for name, value in reader.attributes if name in ("href", "src") and value and not value.startswith("#")
-    }
+    links = {value for name, value in reader.attributes if name == "href" and value and not value.startswith("#")}
     assert links == {"./campbell_Z.png", "./orders.png"}
+    held = {value for name, value in reader.attributes if name == "src"}
+    assert held == {"data:image/png;base64," + base64.b64encode(PNG).decode()}
     assert not re.search(r"https?:|//[a-z]", page)
     assert not [name for name, _ in reader.attributes if name.startswith("on") or name == "style"]
 
@@ -198,6 +204,77 @@ def test_the_policy_allows_only_pictures_and_the_one_style_by_its_hash(page: str
     assert "unsafe" not in rules
 
 
+def _groups(drawn: Any) -> dict[str, Any]:
+    return {"campbell_map": drawn.campbell, "order_map": drawn.order_map, "order_tracks": drawn.tracks}
+
+
+def _live(page: str) -> Any:
+    found = re.search(r'<script type="application/json" id="live-data">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return json.loads(found.group(1))
+
+
+def test_the_script_is_allowed_by_its_hash_alone_and_what_it_draws_is_the_map(campaign: Any, settings: Any) -> None:
+    made = report_page(campaign.findings, pictures=[], provenance={}, settings=settings, groups=_groups(campaign))
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', made)
+    scripts = re.findall(r"<script>(.*?)</script>", made, re.DOTALL)
+    assert policy
+    assert len(scripts) == 1
+    digest = base64.b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
+    rules = policy.group(1).replace("&#39;", "'").replace("&#43;", "+")
+    assert f"script-src 'sha256-{digest}';" in rules
+    assert "unsafe" not in rules
+    assert "file:" not in rules
+    live = _live(made)
+    campbell, tracks = live["maps"][0], live["tracks"]
+    for number, channel in enumerate(campaign.campbell.channel.values):
+        code = np.frombuffer(base64.b64decode(campbell["cells"][number]), "<u2").reshape(35, 1001).astype(float)
+        amplitude = campbell["largest"][number] * 10 ** ((code - 60000) * 0.005 / 20)
+        np.testing.assert_allclose(amplitude, campaign.campbell.amplitude.sel(channel=channel), rtol=3e-4)
+    assert [row[0] for row in campbell["rows"]] == campaign.campbell.speed.values.tolist()
+    assert [one["order"] for one in tracks["orders"]] == list(campaign.tracks.order.values)
+    assert {one["why"] for one in live["orders"] if one["text"] == "5.5"} == {"bearing jack shaft N*fs"}
+
+
+def test_a_page_stays_under_five_megabytes_whatever_its_test_holds(make_test: Any, settings: Any) -> None:
+    drawn = make_test(np.linspace(300.0, 6000.0, 120), channels=tuple(f"acc {k}" for k in range(24)))
+    pictures = [ShownPicture(f"campbell_{k}.png", "x", bytes(300_000)) for k in range(24)]
+    made = report_page(drawn.findings, pictures=pictures, provenance={}, settings=settings, groups=_groups(drawn))
+    assert len(made.encode()) < 5_000_000
+    assert made.count("data:image/png") == 6
+    assert "campbell_23.png</a> beside this page" in made
+    campbell = _live(made)["maps"][0]
+    pool, columns = campbell["pooled"], campbell["nx"]
+    assert pool > 1
+    code = np.frombuffer(base64.b64decode(campbell["cells"][0]), "<u2").reshape(120, columns).astype(float)
+    whole = drawn.campbell.amplitude.values[0]
+    padded = np.pad(whole, ((0, 0), (0, columns * pool - whole.shape[1]))).reshape(120, columns, pool).max(axis=2)
+    np.testing.assert_allclose(campbell["largest"][0] * 10 ** ((code - 60000) * 0.005 / 20), padded, rtol=3e-4)
+
+
+def test_quality_has_one_row_per_kind_with_its_count_and_worst_case(campaign: Any) -> None:
+    quality = [
+        {
+            "recording": f"{k}.h5",
+            "flag": "lost",
+            "severity": "suspect",
+            "detail": f"{lost} of {100 * k} are lost",
+        }
+        for k, lost in ((1, 3), (2, 50), (3, 9))
+    ]
+    quality += [{"recording": "4.h5", "flag": "short", "severity": "bad", "detail": "only 2 revolutions"}]
+    quality += [{"recording": "5.h5", "flag": "short", "severity": "bad", "detail": "only 1 revolutions"}]
+    (table,) = (
+        one for anchor, one in tables_of({**campaign.findings, "quality": quality}, limit=60) if anchor == "quality"
+    )
+    assert table["rows"] == [
+        ["bad", "short", "2", "2", "5.h5: only 1 revolutions"],
+        ["suspect", "lost", "3", "3", "2.h5: 50 of 200 are lost"],
+    ]
+    assert table["more"] is not None
+    assert len(table["more"]["rows"]) == 5
+
+
 @pytest.mark.parametrize("text", HOSTILE)
 def test_text_from_files_is_text_wherever_it_stands(text: str, full: Any, settings: Any) -> None:
     def poisoned(value: Any) -> Any:
@@ -208,14 +285,16 @@ def test_text_from_files_is_text_wherever_it_stands(text: str, full: Any, settin
         return text if isinstance(value, str) else value
 
     findings = poisoned(full)
-    made = report_page(findings, pictures=[(text, text)], provenance={text: {text: [text]}}, settings=settings)
+    made = report_page(
+        findings, pictures=[ShownPicture(text, text, PNG)], provenance={text: {text: [text]}}, settings=settings
+    )
     reader = _Reader(made)
     assert "script" not in reader.tags
     assert not [name for name, _ in reader.attributes if name.startswith("on")]
     assert not [
         value
         for name, value in reader.attributes
-        if name in ("href", "src") and not (value or "").startswith(("#", "./"))
+        if name in ("href", "src") and not (value or "").startswith(("#", "./", "data:image/png;base64,"))
     ]
     if "7*7" in text:
         assert text in "".join(reader.words)
@@ -229,8 +308,10 @@ def test_text_from_files_is_text_wherever_it_stands(text: str, full: Any, settin
 
 def test_a_link_cannot_leave_the_folder_of_the_page(campaign: Any, settings: Any) -> None:
     for name in ("../../etc/passwd", "//evil.example/x", "file:///etc/passwd", "a?b#c d.png", "\udcff.png"):
-        made = report_page(campaign.findings, pictures=[(name, "x")], provenance={}, settings=settings)
-        (link,) = {value for key, value in _Reader(made).attributes if key == "src"}
+        made = report_page(campaign.findings, pictures=[ShownPicture(name, "x", PNG)], provenance={}, settings=settings)
+        (link,) = {
+            value for key, value in _Reader(made).attributes if key == "href" and value and not value.startswith("#")
+        }
         assert link is not None
         assert re.fullmatch(r"\./[\w.~%/-]+", link), link
         assert ".." not in link.split("/")
@@ -266,7 +347,10 @@ def test_findings_that_were_not_asked_for_are_neither_denied_nor_cleared(setting
 
 
 def test_the_page_is_the_same_each_time(campaign: Any, settings: Any, page: str, provenance: dict[str, Any]) -> None:
-    pictures = [("campbell_Z.png", "Campbell diagram of channel Z"), ("orders.png", "Orders against speed")]
+    pictures = [
+        ShownPicture("campbell_Z.png", "Campbell diagram of channel Z", PNG),
+        ShownPicture("orders.png", "Orders against speed", PNG),
+    ]
     assert report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings) == page
 
 

@@ -372,7 +372,9 @@ def test_all_is_explained_only_where_nothing_is_left_and_it_says_of_what(full: A
 
 def test_what_is_not_decided_of_the_balance_is_said_with_its_reason(full: Any) -> None:
     why = story_of(full)["why"]
-    assert "Not decided: at the crank radius, across the cylinder; the horizontal path is not stated." in why
+    assert (
+        "Not decided: at the crank radius, across the cylinder. The table Balance says why and what would tell." in why
+    )
     full |= {"balance": None, "balance_reason": "no trial mass was run"}
     assert "Residual unbalance in grams is not known: no trial mass was run." in headline(full)
 

@@ -10,7 +10,7 @@ from crankorder.batch.store import json_bytes
 from crankorder.batch.workers import FORKS, each
 from crankorder.findings import Findings
 from crankorder.report.netcdf import as_stored, results_bytes
-from crankorder.report.page import report_page
+from crankorder.report.page import ShownPicture, report_page
 from crankorder.report.published import findings_datasets, root_attrs
 from crankorder.settings import ReportSettings
 
@@ -29,8 +29,8 @@ def prepare() -> None:
     index_page([])
 
 
-def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -> list[bytes]:
-    """Bytes of each of ``pages``, ``jobs`` at a time in processes of their own where that is more than one."""
+def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -> list[tuple[bytes, bytes]]:
+    """Bytes of the file and of the PNG of each of ``pages``, ``jobs`` at a time in processes where that is several."""
     if jobs == 1 or not FORKS:
         meanwhile()
         return [page.drawn() for page in pages]
@@ -52,21 +52,21 @@ def files_of_test(
 
     ``groups`` are the datasets by group name, ``findings`` what they say, ``provenance`` what ``run.json`` states;
     ``settings`` shape pictures and page. With more ``jobs`` than one, so many pictures are drawn at a time, beside the
-    writing of the other files.
+    writing of the other files; the page, which holds them, comes last.
     """
     from crankorder.report.pictures import pictures_of
 
     stored, taken, data = as_stored(groups), set[str](), dict[str, bytes]()
     planned = pictures_of(stored, findings, settings=settings, name_of=lambda channel: folder_name(channel, taken))
-    captions = [(name, page.caption) for name, page in planned.items()]
 
     def write() -> None:
-        page = report_page(findings, pictures=captions, provenance=provenance, settings=settings)
         attrs = root_attrs(findings, groups)
         data["results.nc"] = results_bytes({**stored, **findings_datasets(findings)}, attrs=attrs)
         data["findings.json"] = json_bytes(findings.as_dict())
-        data["report.html"] = page.encode("utf-8", "backslashreplace")
         data["run.json"] = json_bytes(provenance)
 
-    drawn = _draw(list(planned.values()), jobs=jobs, meanwhile=write)
-    return data | dict(zip(planned, drawn, strict=True))
+    drawn = dict(zip(planned, _draw(list(planned.values()), jobs=jobs, meanwhile=write), strict=True))
+    shown = [ShownPicture(name, planned[name].caption, png) for name, (_, png) in drawn.items()]
+    page = report_page(findings, pictures=shown, provenance=provenance, settings=settings, groups=stored)
+    data["report.html"] = page.encode("utf-8", "backslashreplace")
+    return data | {name: file for name, (file, _) in drawn.items()}

@@ -21,7 +21,8 @@ from crankorder.engine.balancing import (
     unbalance_force_n,
 )
 from crankorder.engine.crankshaft import CrankshaftData, crankshaft_table
-from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive
+from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive, with_gas_file
+from crankorder.engine.gas import firing_intervals_deg
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.rod import RodSplits, cut_consequences, two_mass_inertia_g_mm2
 from crankorder.engine.shafts import (
@@ -180,6 +181,7 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
     Raises RequestError where there is no such file, ManyErrors with every fault of its content.
     """
     table, source = toml_table(name, "engines", beside=beside)
+    table = with_gas_file(table, name, beside)
     if "kind" in table and "kind" not in Engine.model_fields:
         raise RequestError(
             "not a crank engine with balance data",
@@ -210,9 +212,22 @@ def balanced_engine(table: dict[str, Any], *, name: str, source: str) -> Balance
         faults += [validation_fault(fault, source) for fault in placed]
     if engine is not None and balance is not None:
         faults += _disagreements(engine, balance, source)
+    if engine is not None:
+        faults += _firing_not_told(engine, source)
     if faults or engine is None or balance is None:
         raise ManyErrors(faults)
     return BalancedEngine(name=name, engine=engine, balance=balance)
+
+
+def _firing_not_told(engine: Engine, source: str) -> list[CrankorderError]:
+    """The fault of an engine with gas whose cylinders do not say when they fire."""
+    if engine.gas is None:
+        return []
+    try:
+        firing_intervals_deg(engine)
+    except RequestError as error:
+        return [RequestError(error.problem, file=source, place=error.place, remedy=error.remedy)]
+    return []
 
 
 def reduced_masses(subject: BalancedEngine) -> ReducedMasses:

@@ -36,6 +36,7 @@ from crankorder.engine.balancing import (
     rod_counterweight_couple,
     unbalance_force_n,
 )
+from crankorder.engine.cycle_tables import cycle_sentences, cycle_table
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.engine_tables import (
     by_axis,
@@ -78,6 +79,7 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     said = [f"{state[0].upper()}{state[1:]} the engine shakes with "]
     said[0] += f"{_amounts(sheet['force_g_mm'], speed_rpm, where=where)}."
     said += moment_sentences(sheet["moment_g_mm2"], speed_rpm)
+    said += cycle_sentences(sheet["cycle"], speed_rpm)
     said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
     said += _of_shafts(sheet["shafts"], speed_rpm, where)
     said += design_sentences(sheet["design"], speed_rpm)
@@ -306,6 +308,7 @@ def balance_sheet(
         if one is None
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
+        "cycle": None if engine.cycle == "rotor" else cycle_table(engine, max_order=max_order, speeds=speeds),
         "design": None if single else design_table(subject, max_order),
         "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from crankorder.engine.definition import EngineData, NonNegative, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.slider_crank import SliderCrank, piston_acceleration
+from crankorder.engine.slider_crank import SliderCrank, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Rotation = Literal["with crank", "against crank", "line", "none"]
@@ -308,7 +308,7 @@ def frame_force(masses: ReducedMasses, crank_angle_rev: ArrayLike) -> NDArray[np
     """
     angle = 2 * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)
     rotating = masses.crank_radius_mm * masses.rotating_g * np.exp(1j * angle)
-    sliding = masses.reciprocating_g * 1e3 * piston_acceleration(crank_angle_rev, masses.mechanism)
+    sliding = masses.reciprocating_g * 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism)
     force: NDArray[np.complex128] = rotating + sliding
     return force
 
@@ -330,7 +330,7 @@ def rod_counterweight_couple(
     beyond = places.rod_mm or 0.0
     sine, cosine = np.sin(angle), np.cos(angle)
     rod_cosine = np.hypot(cosine, np.sqrt((1 - ratio) * (1 + ratio)) * sine)
-    swing = 1e3 * piston_acceleration(crank_angle_rev, masses.mechanism) - radius * cosine  # length · λ² · D
+    swing = 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism) - radius * cosine  # length · λ² · D
     place_x, place_y = radius * cosine - beyond * rod_cosine, (radius + beyond * ratio) * sine
     second_x = -radius * cosine + beyond / length * swing
     second_y = -place_y

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sized
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
@@ -27,6 +28,8 @@ def _not_empty(value: Entries) -> Entries:
 
 NOT_EMPTY = AfterValidator(_not_empty)
 """For lists; ``min_length`` counts the sound entries alone and so blames the list too for a fault of an entry."""
+GAS_COLUMNS = ("crank_angle_deg", "pressure_pa", "torque_n_m")
+"""Columns that the CSV file of a gas curve may have: the first and one of the others."""
 REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
 
 
@@ -143,21 +146,52 @@ class Cylinder(EngineData):
     offset_m: float | None = None
 
 
-class GasCurve(EngineData):
-    """Gas of one cylinder over a cycle: pressure, or the torque that it makes, straight between the given angles.
+class IdealCycle(EngineData):
+    """An air-standard cycle: compression from the lower dead centre, heat at once or over some angle, expansion.
 
-    ``crank_angle_deg``: ascending, from the firing dead centre, less than one cycle long; the curve closes on itself.
-    ``pressure_pa``: absolute, with ``surroundings_pa`` below the piston; or ``torque_n_m`` in the sense of rotation.
+    ``intake_pa``: absolute, at the start of compression and during intake. ``heat_j``: taken up by the gas of one
+    cylinder in a cycle. ``burn_start_deg``: from the piston's upper dead centre; the heat comes from there on over
+    ``burn_duration_deg``, first slowly, then fast, then slowly, ½ (1 − cos); 0: at once. ``exponent``: ratio of
+    specific heats. ``exhaust_pa``: absolute, of the exhaust stroke; that of the surroundings where left out.
     """
 
-    crank_angle_deg: tuple[float, ...] = Field(strict=False)
+    compression_ratio: Annotated[float, Field(gt=1)]
+    intake_pa: Positive
+    heat_j: NonNegative
+    burn_start_deg: Annotated[float, Field(gt=-180, lt=180)] = 0.0
+    burn_duration_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    exponent: Annotated[float, Field(gt=1, lt=2)] = 1.4
+    exhaust_pa: NonNegative | None = None
+
+    @field_validator("burn_duration_deg")
+    @classmethod
+    def _burns_before_it_opens(cls, value: float, info: ValidationInfo) -> float:
+        if "burn_start_deg" in info.data and info.data["burn_start_deg"] + value >= 180:
+            raise ValueError("the heat must have come 180° after the upper dead centre, before the gas is let out")
+        return value
+
+
+class GasCurve(EngineData):
+    """Gas of one cylinder over a cycle: its pressure, an ideal cycle, or the torque that it makes.
+
+    ``crank_angle_deg``: ascending, from the firing dead centre, less than one cycle long; the curve is straight between
+    the angles and closes on itself. ``pressure_pa``: absolute, with ``surroundings_pa`` below the piston; or
+    ``torque_n_m`` in the sense of rotation. ``file``: a CSV file beside the engine file whose columns crank_angle_deg
+    and pressure_pa or torque_n_m take their place. ``ideal``: in place of any curve.
+    """
+
+    crank_angle_deg: tuple[float, ...] | None = Field(default=None, strict=False)
     pressure_pa: tuple[float, ...] | None = Field(default=None, strict=False)
     torque_n_m: tuple[float, ...] | None = Field(default=None, strict=False)
+    ideal: IdealCycle | None = None
+    file: str | None = None
     surroundings_pa: NonNegative = 101325.0
 
     @field_validator("crank_angle_deg")
     @classmethod
-    def _ascends(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+    def _ascends(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is None:
+            return value
         if len(value) < 2:
             raise ValueError("must have at least 2 entries")
         if any(after <= before for before, after in pairwise(value)):
@@ -175,10 +209,13 @@ class GasCurve(EngineData):
     @field_validator("surroundings_pa")
     @classmethod
     def _one_curve(cls, value: float, info: ValidationInfo) -> float:
-        if {"pressure_pa", "torque_n_m"} <= info.data.keys():
-            given = [name for name in ("pressure_pa", "torque_n_m") if info.data[name] is not None]
+        kinds = ("pressure_pa", "torque_n_m", "ideal")
+        if {*kinds, "crank_angle_deg"} <= info.data.keys():
+            given = [name for name in kinds if info.data[name] is not None]
             if len(given) != 1:
-                raise ValueError("a gas curve is either pressure_pa or torque_n_m")
+                raise ValueError("a gas curve is either pressure_pa or torque_n_m, or else an ideal cycle")
+            if (info.data["crank_angle_deg"] is None) != (given == ["ideal"]):
+                raise ValueError("crank_angle_deg belongs to pressure_pa and torque_n_m, and to them alone")
         return value
 
     model_config = ConfigDict(validate_default=True)
@@ -280,9 +317,14 @@ class Engine(EngineData):
         cycle = info.data.get("cycle")
         if value is None or cycle is None:
             return value
-        if value.crank_angle_deg[-1] - value.crank_angle_deg[0] >= 360 * REVS_PER_CYCLE[cycle]:
+        angles = value.crank_angle_deg
+        if angles is not None and angles[-1] - angles[0] >= 360 * REVS_PER_CYCLE[cycle]:
             raise ValueError(f"crank_angle_deg must span less than one cycle, {360 * REVS_PER_CYCLE[cycle]}°")
-        if value.pressure_pa is not None and "bore_m" in info.data and info.data["bore_m"] is None:
+        if value.ideal is not None and cycle == "rotor":
+            raise ValueError("an ideal cycle needs a piston")
+        if value.ideal is not None and cycle == "two-stroke" and value.ideal.exhaust_pa is not None:
+            raise ValueError("a two-stroke cycle has no exhaust stroke: leave exhaust_pa out")
+        if value.torque_n_m is None and "bore_m" in info.data and info.data["bore_m"] is None:
             raise ValueError("a pressure needs bore_m")
         return value
 
@@ -330,6 +372,38 @@ class Engine(EngineData):
         return max(one.reciprocating_mass_kg for one in self.each)
 
 
+def with_gas_file(table: dict[str, Any], name: str, beside: Path | None) -> dict[str, Any]:
+    """``table`` of an engine file with the curve of its gas read from the CSV file that ``[gas] file`` names.
+
+    ``name`` and ``beside``: as the engine was asked for; the CSV file is looked for beside the engine file.
+    Raises RequestError where there is no such file, it lacks a column, or a value is no number.
+    """
+    gas = table.get("gas")
+    if not isinstance(gas, dict) or not isinstance(gas.get("file"), str):
+        return table
+    candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
+    folder = next((path.parent for path in candidates if path.is_file()), Path())
+    path = folder / gas["file"]
+    taken = {key for key in GAS_COLUMNS if key in gas}
+    if taken:
+        raise RequestError("a gas file takes the place of the curve", place="gas", found=", ".join(sorted(taken)))
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            rows = list(csv.DictReader(line for line in stream if line.strip() and not line.startswith("#")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestError("no such gas file", file=str(path), place="gas.file", found=type(error).__name__) from None
+    columns = [key for key in GAS_COLUMNS if rows and key in rows[0]]
+    if len(columns) != 2 or columns[0] != GAS_COLUMNS[0]:
+        found = ", ".join(map(str, rows[0])) if rows else "no rows"
+        allowed = "crank_angle_deg and pressure_pa or torque_n_m"
+        raise RequestError("not the columns of a gas file", file=str(path), found=found, allowed=allowed)
+    try:
+        curve = {key: [float(row[key]) for row in rows] for key in columns}
+    except (TypeError, ValueError) as error:
+        raise RequestError("a value is no number", file=str(path), found=error) from None
+    return {**table, "gas": {**gas, **curve}}
+
+
 def load_engine(name: str, beside: Path | None = None) -> Engine:
     """Engine from a shipped file of ``pipeline/engines`` or a user's TOML file.
 
@@ -338,6 +412,7 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
     its content. A table ``[balance]`` is left to ``crankorder.engine.balance_data``.
     """
     table, source = toml_table(name, "engines", beside=beside)
+    table = with_gas_file(table, name, beside)
     if "kind" in table:
         raise RequestError(
             "not an engine of cranks, rods and cylinders",

@@ -1,105 +1,22 @@
-"""Forces of an engine: of its moving masses by order, of its gas, and what its parts carry of both."""
+"""Forces of an engine: of its moving masses by order, and what its parts carry of these and of its gas."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
+from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.gas import firing_angle_deg, gas_force
 from crankorder.engine.harmonics import acceleration_harmonics, last_order_above_round_off, rod_acceleration_harmonics
 from crankorder.engine.rod import rod_couple, two_masses
-from crankorder.engine.slider_crank import piston_acceleration, piston_velocity, rod_direction, sine_cosine
+from crankorder.engine.slider_crank import plain_piston_acceleration, rod_direction, sine_cosine
 from crankorder.errors import RequestError
 
 Angles = NDArray[np.float64]
-
-SAMPLES_PER_REV = 1 << 14
-"""Angles per revolution on which a torque is transformed: a straight-line curve's orders alias by order²/this²."""
-
-
-def gas_force(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
-    """Force (N) of the gas on a piston, towards the crankshaft; as much acts on the cylinder head the other way.
-
-    ``engine``: with a pressure curve and its bore; without any gas the force is zero. ``cycle_angle_rev``: revolutions
-    from the cylinder's firing dead centre, any shape, repeated by cycles. Returns the shape of the angles.
-    Raises RequestError for a torque curve: at the dead centres any force gives no torque, so a torque tells no force
-    (truth sheet 4.2).
-    """
-    angles = np.asarray(cycle_angle_rev, dtype=np.float64)
-    if engine.gas is None:
-        return np.zeros(angles.shape)
-    if engine.gas.pressure_pa is None or engine.bore_m is None:
-        raise RequestError(
-            "a torque curve tells no gas force: at the dead centres any force makes no torque",
-            place="gas",
-            remedy="Give pressure_pa and bore_m for thrust and bearing loads",
-        )
-    pressure = _interpolated(engine, angles, engine.gas.pressure_pa)
-    force: Angles = (pressure - engine.gas.surroundings_pa) * (np.pi / 4 * engine.bore_m**2)
-    return force
-
-
-def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
-    """Torque (N·m) of one cylinder's gas on the crank, in the sense of rotation; finite everywhere.
-
-    ``engine``: with a pressure or a torque curve; without any the torque is zero. ``cycle_angle_rev``: revolutions from
-    the cylinder's firing dead centre (that of its crank, where there is an offset), any shape.
-    Source: work of the gas, T = −F x', truth sheet 4.2: never F divided by anything.
-    """
-    angles = np.asarray(cycle_angle_rev, dtype=np.float64)
-    if engine.gas is not None and engine.gas.torque_n_m is not None:
-        return _interpolated(engine, angles, engine.gas.torque_n_m)
-    torque: Angles = -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
-    return torque
-
-
-def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray[np.complex128]]:
-    """Orders and complex peak torque (N·m) of all cylinders' gas on the crank; half orders where a cycle has two turns.
-
-    Each of shape (max_order · revolutions of a cycle + 1,); order 0 is the mean. A line is
-    Re(torque · exp(2πi order rev)), rev the engine's crank angle. On the crankcase the gas puts this torque with the
-    other sign about Y, and no force.
-
-    ``engine``: with gas and, where it has several cylinders, their ``firing_deg``. ``max_order``: ≥ 1.
-    Raises RequestError without firing angles.
-    """
-    cycle = engine.revs_per_cycle
-    angles = np.arange(cycle * SAMPLES_PER_REV) / SAMPLES_PER_REV
-    lines = np.arange(max_order * cycle + 1)
-    torque = 2 * np.fft.rfft(gas_torque(engine, angles))[lines] / angles.size
-    torque[0] /= 2
-    firing_rev = np.array([firing_angle_deg(engine, cylinder) / 360 for cylinder in engine.cylinders])
-    phases = np.exp(-2j * np.pi * np.mod(np.outer(firing_rev / cycle, lines), 1))
-    return lines / cycle, torque * phases.sum(axis=0)
-
-
-def firing_angle_deg(engine: Engine, cylinder: Cylinder) -> float:
-    """Engine crank angle (degrees within the cycle) of the firing dead centre of ``cylinder`` of ``engine``.
-
-    An engine of one cylinder, and one that fires every revolution, needs no ``firing_deg``: it fires when its pin
-    stands along its axis. Raises RequestError where it is needed and missing.
-    """
-    if cylinder.firing_deg is not None:
-        return cylinder.firing_deg
-    if len(engine.cylinders) > 1 and engine.revs_per_cycle > 1:
-        raise RequestError(
-            "which revolution does each cylinder fire in?",
-            place="cylinders",
-            remedy="Give firing_deg for every cylinder",
-        )
-    return (cylinder.bank_deg - cylinder.crank_deg) % 360
-
-
-def _interpolated(engine: Engine, cycle_angle_rev: Angles, values: tuple[float, ...]) -> Angles:
-    assert engine.gas is not None
-    period_deg = 360.0 * engine.revs_per_cycle
-    found: Angles = np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
-    return found
-
-
 Complex = NDArray[np.complex128]
 
 DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
@@ -148,7 +65,7 @@ def crankcase_moments(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -
     moments = np.zeros_like(at_place)
     moments[X] = at_place[Z] + engine.shafts.position_m * engine.crank_radius_m * _shafts(engine, max_order)
     moments[Z] = -at_place[X]
-    moments[Y] = (_phases(engine, max_order) * [_rolling(one, max_order) for one in engine.each]).sum(axis=0)
+    moments[Y] = (_phases(engine, max_order) * _for_each(engine, _rolling, max_order)).sum(axis=0)
     for weight in turning_weights(engine):
         if weight.order <= max_order:
             moments[:, weight.order] += np.cross([weight.x_m, weight.position_m, weight.z_m], weight.force_kg_m)
@@ -190,9 +107,19 @@ def inertia_torque(engine: Engine, max_order: int) -> Complex:
 
     A line is Re(torque · exp(2πi order rev)), rev the engine's crank angle. ``max_order``: ≥ 1.
     """
-    each = [inertia_torque_by_order(one, max_order) for one in engine.each]
+    each = _for_each(engine, inertia_torque_by_order, max_order)
     torque: Complex = (_phases(engine, max_order) * each).sum(axis=0)
     return torque
+
+
+def _for_each(engine: Engine, made_by: Callable[[Engine, int], Complex], max_order: int) -> Complex:
+    """What ``made_by`` gives for each cylinder, shape (cylinder, max_order + 1); for those that are alike once."""
+    found: dict[tuple[float, float], Complex] = {}
+    for one in engine.each:
+        key = (one.reciprocating_mass_kg, one.offset_m)
+        if key not in found:
+            found[key] = made_by(one, max_order)
+    return np.array([found[one.reciprocating_mass_kg, one.offset_m] for one in engine.each])
 
 
 def inertia_torque_by_order(engine: Engine, max_order: int) -> Complex:
@@ -364,7 +291,8 @@ def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float,
     sine, cosine = sine_cosine(own)
     rod_sine, rod_cosine = rod_direction(own, engine.mechanism)
     rod = two_masses(engine)
-    inertia = omega_squared * piston_acceleration(own, engine.mechanism)  # of one kilogram, away from the crankshaft
+    # of one kilogram, away from the crankshaft
+    inertia = omega_squared * plain_piston_acceleration(own, engine.mechanism)
 
     through_rod = gas - engine.reciprocating_mass_kg * inertia
     couple = rod_couple(engine, own, speed_rpm)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import gas_torque_by_order, inertia_torque
+from crankorder.engine.forces import inertia_torque
+from crankorder.engine.gas import gas_torque_by_order
 from crankorder.errors import RequestError
 
 Floats = NDArray[np.float64]
@@ -103,6 +104,12 @@ class Lag:
         for order, size in zip(self.order, rise, strict=True):
             slope += (size * np.exp(2j * np.pi * order * angle)).real
         return slope
+
+    def fluctuation(self, speed_rpm: float) -> float:
+        """Highest less lowest speed within the cycle over the mean ``speed_rpm``, at 64 angles of the highest order."""
+        change = self._slope(self.by_order(speed_rpm))
+        speed = 1 / (1 + change)  # the lag is that of mean speed over speed
+        return float(speed.max() - speed.min())
 
     def check(self, speed_rpm: float) -> None:
         """Raise RequestError where the shaft would stop within the cycle at the mean ``speed_rpm``, either way."""

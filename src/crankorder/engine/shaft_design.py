@@ -178,7 +178,8 @@ def _weights(motion: OrderMotion, sense: int, planes_m: tuple[float, float]) -> 
 
 
 def _weight(unbalance: complex, position_m: float) -> Weight:
-    angle = math.degrees(math.atan2(unbalance.imag, unbalance.real)) % 360
+    angle = math.degrees(math.atan2(unbalance.imag, unbalance.real))
+    angle = 0.0 if abs(angle) < 1e-12 else angle % 360
     return Weight(unbalance_g_mm=abs(unbalance), angle_deg=angle, position_m=position_m)
 
 

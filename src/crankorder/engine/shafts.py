@@ -24,7 +24,7 @@ from crankorder.engine.balancing import (
 )
 from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.engine.harmonics import even_harmonics
-from crankorder.engine.slider_crank import piston_acceleration
+from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Possibility = Literal["1", "2", "3", "4", "4+2"]
@@ -376,7 +376,7 @@ def residual_along(
     ``masses``: engine, its rotating part balanced on the crank. ``crank_angle_rev``: revolutions, any shape; the result
     has that shape. With wheels for the first and second order it begins with the fourth, and is largest at 90°.
     """
-    sliding = masses.reciprocating_g * 1e3 * piston_acceleration(crank_angle_rev, masses.mechanism)
+    sliding = masses.reciprocating_g * 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism)
     residual: NDArray[np.float64] = sliding + wheels_force(wheels, crank_angle_rev).real
     return residual
 

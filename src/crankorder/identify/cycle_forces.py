@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import crankcase_forces, crankcase_moments, gas_torque_by_order
+from crankorder.engine.forces import crankcase_forces, crankcase_moments
+from crankorder.engine.gas import gas_torque_by_order
 from crankorder.errors import RequestError
 from crankorder.settings import MethodNumbers
 

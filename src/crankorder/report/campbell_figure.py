@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,7 +13,7 @@ from crankorder.findings import Findings, ModeFinding, OrderFinding
 from crankorder.plot.cells import speed_cells
 from crankorder.records import known
 from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
-from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
+from crankorder.report.cells import cells_with_gaps, gaps_between, level_limits, level_of, pixel_maximum
 from crankorder.report.drawing.colour_map import level_colours
 from crankorder.report.drawing.drawn import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
 from crankorder.report.drawing.keys import Key, draw_keys
@@ -52,7 +51,6 @@ from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
 _NOTE = 2.2  # inches at the right of the foot, where a note on quality may stand
-_LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
 _WHITE = "#ffffff"
 _MOST_GUIDES = 12
 
@@ -137,23 +135,6 @@ def _map_of(campbell: xr.Dataset, channel: str, settings: ReportSettings) -> _Ma
     return _Map(speed[kept], campbell["frequency"].values, np.nan_to_num(amplitude[kept]), reference, level)
 
 
-def _level_limits(one: _Map, *, settings: ReportSettings) -> tuple[float, float]:
-    """Ends of the colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range."""
-    values = one.amplitude[one.amplitude > 0]
-    if not len(values):
-        return 0.0, settings.dynamic_range_db
-    twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
-    ends = 5 * np.array([np.floor(_level(twentieth, one) / 5), np.ceil(_level(values.max(), one) / 5)])
-    low = max(float(ends[0]), float(ends[1]) - settings.dynamic_range_db)
-    return min(low, float(ends[1]) - _LEAST_RANGE_DB), float(ends[1])
-
-
-def _level(values: Any, one: _Map) -> Any:
-    """Level in dB; 1e-300 and 1e300 survive."""
-    wide = np.asarray(values, dtype=np.float64)  # 1e-300 is zero in 32 bits
-    return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(one.reference))
-
-
 def shades(one: _Map, limits: tuple[float, float], rows: int, columns: int) -> NDArray[np.uint8]:
     """Shade 1…255 of each of ``rows`` by ``columns`` pixels of a map ``one``, the first row the slowest; 0 is unknown.
 
@@ -164,14 +145,14 @@ def shades(one: _Map, limits: tuple[float, float], rows: int, columns: int) -> N
     half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
     pooled = pixel_maximum(values, bins, (float(frequency[0]), float(frequency[-1])), n=columns, axis=1)
-    share = (_level(pooled, one) - limits[0]) / (limits[1] - limits[0])
+    share = (level_of(pooled, one.reference) - limits[0]) / (limits[1] - limits[0])
     shade = np.where(pooled < 0, 0, 1 + np.clip(255 * share, 0, 254)).astype(np.uint8)
     return pixel_maximum(shade, edges, (float(edges[0]), float(edges[-1])), n=rows, axis=0)
 
 
 def _draw_map(panel: Panel, one: _Map, *, settings: ReportSettings) -> None:
     drawing, box = panel.drawing, panel.box
-    limits = _level_limits(one, settings=settings)
+    limits = level_limits(one.amplitude, one.reference, range_db=settings.dynamic_range_db)
     if len(one.speed):
         colours = level_colours().copy()
         colours[0] = rgb_of(NOT_MEASURED)

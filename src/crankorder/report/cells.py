@@ -7,6 +7,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
+
+
+def level_of(values: Any, reference: float) -> Any:
+    """Level [dB] of amplitudes ``values`` over ``reference``; 1e-300 and 1e300 survive."""
+    wide = np.asarray(values, dtype=np.float64)  # 1e-300 is zero in 32 bits
+    return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(reference))
+
+
+def level_limits(amplitude: NDArray[Any], reference: float, *, range_db: float) -> tuple[float, float]:
+    """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
+
+    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` the greatest range.
+    """
+    values = amplitude[amplitude > 0]
+    if not len(values):
+        return 0.0, range_db
+    twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
+    ends = 5 * np.array([np.floor(level_of(twentieth, reference) / 5), np.ceil(level_of(values.max(), reference) / 5)])
+    low = max(float(ends[0]), float(ends[1]) - range_db)
+    return min(low, float(ends[1]) - _LEAST_RANGE_DB), float(ends[1])
+
 
 def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:
     """Ranges [rpm] between neighbouring ``cells`` (shape (speed, 2)) that no cell covers."""

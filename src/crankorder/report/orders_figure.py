@@ -36,7 +36,7 @@ _PHASE_OF = {
 
 
 @dataclass(frozen=True)
-class _Tracks:
+class ShownTracks:
     """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0 is the strongest.
 
     ``read`` is False at speeds at which only other orders have a row: those of a sweep stand at speeds of their own.
@@ -60,7 +60,7 @@ class _Tracks:
         return np.asarray(self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED))
 
     def color(self, number: int) -> str:
-        """Colour of an order, the same in all channels; light where it is only there for comparison."""
+        """Colour of the order ``number``, the same in all channels; light where it is only there for comparison."""
         return LINES[int(self.coloured[:number].sum())] if self.coloured[number] else LIGHT
 
 
@@ -78,7 +78,7 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
     rows = -(-len(channels) // columns)
     block = settings.height_in - _BOTTOM - _TOP
     drawing = Drawing(settings.width_in, _TOP + rows * block + (rows - 1) * (_BOTTOM + 0.3) + _BOTTOM)
-    shown = _shown(tracks, limit=settings.max_labelled_orders)
+    shown = shown_tracks(tracks, limit=settings.max_labelled_orders)
     for number, channel in enumerate(channels):
         width = (settings.width_in - _LEFT - columns * _GUTTER + 0.25) / columns
         left = _LEFT + (number % columns) * (width + _GUTTER)
@@ -93,8 +93,8 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
     return drawing
 
 
-def _shown(tracks: xr.Dataset, *, limit: int) -> _Tracks:
-    """The ``limit`` orders that are largest relative to their channel's largest, ascending."""
+def shown_tracks(tracks: xr.Dataset, *, limit: int) -> ShownTracks:
+    """The ``limit`` orders of ``tracks`` that are largest relative to their channel's largest, ascending."""
     dims = ("channel", "order", "speed")
     at = np.argsort(tracks["speed"].values, kind="stable")
     values = {
@@ -115,7 +115,7 @@ def _shown(tracks: xr.Dataset, *, limit: int) -> _Tracks:
     amplitude, low, high, phase = (
         np.where(clear, item, np.nan)[:, kept] for item in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
     )
-    return _Tracks(
+    return ShownTracks(
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
         amplitude, low, high, phase, np.isfinite(values["amplitude"])[:, kept],
         [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
@@ -135,7 +135,7 @@ def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
     return f"Peak amplitude with 95 % band{many}{light} where it stands clear of the noise; orders at the right."
 
 
-def _draw_channel(drawing: Drawing, shown: _Tracks, channel: int, box: Box) -> None:
+def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) -> None:
     left, bottom, width, height = box
     phase_height = 0.3 * height
     low, high = float(shown.speed[0]), float(shown.speed[-1])
@@ -168,7 +168,7 @@ def _scale(clear: NDArray[np.float64]) -> tuple[tuple[float, float], bool]:
     return (max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), min(1.6 * top, 1e307)), True
 
 
-def _draw_axes(upper: Panel, lower: Panel, shown: _Tracks, channel: int, *, first: bool) -> None:
+def _draw_axes(upper: Panel, lower: Panel, shown: ShownTracks, channel: int, *, first: bool) -> None:
     ticks = int(np.clip(1.8 * upper.box[2], 3, 10))
     upper.x_axis(most=ticks, whole=True, named=False)
     lower.x_axis("Speed, rpm", most=ticks, whole=True)
@@ -191,7 +191,7 @@ def _broken(speed: NDArray[np.float64], values: NDArray[np.float64], *, wrap: fl
         return np.asarray(np.flatnonzero(gap | (np.abs(np.diff(values)) > wrap)) + 1)
 
 
-def _draw_line(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
+def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
     read = shown.read[channel, number]
     if not read.any():
         return
@@ -215,7 +215,7 @@ def _draw_line(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
         panel.dots(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
 
 
-def _draw_phase(panel: Panel, shown: _Tracks, channel: int, number: int) -> None:
+def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
     """Phase where the line stands clear of its noise, joined where it goes on."""
     read = shown.read[channel, number]
     if not read.any():
@@ -229,7 +229,7 @@ def _draw_phase(panel: Panel, shown: _Tracks, channel: int, number: int) -> None
     panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
 
 
-def _label_lines(panel: Panel, shown: _Tracks, channel: int) -> None:
+def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
     low, high = panel.y
     labels = []
     for number, text in enumerate(shown.texts):

@@ -1,24 +1,32 @@
-"""The report page of a test and the index of many: HTML with no script and no network."""
+"""The report page of a test, one file that needs no other and no network, and the index of many tests."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any, Literal
 from urllib.parse import quote
 
+import xarray as xr
 from jinja2 import Environment, FunctionLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from crankorder.findings import Findings
+from crankorder.report.live import live_data
 from crankorder.report.notation import named
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
 from crankorder.report.tables_of_sources import provenance_table
 from crankorder.settings import ReportSettings
 
+_NOTHING: Mapping[str, xr.Dataset] = MappingProxyType({})
+_MOST_PICTURES = 1_800_000  # bytes of PNG in a page, 2.4 MB as text; half of what a page may weigh
+_SHOWN_SENTENCES = 4  # of a box, so that the four weigh about the same
 _NAME_CHARACTERS = 60
 _ERROR_CHARACTERS = 400
 _ANSWERS: tuple[tuple[Literal["what", "why", "how_sure", "what_to_do"], str], ...] = (
@@ -30,29 +38,71 @@ _ANSWERS: tuple[tuple[Literal["what", "why", "how_sure", "what_to_do"], str], ..
 _MARKED = frozenset({"excited", "suspect", "bad"})
 
 
+@dataclass(frozen=True)
+class ShownPicture:
+    """A picture of a page: its ``file`` beside the page, its ``caption``, and as ``png`` what the page itself holds."""
+
+    file: str
+    caption: str
+    png: bytes = b""
+
+
 def report_page(
-    findings: Findings, *, pictures: list[tuple[str, str]], provenance: dict[str, Any], settings: ReportSettings
+    findings: Findings,
+    *,
+    pictures: Sequence[ShownPicture],
+    provenance: dict[str, Any],
+    settings: ReportSettings,
+    groups: Mapping[str, xr.Dataset] = _NOTHING,
 ) -> str:
     """HTML page of a test: what shakes, why, how sure and what to do; pictures; tables with intervals; provenance.
 
-    ``findings`` as in ``data_schema/findings.json``; ``pictures`` pairs of file name (beside the page) and caption;
-    ``provenance`` as in ``data_schema/run.json``; ``settings`` of the report. All text is escaped; the page refers to
-    nothing but its pictures.
+    ``findings`` as in ``data_schema/findings.json``; ``pictures`` in the order of the page; ``provenance`` as in
+    ``data_schema/run.json``; ``settings`` of the report; ``groups`` datasets of the results by name, which the page's
+    own script draws. All text is escaped; the page needs no other file: pictures stand in it as PNG up to 1.8 MB in
+    all, those beyond that are links to the files beside it.
     """
     limit = settings.max_name_characters
     lead = headline(findings)[0]
     said = story_of(findings)
+    live = live_data(groups, findings, settings=settings) if settings.pictures else ""
     return page_template("report.html").render(
-        policy=page_policy(),
+        policy=page_policy(script=bool(live)),
         style=Markup(page_style()),  # our own file, never text from data
+        script=Markup(page_script()) if live else "",  # our own file too
+        live=Markup(live),  # JSON without <, > and &
         test=named(findings.test, limit=limit),
         lead=lead,
-        story=[(title, [one for one in said[key] if one != lead]) for key, title in _ANSWERS],
-        pictures=[(_beside(file), named(caption, limit=4 * limit)) for file, caption in pictures],
+        story=[(title, _first_and_rest([one for one in said[key] if one != lead])) for key, title in _ANSWERS],
+        pictures=_embedded(pictures, limit=4 * limit),
         tables=tables_of(findings, limit=limit),
         provenance=provenance_table(provenance),
         marked=_MARKED,
     )
+
+
+def _first_and_rest(sentences: list[str]) -> tuple[list[str], list[str]]:
+    """Sentences that a box shows, and those folded away under them; a single one more is shown too."""
+    shown = _SHOWN_SENTENCES if len(sentences) > _SHOWN_SENTENCES + 1 else len(sentences)
+    return sentences[:shown], sentences[shown:]
+
+
+def _embedded(pictures: Sequence[ShownPicture], *, limit: int) -> list[dict[str, Any]]:
+    """Pictures for the template: link, caption, whether the script draws the same, the PNG while it fits."""
+    made, room = [], _MOST_PICTURES
+    for one in pictures:
+        fits = 0 < len(one.png) <= room
+        room -= len(one.png) if fits else 0
+        made.append(
+            {
+                "link": _beside(one.file),
+                "file": named(one.file, limit=limit),
+                "caption": named(one.caption, limit=limit),
+                "png": Markup(base64.b64encode(one.png).decode("ascii")) if fits else "",
+                "live": one.file.startswith(("campbell_", "orders.")),
+            }
+        )
+    return made
 
 
 def index_page(tests: list[dict[str, Any]]) -> str:
@@ -109,7 +159,21 @@ def page_style() -> str:
 
 
 @cache
-def page_policy() -> str:
-    """Content security policy of a page: its pictures, its one style by hash, no script."""
-    digest = base64.b64encode(hashlib.sha256(page_style().encode("utf-8")).digest()).decode("ascii")
-    return f"default-src 'none'; img-src 'self' file:; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+def page_script() -> str:
+    """Script of the report page: our own file, never text from data."""
+    return files("crankorder.report").joinpath("page.js").read_text(encoding="utf-8")
+
+
+@cache
+def page_policy(*, script: bool = False) -> str:
+    """Content security policy of a page: its pictures, its one style and, where it has one, its ``script`` by hash."""
+    pictures = "data:" if script else "data: 'self' file:"
+    scripts = f"; script-src {_digest(page_script())}" if script else ""
+    return (
+        f"default-src 'none'; img-src {pictures}; style-src {_digest(page_style())}{scripts}; base-uri 'none'; "
+        "form-action 'none'"
+    )
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"

@@ -31,9 +31,11 @@ class Picture:
     figure: Callable[[], Any]
     settings: ReportSettings
 
-    def drawn(self) -> bytes:
-        """The picture in its format; may be called in any thread or process, with the same bytes."""
-        return picture_bytes(self.figure(), dpi=self.settings.dpi, kind=self.settings.picture_format)
+    def drawn(self) -> tuple[bytes, bytes]:
+        """The picture in its format, and as PNG for the page; any thread or process makes the same bytes."""
+        figure, kind = self.figure(), self.settings.picture_format
+        png = picture_bytes(figure, dpi=self.settings.dpi)
+        return png if kind == "png" else picture_bytes(figure, dpi=self.settings.dpi, kind=kind), png
 
 
 def prepare() -> None:

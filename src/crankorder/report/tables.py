@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from crankorder.findings import (
@@ -12,6 +13,7 @@ from crankorder.findings import (
     ModeFinding,
     OpenBand,
     OrderFinding,
+    Quality,
 )
 from crankorder.identify.said import AMPLIFIED
 from crankorder.records import Interval, Record
@@ -29,6 +31,7 @@ from crankorder.report.notation import (
     order_estimate,
     order_text,
     order_texts,
+    percent_text,
     speeds_text,
     unit_of,
     with_interval,
@@ -67,6 +70,7 @@ def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
         ("bearings", bearing_table(findings, limit)),
         ("balance", balance_table(findings, limit)),
         ("energy", energy_table(findings, limit)),
+        ("levels", _levels(findings, limit)),
         ("lines", _lines(findings, limit)),
         ("quality", _quality(findings, limit)),
     ]
@@ -125,14 +129,18 @@ def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
 
 def _orders(findings: Findings, limit: int) -> Table:
     records = [record for record in findings.orders if is_number(record.order)]
-    records.sort(key=lambda one: (one.channel, one.order))
     loudest: dict[str, float] = {}
     for record in records:
-        channel = record.channel
-        loudest[channel] = max(loudest.get(channel, 0.0), float(record.amplitude or 0))
+        unit = unit_of(findings, record)
+        loudest[unit] = max(loudest.get(unit, 0.0), float(record.amplitude or 0))
+    records.sort(key=lambda one: -float(one.amplitude or 0) / (loudest[unit_of(findings, one)] or 1.0))
     rows = [_order_row(record, findings, limit) for record in records]
-    shares = [float(one.amplitude or 0) / (loudest[one.channel] or 1.0) for one in records]
-    note = "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size." if rows else ""
+    shares = [-float(number) for number in range(len(rows))]
+    note = (
+        "The strongest first. Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
+        if rows
+        else ""
+    )
     heads = (
         "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
         "With speed|Meets, Hz#|Seen, rpm#"
@@ -180,11 +188,24 @@ def _modes(findings: Findings, limit: int) -> Table:
             _reached(record),
             named(record.evidence or "", limit=4 * limit),
         ]
-        for record in findings.modes
+        for record in sorted(findings.modes, key=lambda one: -_shaken(one, findings))
         if not is_tone(record) and not is_undecided(record)
     ]
+    note = "Those first at which orders are amplified most." if len(rows) > 1 and findings.crossings else ""
     heads = "Frequency, Hz#|Damping, %#|Channels|Reached by orders|Evidence"
-    return table_of("Natural frequencies", heads, rows, empty="No natural frequency was found.")
+    return table_of("Natural frequencies", heads, rows, note=note, empty="No natural frequency was found.")
+
+
+def _shaken(mode: ModeFinding, findings: Findings) -> float:
+    """Largest amplification of an order that excites ``mode`` in the tested range; 0 where none does."""
+    return max(
+        (
+            float(one.amplification or 1.0)
+            for one in findings.crossings
+            if one.excited and one.in_range and abs(one.mode_hz - mode.frequency_hz) <= 1e-3 * mode.frequency_hz
+        ),
+        default=0.0,
+    )
 
 
 def _reached(record: ModeFinding) -> str:
@@ -259,6 +280,21 @@ def _times(record: Record, key: str) -> str:
     return f"× {estimate_text(record, key) if ends else number_text(factor, digits=2)}"
 
 
+def _levels(findings: Findings, limit: int) -> Table:
+    """Overall level of each channel; empty where levels were not asked for."""
+    rows = [
+        [
+            named(level.channel, limit=limit),
+            f"{number_text(level.rms_max)} {unit_of(findings, level)}" if is_number(level.rms_max) else "–",
+            percent_text(level.share_above) if is_number(level.share_above) else "–",
+        ]
+        for level in findings.levels
+    ]
+    note = "Root mean square of the loudest recording, without the mean." if rows else ""
+    heads = "Channel|Overall level (RMS)#|Share above the band looked at#"
+    return table_of("Levels", heads, rows, note=note, empty="")
+
+
 @dataclass(frozen=True)
 class _Line:
     order: float
@@ -283,14 +319,57 @@ def _lines(findings: Findings, limit: int) -> Table:
 
 
 def _quality(findings: Findings, limit: int) -> Table:
+    """Remarks by kind, the gravest first: of how many recordings, and the worst of them; all of them folded away."""
     rank = {"bad": 0, "suspect": 1}
     records = sorted(findings.quality, key=lambda one: rank.get(one.severity, 2))
     keys = ("recording", "severity", "flag", "detail")
-    rows = [
+    every = [
         [named(getattr(record, key), limit=4 * limit if key == "detail" else limit) for key in keys]
         for record in records
     ]
-    return table_of("Quality", "Recording|Severity|Flag|Detail", rows, empty="No remark on any recording.")
+    kinds: dict[tuple[str, str], list[Quality]] = {}
+    for record in records:
+        kinds.setdefault((record.severity, record.flag), []).append(record)
+    rows = []
+    for (severity, flag), alike in kinds.items():
+        worst = _worst(alike)
+        count = len({record.recording for record in alike})
+        case = f"{named(worst.recording, limit=limit)}: {named(worst.detail, limit=4 * limit)}"
+        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), case])
+    more = None
+    if len(rows) < len(every):
+        more = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every, empty="")
+    heads = "Severity|Flag|Recordings#|Remarks#|Worst case"
+    note = "One row per kind; of several the one whose numbers differ most from good." if more else ""
+    return table_of("Quality", heads, rows, note=note, empty="No remark on any recording.", more=more)
+
+
+_NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_TOO_LITTLE = ("only", "fewer", "less than", "at least", "shorter", "below", "too few")
+
+
+def _worst(alike: list[Quality]) -> Quality:
+    """The remark of one kind that says most: the largest number that tells its text from the others.
+
+    Of texts that tell a shortage the smallest. A count out of a whole ("3 of 70") is taken as its share.
+    """
+    numbers = [_numbers_of(record.detail) for record in alike]
+    length = min(len(one) for one in numbers)
+    telling = [place for place in range(length) if len({one[place] for one in numbers}) > 1]
+    if not telling:
+        return alike[0]
+    short = any(word in alike[0].detail for word in _TOO_LITTLE)
+    chosen = (min if short else max)(range(len(alike)), key=lambda number: numbers[number][telling[-1]])
+    return alike[chosen]
+
+
+def _numbers_of(detail: str) -> list[float]:
+    shares = re.sub(
+        r"\b(\d+) of (\d+)\b",
+        lambda found: repr(int(found[1]) / int(found[2])) if int(found[2]) else found[1],
+        detail,
+    )
+    return [float(text.replace("−", "-")) for text in _NUMBER.findall(shares)]
 
 
 def _hertz(record: Record, key: str) -> str:

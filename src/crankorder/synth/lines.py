@@ -11,7 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
-from crankorder.engine.forces import crankcase_forces, crankcase_moments, gas_torque_by_order
+from crankorder.engine.forces import crankcase_forces, crankcase_moments
+from crankorder.engine.gas import gas_torque_by_order
 from crankorder.engine.in_cycle import Lag
 from crankorder.engine.rod import two_masses
 from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosine

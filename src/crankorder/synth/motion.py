@@ -19,8 +19,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from crankorder.engine.compiled_slider_crank import fast_sine_cosine
 from crankorder.engine.in_cycle import Lag, stops_within_cycle
-from crankorder.engine.slider_crank import fast_sine_cosine
 from crankorder.errors import RequestError
 
 TWO_PI = 2 * math.pi

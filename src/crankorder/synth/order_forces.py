@@ -16,8 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from crankorder.engine.compiled_slider_crank import fast_sine_cosine
 from crankorder.engine.in_cycle import Lag
-from crankorder.engine.slider_crank import fast_sine_cosine
 from crankorder.errors import RequestError
 from crankorder.synth.motion import Motion
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_modes")
     side_by_side_share: float
     felt_share: float
     fewest_beside: int
+    peak_rows: int
+    fewest_flank: int
     unexplained_share: float
     rows_of_turn: int
     rows_of_two: int
@@ -48,6 +50,7 @@ class Proof:
     ``span_hz`` the lowest and highest frequency that they reached; ``located`` is how many of them find it at the same
     place, each alone, within a part of its width; ``passed`` are those that sweep through it: what is told from afar
     may be another mode. ``rung_by`` are other orders that passed it so shortly before one of these that it still rang.
+    ``flanked`` are those whose rows on both sides, without the ones at the peak, ask for the mode where these show it.
     """
 
     orders: tuple[float, ...] = ()
@@ -57,6 +60,7 @@ class Proof:
     located: int = 0
     passed: tuple[float, ...] = ()
     rung_by: tuple[float, ...] = ()
+    flanked: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,11 +80,8 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     rows: dict[float, int] = {}
     ends: list[float] = []
     shown: list[str] = []
-    located, passed, rung_by = set[float](), set[float](), set[float]()
-    beside: dict[str, list[Block]] = {}
-    for block in blocks:
-        if block.passage is not None:
-            beside.setdefault(block.recording, []).append(block)
+    located, passed, rung_by, flanked = set[float](), set[float](), set[float](), set[float]()
+    beside = _by_sweep(blocks)
     for block, part in zip(blocks, projected, strict=True):
         shows = residue_chances(block, part, number) <= NUMBERS.proof_chance
         if shows.any():
@@ -99,6 +100,8 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
             }
             if _locates(block, part, poles, number):
                 located.add(block.order)
+            if flanks_show(block, poles, number):
+                flanked.add(block.order)
     if not rows:
         return OrderPole(f, zeta, (), Proof())
     proof = Proof(
@@ -109,8 +112,18 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         located=len(located),
         passed=tuple(sorted(passed)),
         rung_by=tuple(sorted(rung_by)),
+        flanked=tuple(sorted(flanked)),
     )
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _by_sweep(blocks: Sequence[Block]) -> dict[str, list[Block]]:
+    """The ``blocks`` of sweeps by their recording."""
+    made: dict[str, list[Block]] = {}
+    for block in blocks:
+        if block.passage is not None:
+            made.setdefault(block.recording, []).append(block)
+    return made
 
 
 def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArray[np.bool_]:
@@ -145,16 +158,46 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArr
 
 def _locates(block: Block, part: Projected, poles: Poles, number: int) -> bool:
     """Whether ``block`` alone finds pole ``number`` where it is: one step from there is small, and its error too."""
+    step, error = _step(block, part, poles, number)
+    return error <= NUMBERS.located_widths * float(poles.damping[number]) and abs(step) <= NUMBERS.agrees_sigmas * error
+
+
+def _step(block: Block, part: Projected, poles: Poles, number: int) -> tuple[float, float]:
+    """Step in ln f by which ``block`` alone would move pole ``number``, and its error; infinite where it cannot say."""
     if part.degrees_of_freedom < 2 or number not in part.reached:
-        return False
+        return np.inf, np.inf
     slopes = jacobian(block, poles, part)[:, 2 * number : 2 * number + 2]
     information = slopes.T @ slopes
     if np.linalg.cond(information) > 1e12:
-        return False
+        return np.inf, np.inf
     inverse = np.linalg.inv(information)
     step = float((inverse @ slopes.T @ as_real(part.left, block))[0])
-    error = float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.degrees_of_freedom, 1.0)))
-    return error <= NUMBERS.located_widths * float(poles.damping[number]) and abs(step) <= NUMBERS.agrees_sigmas * error
+    return step, float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.degrees_of_freedom, 1.0)))
+
+
+def flanks_show(block: Block, poles: Poles, number: int) -> bool:
+    """Whether at held speeds the flanks of pole ``number`` of ``poles`` in ``block`` prove it without its peak.
+
+    A force that differs at one speed or two makes a peak, but no flanks: a resonance adds 1 / (f² − ν²) to an order on
+    both sides, far beyond its width, with the other sign above it (Ewins 2000, §2.4). Rows within some widths, and the
+    nearest ones, are left out; what is left must ask for the mode, and place it among those. Squares have
+    no sign and prove nothing so.
+    """
+    if block.passage is not None or block.power:
+        return False
+    apart = block.frequency_hz / float(poles.frequency_hz[number]) - 1.0
+    away = np.abs(apart)
+    nearest = float(np.sort(away)[NUMBERS.peak_rows - 1 : NUMBERS.peak_rows].sum())
+    reach = max(NUMBERS.within_widths * float(poles.damping[number]), nearest)
+    at_peak = away <= reach
+    if min(np.count_nonzero(~at_peak & side) for side in (apart < 0.0, apart > 0.0)) < NUMBERS.fewest_flank:
+        return False
+    flanks = replace(block, error=np.where(at_peak, np.inf, block.error))
+    part = project(flanks, poles)
+    if not (residue_chances(flanks, part, number) <= NUMBERS.proof_chance).any():
+        return False
+    step, error = _step(flanks, part, poles, number)
+    return Z95 * error <= reach and abs(step) <= NUMBERS.agrees_sigmas * error
 
 
 def _rows_within(block: Block, f: float, zeta: float) -> int:
@@ -197,16 +240,26 @@ def proven_by(proof: Proof) -> str:
     if not names:
         return f"no order passes it; it shapes orders {', '.join(f'{order:g}' for order in proof.orders)} from afar"
     if len(proof.passed) > 1:
-        return f"orders {names} peak there, each at its own speed, with the phase of a resonance"
-    near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
-    return f"order {names} has amplitude and phase of a resonance there, {near}"
+        told = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+    else:
+        near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
+        told = f"order {names} has amplitude and phase of a resonance there, {near}"
+    flanks = ", ".join(f"{order:g}" for order in proof.flanked)
+    if flanks and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
+        told += f"; the flanks of order {flanks}, without the rows at its peak, place it there"
+    return told
 
 
 def is_proven(proof: Proof) -> bool:
     """Whether two orders sweep through the mode, at several speeds, or each alone at one place: one is evidence.
 
+    One is proof too where it shows the mode at its peak and by its flanks alone.
     ``proof``: the orders that show it.
     """
+    return bool(proof.flanked) or _peaks_prove(proof)
+
+
+def _peaks_prove(proof: Proof) -> bool:
     return len(proof.passed) > 1 and (proof.rows >= NUMBERS.rows_of_two or proof.located > 1)
 
 
@@ -257,8 +310,10 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
     said = []
     if not proof.passed:
         said.append("no order passes it: something else beyond what was swept may look the same")
-    elif len(proof.passed) == 1 and (
-        proof.most_rows < NUMBERS.rows_of_turn or zeta_error > NUMBERS.known_alone_share * zeta
+    elif (
+        len(proof.passed) == 1
+        and not proof.flanked
+        and (proof.most_rows < NUMBERS.rows_of_turn or zeta_error > NUMBERS.known_alone_share * zeta)
     ):
         name = f"{proof.passed[0]:g}"
         said.append(f"passed by order {name} alone, at {proof.most_rows} speeds: its force may peak there")

@@ -65,6 +65,7 @@ SHOWN_SHARE = 1e-9
 ROTATION_TEXT = {"with crank": "with crank", "against crank": "against crank", "line": "to and fro", "none": "no force"}
 """What the way that a force turns is called."""
 
+_SHOWN_TORQUE = 1e-3  # of the largest order; the document has the others
 _MOST_ORDERS = 24  # rows of a table by order
 _MASSES = {
     "reciprocating": "reciprocating",
@@ -88,6 +89,8 @@ def balance_text(sheet: Sheet) -> str:
         _moments,
         _strategies,
         _shafts,
+        _turning,
+        _loads,
         _designs,
         _shaft_residuals,
         _pairs,
@@ -224,6 +227,42 @@ def _shafts(sheet: Sheet) -> list[str]:
     ]
     title = "Additional shafts (speed < 0: against the crank; heavy side: at top dead centre, from the cylinder)"
     return text_table(title, [*heads, "heavy side °"], rows, kept=2)
+
+
+def _turning(sheet: Sheet) -> list[str]:
+    """Torque of gas and masses on the crank side by side, at every speed."""
+    if sheet["cycle"] is None:
+        return []
+    rows: list[Sequence[Cell]] = []
+    for speed, turning in sheet["cycle"]["turning"].items():
+        largest = max((max(one["gas_n_m"], one["inertia_n_m"]) for one in turning["by_order"].values()), default=0.0)
+        rows += [
+            [speed, order, one["gas_n_m"], one["inertia_n_m"], one["dominates"], one["alike_at_rpm"]]
+            for order, one in turning["by_order"].items()
+            if max(one["gas_n_m"], one["inertia_n_m"]) > _SHOWN_TORQUE * largest
+        ]
+    if sheet["cycle"]["gas"] is None:
+        return text_table("Torque of the masses on the crank", ["rpm", "order", "N·m"], [[*r[:2], r[3]] for r in rows])
+    heads = ["rpm", "order", "gas N·m", "masses N·m", "larger", "alike at rpm"]
+    return text_table("Torque of gas and masses on the crank by order", heads, rows, kept=2)
+
+
+def _loads(sheet: Sheet) -> list[str]:
+    """Peak and mean of what walls, pins and main bearings carry, at the highest speed."""
+    loads = (sheet["cycle"] or {}).get("loads")
+    if loads is None:
+        return []
+    speed = max(loads, key=float)
+    rows: list[Sequence[Cell]] = [
+        [f"cylinder {one['cylinder']}, {text}", one[key]["peak_n"], one[key]["peak_deg"], one[key]["mean_n"]]
+        for one in loads[speed]["cylinders"]
+        for key, text in (("wall", "wall"), ("piston_pin", "piston pin"), ("crank_pin", "crank pin"))
+    ]
+    rows += [
+        [f"main bearing at {short_number(one['position_mm'])} mm", one["peak_n"], one["peak_deg"], one["mean_n"]]
+        for one in loads[speed]["main_bearings"] or []
+    ]
+    return text_table(f"Loads at {speed} rpm", ["", "peak N", "at crank °", "mean N"], rows)
 
 
 def _designs(sheet: Sheet) -> list[str]:

@@ -69,8 +69,10 @@ def undecided_quantities(balance: Balance) -> list[tuple[str, str]]:
 
 
 def _open(balance: Balance) -> list[str]:
-    """What is not decided, with its reason; quantities that share a reason share a sentence."""
-    by_reason: dict[str, list[str]] = {}
-    for title, reason in undecided_quantities(balance):
-        by_reason.setdefault(reason.rstrip("."), []).append(title[0].lower() + title[1:] if title else title)
-    return [f"Not decided: {listed(titles)}; {reason}." for reason, titles in by_reason.items()]
+    """That parts are not decided; the table of balance says which and why."""
+    titles = [title for title, _ in undecided_quantities(balance)]
+    if not titles:
+        return []
+    rotating = any(key in (balance.not_decided or {}) for key in ("residual_rotating_gmm", "forward_gmm"))
+    what = "how much of it turns with the crank" if rotating else titles[0][0].lower() + titles[0][1:]
+    return [f"Not decided: {what}. The table Balance says why and what would tell."]

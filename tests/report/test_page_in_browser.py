@@ -1,0 +1,217 @@
+"""The report page in a real browser: it hovers, zooms, listens to keys, and fetches nothing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from crankorder.report.page import ShownPicture, report_page
+from made import chromium
+from made.typed import from_dicts
+
+report_page = from_dicts(report_page)
+
+pytestmark = pytest.mark.skipif(chromium.PROGRAM is None, reason="no Chromium here: apt-get install chromium")
+
+_PNG = bytes.fromhex(  # one white pixel
+    "89504e470d0a1a0a0000000d49484452000000010000000108000000003a7e9b550000000a49444154789c63f80f000101010018"
+    "dd8db00000000049454e44ae426082"
+)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: Any) -> Iterator[chromium.Chromium]:
+    with chromium.Chromium(tmp_path_factory.mktemp("profile")) as made:
+        yield made
+
+
+def _page(drawn: Any, settings: Any, path: Path) -> Path:
+    groups = {"campbell_map": drawn.campbell, "order_map": drawn.order_map, "order_tracks": drawn.tracks}
+    pictures = [ShownPicture("campbell_Z.png", "Campbell diagram, Z", _PNG), ShownPicture("speed.png", "Speed", _PNG)]
+    findings = drawn.findings
+    text = report_page(findings, pictures=pictures, provenance={}, settings=settings, groups=groups)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def opened(browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path) -> chromium.Chromium:
+    browser.complaints.clear()
+    browser.fetched.clear()
+    browser.open(_page(campaign, settings, tmp_path / "report.html"))
+    browser.value("document.getElementById('live-map').scrollIntoView({block: 'start'})")
+    browser.settle()
+    return browser
+
+
+def _choose(browser: chromium.Chromium, what: str, value: str) -> None:
+    element = f"document.getElementById('{what}')"
+    browser.value(f"{element}.value = '{value}'; {element}.dispatchEvent(new Event('change')); 1")
+    browser.settle()
+
+
+def _view(browser: chromium.Chromium) -> list[float]:
+    return [
+        float(text.replace("−", "-"))
+        for text in browser.value("document.getElementById('live-map').dataset.view").split()
+    ]
+
+
+def _said(browser: chromium.Chromium) -> str:
+    return str(browser.value("document.getElementById('live-said').textContent"))
+
+
+def _place(browser: chromium.Chromium, x: float, y: float) -> tuple[float, float]:
+    """Pixel of the window at which the diagram has ``x`` and ``y``, by its margins of 58, 62, 26 and 40 pixels."""
+    box = browser.value(
+        "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
+        " return [b.left, b.top, b.width, b.height] })()"
+    )
+    x0, x1, y0, y1 = _view(browser)
+    across, up = (x - x0) / (x1 - x0), (y - y0) / (y1 - y0)
+    return box[0] + 58 + across * (box[2] - 120), box[1] + box[3] - 40 - up * (box[3] - 66)
+
+
+def test_a_page_opens_from_disk_complains_of_nothing_and_fetches_nothing(opened: chromium.Chromium) -> None:
+    assert opened.value("document.getElementById('live').hidden") is False
+    assert opened.complaints == []
+    assert [one[:5] for one in opened.fetched if not one.startswith("data:")] == ["file:"]
+
+
+def test_pointing_at_a_cell_tells_where_it_is_how_large_and_what_the_findings_say(
+    opened: chromium.Chromium, campaign: Any
+) -> None:
+    _choose(opened, "live-channel", "2")
+    opened.mouse("mouseMoved", *_place(opened, 60.0, 1800.0))
+    said = _said(opened)
+    there = campaign.campbell.amplitude.sel(channel="Z", speed=1800.0).sel(frequency=60.0, method="nearest")
+    assert said.startswith("1800 rpm · 60 Hz · order 2 · ")
+    assert float(said.split(" · ")[3].split()[0]) == pytest.approx(float(there), rel=5e-3)
+    assert "Order 2: engine order." in said
+    assert "Natural frequency 60.0 (59.7…60.3) Hz, damping 1.2 %." in said
+    assert "Crossing: order 2 meets 60 Hz near 1800 rpm, excited." in said
+    opened.mouse("mouseMoved", *_place(opened, 400.0, 500.0))
+    assert "No line is named here." in _said(opened)
+
+
+def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened: chromium.Chromium) -> None:
+    whole = _view(opened)
+    at = _place(opened, 115.0, 1500.0)
+    opened.mouse("mouseWheel", *at, deltaX=0, deltaY=-240)
+    near = _view(opened)
+    assert near[1] - near[0] < 0.6 * (whole[1] - whole[0])
+    assert near[0] < 115.0 < near[1]
+    assert opened.value("window.scrollY") > 0
+    for _ in range(2):
+        opened.mouse("mousePressed", *at, button="left", clickCount=_ + 1)
+        opened.mouse("mouseReleased", *at, button="left", clickCount=_ + 1)
+    assert _view(opened) == whole
+    start, end = _place(opened, 100.0, 900.0), _place(opened, 300.0, 1900.0)
+    opened.mouse("mousePressed", *start, button="left", clickCount=1)
+    opened.mouse("mouseMoved", *end, button="left", buttons=1)
+    opened.mouse("mouseReleased", *end, button="left", clickCount=1)
+    np.testing.assert_allclose(_view(opened), [100, 300, 900, 1900], rtol=0.02)
+    opened.value("document.getElementById('live-map').focus()")
+    opened.key("0")
+    assert _view(opened) == whole
+    opened.key("+")
+    assert _view(opened)[1] - _view(opened)[0] < 0.8 * (whole[1] - whole[0])
+    opened.key("-")
+    opened.key("-")
+    assert _view(opened) == whole
+
+
+def test_arrow_keys_go_from_cell_to_cell_and_are_read_aloud(opened: chromium.Chromium) -> None:
+    opened.value("document.getElementById('live-map').focus()")
+    opened.key("ArrowRight")
+    first = _said(opened)
+    opened.key("ArrowRight")
+    opened.key("ArrowUp")
+    second = _said(opened)
+    rpm = [float(text.split(" rpm")[0]) for text in (first, second)]
+    hertz = [float(text.split(" · ")[1].split()[0]) for text in (first, second)]
+    assert rpm[1] - rpm[0] == 50
+    assert hertz[1] - hertz[0] == pytest.approx(0.5)
+    aloud = opened.value("document.getElementById('live-spoken').textContent")
+    assert aloud.startswith(second.split(" m/s²")[0])
+
+
+@pytest.mark.parametrize("view", ["0", "1", "2"])
+@pytest.mark.parametrize("scale", ["db", "linear"])
+def test_every_diagram_is_drawn_on_either_scale(opened: chromium.Chromium, view: str, scale: str) -> None:
+    _choose(opened, "live-view", view)
+    _choose(opened, "live-scale", scale)
+    colours = opened.value(
+        "(() => { const c = document.getElementById('live-map'), s = new Set(),"
+        " d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        " for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size })()"
+    )
+    assert colours > 40
+    assert opened.complaints == []
+
+
+def test_names_that_want_to_be_markup_or_formulas_are_text(
+    browser: chromium.Chromium, make_test: Any, settings: Any, tmp_path: Path
+) -> None:
+    browser.complaints.clear()
+    names = ("Ba$$in <script>alert(1)</script>", "加速度計 前", '"><img src=x onerror=alert(1)>')
+    drawn = make_test(np.arange(300.0, 2001.0, 50.0), channels=names, name="<b>x</b>" + "y" * 10_000)
+    browser.open(_page(drawn, settings, tmp_path / "hostile.html"))
+    assert browser.value("[...document.getElementById('live-channel').options].map((one) => one.textContent)") == list(
+        names
+    )
+    assert browser.value("document.querySelectorAll('img[src=x], h1 b').length") == 0
+    assert browser.value("document.querySelectorAll('script:not([type])').length") == 1
+    assert browser.complaints == []
+
+
+def _attributes(browser: chromium.Chromium, *selectors: str) -> dict[str, list[str]]:
+    """Attributes of the elements, as soon as the page that is being opened has them; scripts need not run."""
+    browser.ask("DOM.enable")
+    for _ in range(100):
+        time.sleep(0.1)
+        told = {}
+        for selector in selectors:
+            root = browser.ask("DOM.getDocument")["root"]["nodeId"]
+            node = browser.ask("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+            told[selector] = browser.ask("DOM.getAttributes", nodeId=node)["attributes"] if node else []
+        if all(told.values()):
+            return told
+    raise AssertionError(f"not in the page: {selectors}")
+
+
+def test_without_script_the_picture_stands_there(
+    browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path
+) -> None:
+    browser.ask("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.ask("Page.navigate", url=_page(campaign, settings, tmp_path / "plain.html").as_uri())
+        time.sleep(0.5)
+        told = _attributes(browser, "#live", "#stills")
+        assert "hidden" in told["#live"]
+        assert "open" in told["#stills"]
+    finally:
+        browser.ask("Emulation.setScriptExecutionDisabled", value=False)
+
+
+def test_a_map_of_35_by_5000_cells_is_redrawn_within_a_frame(
+    browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path
+) -> None:
+    import dataclasses
+
+    frequency = np.arange(5000) * 0.1
+    wide = campaign.campbell.interp(frequency=frequency)
+    browser.open(_page(dataclasses.replace(campaign, campbell=wide), settings, tmp_path / "wide.html"))
+    times = browser.value(
+        "(async () => { const c = document.getElementById('live-map'), t = [];"
+        " for (let k = 0; k < 30; k++) {"
+        " window.dispatchEvent(new Event('afterprint')); t.push(Number(c.dataset.redrawMs)); }"
+        " return t.sort((a, b) => a - b) })()"
+    )
+    print(f"redraw of 35 x 5000 cells: {times[15]} ms (median of 30)")
+    assert times[15] < 16.0
