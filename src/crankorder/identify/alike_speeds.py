@@ -15,7 +15,7 @@ from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SolvedLine, several_lines
 from crankorder.identify.mains import nearest_multiple as nearest_mains
-from crankorder.identify.modal.tones import NEAR_BINS
+from crankorder.identify.modal.tones import NEAR_BINS, with_one_mains
 from crankorder.identify.motors import NUMBERS as MOTORS
 from crankorder.settings import IdentifySettings
 
@@ -69,17 +69,20 @@ def with_lines_of_recordings(
     if len(held) < 2 or len(modal.frequency_hz) < 2 or max(speeds) > settings.mode_speed_ratio * min(speeds):
         return orders, modal
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    tones, made = list(modal.tones), list(orders)
+    tones, made, changed = list(modal.tones), list(orders), False
     for low, high in _regions(modal.tones, NEAR_BINS * step):
         found = _parted(held, low, high)
         if not found:
             continue
-        inside = [tone for tone in tones if low <= tone.frequency_hz <= high]
         tones = [tone for tone in tones if not low <= tone.frequency_hz <= high]
-        tones += [_tone(one, inside, settings) for one in found if one.fixed]
+        tones += [tone for one in found if one.fixed and (tone := _tone(one, settings)).amplitude]
+        changed = True
         made = _with_orders(made, [one for one in found if not one.fixed], (low, high), held, order_map)
+    if not changed:
+        return orders, modal
     tones.sort(key=lambda tone: tone.frequency_hz)
-    return tuple(sorted(made, key=lambda one: one.order)), replace(modal, tones=tuple(tones))
+    parted = replace(modal, tones=with_one_mains(tones, settings=settings))
+    return tuple(sorted(made, key=lambda one: one.order)), parted
 
 
 def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]]:
@@ -156,8 +159,8 @@ def _chain(
     return chain if len(chain) >= MOTORS.least_speeds or alone else None
 
 
-def _tone(one: _Parted, before: Sequence[Tone], settings: IdentifySettings) -> Tone:
-    """The fixed line ``one``, in the channels that show it; mains where one of the tones ``before`` was, or may be."""
+def _tone(one: _Parted, settings: IdentifySettings) -> Tone:
+    """The fixed line ``one``, in the channels that show it; mains where it may be."""
     hertz, error = float(one.places.mean()), one.error
     size = np.array([line.amplitude for _, line in one.seen])
     own = np.sqrt(np.mean([line.amplitude_error**2 for _, line in one.seen], axis=0) / len(size))

@@ -219,9 +219,10 @@ def _orders_and_modes(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = without_absent_mains(with_tones_parted(modal, held), held, settings=settings.identify)
+    modal = with_tones_parted(modal, held)
     if speed_source([*frames, order_map]) == "pulses":
         in_map, modal = with_lines_of_recordings(in_map, modal, held, order_map, settings=settings.identify)
+    modal = without_absent_mains(modal, held, settings=settings.identify)
     modal = without_doubles(with_mains_tones(modal, known, in_map))
     return in_map if doubt is None else undecided_orders(in_map), modal
 
