@@ -173,9 +173,10 @@ def _with_close_lines(found: list[_Unnamed], test: _Test, settings: IdentifySett
         return [one.number.order for one in found if low <= one.number.order <= high]
 
     def doubtful(low: float, high: float) -> bool:
-        return any(
-            SWELLS in one.reservation or _may_be_two(one.lines) for one in found if low <= one.number.order <= high
-        )
+        near = [one for one in found if low <= one.number.order <= high]
+        swells = any(SWELLS in one.reservation or _may_be_two(one.lines) for one in near)
+        # a speed that wanders unseen makes several lines of one, and those would prove the speed
+        return test.by_pulses and (swells or not near)
 
     for close in close_lines(test.recordings, test.order_map, told=told, doubtful=doubtful, mains_hz=settings.mains_hz):
         text = f"{len(close.solved)} {SOLVED}"

@@ -336,9 +336,9 @@ def close_lines(
     """Neighbourhoods in the OrderMap ``order_map`` of one speed that hold more lines than were told there.
 
     Those of the mains, for where the mains or their double meet an order of a motor, sidebands stand about both; and
-    those in which nothing is told or what is told swells and fades, as three lines or more do. ``recordings`` are
-    those of the test, of which the longest is looked at; ``told`` gives the orders that were told between two,
-    ``doubtful`` whether one of them swells; ``mains_hz``: the frequencies of supplies.
+    those that are ``doubtful``, where nothing is told or what is told swells and fades, as three lines or more do.
+    ``recordings`` are those of the test, of which the longest is looked at; ``told`` gives the orders that were told
+    between two; ``mains_hz``: the frequencies of supplies.
     """
     if order_map.sizes["speed"] != 1 or order_map.attrs.get("window", "hann") != "hann":
         return []
@@ -354,9 +354,9 @@ def close_lines(
     ]
     for peak in _peaks(order_map, reach):
         low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
-        orders = told(low, high)
-        if orders and not doubtful(low, high) and not any(low <= order <= high for order in of_mains):
+        if not doubtful(low, high) and not any(low <= order <= high for order in of_mains):
             continue
+        orders = told(low, high)
         if leave_noise(held, low, high, orders):
             continue
         inside = _solved_channels(held, low, high)
