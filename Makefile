@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint accuracy bench gallery readmes clean
+.PHONY: demo test lint docs docs-short accuracy bench gallery readmes clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "crankorder needs Python 3.11 or newer; set PYTHON=…")'
@@ -24,6 +24,13 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+
+docs-short: $(STAMP)
+	$(BIN)/python docs/executed.py docs/tutorial.md docs/howto/*.md
+
 accuracy: $(STAMP)
 	$(BIN)/python -m pytest -m 'slow or accuracy' -s
 
@@ -38,4 +45,4 @@ readmes: $(STAMP)
 	$(BIN)/python reports/make_readmes.py
 
 clean:
-	rm -rf $(VENV) build dist crankorder-demo
+	rm -rf $(VENV) build dist docs/_build crankorder-demo

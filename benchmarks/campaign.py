@@ -25,7 +25,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from published import publish, table
 
-from crankorder.batch.execute import _engine, sources_of
+from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import plan_tests
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.findings import find
@@ -123,9 +123,9 @@ def all_rows(recordings: Path, scratch: Path, options: argparse.Namespace) -> di
 def identification_s(recordings: Path, scratch: Path, *, repeats: int) -> float:
     """Least processor seconds of one core for the findings of the campaign, from the maps and frames that a run has."""
     (plan,) = plan_tests([recordings], scratch / "identification")
-    knowledge = ShaftKnowledge(engine=_engine(plan))
+    knowledge = ShaftKnowledge(engine=engine_of_test(plan))
     made = [analyse_recording(path, plan.manifest, plan.settings, knowledge).frames for path in plan.recordings]
-    settings, sources = plan.settings, sources_of(plan.manifest, _engine(plan), plan.settings)
+    settings, sources = plan.settings, sources_of(plan.manifest, engine_of_test(plan), plan.settings)
     width_rpm = settings.orders.speed_bin_rpm
     frames = [one[OrderFrames] for one in made]
     maps = (

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import get_window
 
-from crankorder.batch.execute import _engine, sources_of
+from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import CampaignPlan, plan_tests
 from crankorder.settings import load_settings
 from crankorder.stages import CampaignResult, analyse_recording, analyse_test
@@ -174,7 +174,10 @@ def _run(test: SweepTest, name: str, asked: dict[str, dict]) -> tuple[CampaignPl
     settings = load_settings(asked=asked) if asked else plan.settings
     results = [analyse_recording(path, plan.manifest, settings) for path in plan.recordings]
     return plan, analyse_test(
-        results, test=plan.name, sources=sources_of(plan.manifest, _engine(plan), plan.settings), settings=settings
+        results,
+        test=plan.name,
+        sources=sources_of(plan.manifest, engine_of_test(plan), plan.settings),
+        settings=settings,
     )
 
 

@@ -6,11 +6,8 @@ import atexit
 import contextlib
 import gc
 import os
-import shutil
 import signal
-import stat
 import sys
-import tempfile
 import traceback
 from collections.abc import Callable, Iterator
 from functools import wraps
@@ -19,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from crankorder.batch.kernels import keep_compiled_kernels
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
@@ -96,37 +94,6 @@ def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
 
 
-def _keep_compiled_kernels() -> None:
-    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written.
-
-    Kernels are pickles, which run what they hold: only a folder that is ours alone will do. Where there is none they
-    are compiled again in each run.
-    """
-    package = Path(__file__).parent
-    if "NUMBA_CACHE_DIR" in os.environ or os.access(package, os.W_OK) or _user_cache_can_be_written():
-        return
-    chosen = Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"
-    try:
-        chosen.mkdir(mode=0o700, exist_ok=True)
-        found = chosen.lstat()
-        private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
-    except OSError:
-        private = False
-    if not private:
-        chosen = Path(tempfile.mkdtemp(prefix="crankorder-kernels-"))
-        atexit.register(shutil.rmtree, chosen, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
-
-
-def _user_cache_can_be_written() -> bool:
-    try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
-        existing = next(folder for folder in (home, *home.parents) if folder.exists())
-    except (RuntimeError, OSError, StopIteration):  # a user without a home
-        return False
-    return os.access(existing, os.W_OK)
-
-
 @click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="crankorder", prog_name="crankorder")
 def main() -> None:
@@ -136,7 +103,7 @@ def main() -> None:
     `crankorder run FOLDER --out OUT`.
     """
     signal.signal(signal.SIGTERM, _terminated)
-    _keep_compiled_kernels()
+    keep_compiled_kernels()
 
 
 def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -198,6 +165,10 @@ def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), help="Seconds that a recording may take."
 )
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Analyse recordings on a Dask cluster, such as tcp://host:8786 (extra dist)."
+)
+@click.option("--log-json", is_flag=True, help="The log in OUT/.crankorder-logs as JSON lines.")
 @click.option("--strict", is_flag=True, help='Leave out recordings with flags of severity "suspect".')
 @_picture_options
 @_run_options
@@ -214,6 +185,8 @@ def run(
     shard: str | None,
     reduce: bool,
     timeout_s: float | None,
+    scheduler: str | None,
+    log_json: bool,
     strict: bool,
     jobs: int,
     as_json: bool,
@@ -228,6 +201,8 @@ def run(
     """
     from crankorder.batch.plan import RunOptions, Shard, plan_tests
 
+    if scheduler is not None and (shard is not None or timeout_s is not None):
+        raise click.UsageError("--scheduler shares recordings out itself, and ends none: not with --shard or --timeout")
     if shard is not None and reduce:
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
@@ -237,18 +212,44 @@ def run(
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)
     if dry_run:
-        for plan in plans:
-            size = sum(path.stat().st_size for path in plan.recordings)
-            shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
-            click.echo(f"{printable(plan.name)}: {shown}")
-            for fault in plan.faults:
-                click.echo(f"  {fault}", err=True)
+        _say_plans(plans)
         sys.exit(3 if planned.refused else 0)
     options = RunOptions(
-        jobs=jobs, fresh=fresh and not reduce, strict=strict, timeout_s=timeout_s, keep_only=shard is not None
+        jobs=jobs,
+        fresh=fresh and not reduce,
+        strict=strict,
+        timeout_s=timeout_s,
+        keep_only=shard is not None,
+        scheduler=scheduler,
     )
-    status = _run_plans(plans, out, options, as_json, quiet, verbose)
+    from crankorder.batch.run_log import logged, tell
+
+    with logged(out, as_json=log_json):
+        tell(
+            "run begun",
+            out=out,
+            tests=len(plans),
+            jobs=jobs,
+            fresh=fresh,
+            strict=strict,
+            shard=shard,
+            scheduler=scheduler,
+        )
+        for fault in planned.refused:
+            tell("not analysed", why=fault)
+        status = _run_plans(plans, out, options, as_json, quiet, verbose)
+        tell("run ended", status=status)
     sys.exit(status or (3 if planned.refused else 0))
+
+
+def _say_plans(plans: list[Any]) -> None:
+    """What would be analysed, on stdout, and what is wrong with it, on stderr."""
+    for plan in plans:
+        size = sum(path.stat().st_size for path in plan.recordings)
+        shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
+        click.echo(f"{printable(plan.name)}: {shown}")
+        for fault in plan.faults:
+            click.echo(f"  {fault}", err=True)
 
 
 def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, quiet: bool, verbose: bool) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
@@ -76,16 +76,16 @@ from crankorder.shaft.summary import shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
-ShownOrderFrames = NewType("ShownOrderFrames", list[xr.Dataset])
+ShownOrderFrames = NewType("ShownOrderFrames", Sequence[xr.Dataset])
 FramesAsShown = NewType("FramesAsShown", xr.Dataset)
-AllOrderFrames = NewType("AllOrderFrames", list[xr.Dataset])
-AllFrequencyFrames = NewType("AllFrequencyFrames", list[xr.Dataset])
-ShownRecordingTracks = NewType("ShownRecordingTracks", list[xr.Dataset])
-AllRecordingTracks = NewType("AllRecordingTracks", list[xr.Dataset])
-AllRecordingCycles = NewType("AllRecordingCycles", list[xr.Dataset])
-AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", list[xr.Dataset])
-AllRecordingLevels = NewType("AllRecordingLevels", list[xr.Dataset])
-AllShaftAngles = NewType("AllShaftAngles", list[xr.Dataset])
+AllOrderFrames = NewType("AllOrderFrames", Sequence[xr.Dataset])
+AllFrequencyFrames = NewType("AllFrequencyFrames", Sequence[xr.Dataset])
+ShownRecordingTracks = NewType("ShownRecordingTracks", Sequence[xr.Dataset])
+AllRecordingTracks = NewType("AllRecordingTracks", Sequence[xr.Dataset])
+AllRecordingCycles = NewType("AllRecordingCycles", Sequence[xr.Dataset])
+AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", Sequence[xr.Dataset])
+AllRecordingLevels = NewType("AllRecordingLevels", Sequence[xr.Dataset])
+AllShaftAngles = NewType("AllShaftAngles", Sequence[xr.Dataset])
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
@@ -137,8 +137,9 @@ def _told(inputs: Iterable[Any]) -> Iterator[str]:
     for one in inputs:
         if isinstance(one, xr.Dataset):
             yield from str(one.attrs.get("history", "")).splitlines()
-        elif isinstance(one, list) and one:
-            lines = [list(_told([item])) for item in one]
+        elif isinstance(one, list | Gathered) and one:
+            lines = [text.splitlines() for text in one.histories] if isinstance(one, Gathered) else []
+            lines = lines or [list(_told([item])) for item in one]
             yield from (line for line in lines[0] if all(line in others for others in lines))
             yield f"{len(one)} recordings joined"
 
@@ -266,7 +267,7 @@ def levels_of_recording(recording: Recording, shaft: ShaftAngle, settings: Setti
 @stage
 def map_of_envelopes(items: AllRecordingEnvelopes, settings: Settings) -> EnvelopeMap:
     """Envelope spectra ``items`` of all recordings averaged at like speed (``settings`` of orders)."""
-    return EnvelopeMap(envelope_map(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
+    return EnvelopeMap(envelope_map(list(items), speed_bin_rpm=settings.orders.speed_bin_rpm))
 
 
 @stage
@@ -290,13 +291,13 @@ def tracks_of_test(shown: ShownRecordingTracks, swings: Swings) -> AllRecordingT
 @stage
 def map_by_order(frames: AllOrderFrames, settings: Settings) -> OrderMap:
     """Order ``frames`` of all recordings averaged at like speed (``settings`` of orders)."""
-    return OrderMap(order_map(frames, settings=settings.orders))
+    return OrderMap(order_map(list(frames), settings=settings.orders))
 
 
 @stage
 def map_by_frequency(frames: AllFrequencyFrames, settings: Settings) -> CampbellMap:
     """Frequency ``frames`` of all recordings averaged at like speed (``settings`` of orders: the width of a group)."""
-    return CampbellMap(campbell_map(frames, speed_bin_rpm=settings.orders.speed_bin_rpm))
+    return CampbellMap(campbell_map(list(frames), speed_bin_rpm=settings.orders.speed_bin_rpm))
 
 
 @stage
@@ -333,26 +334,26 @@ def tracks(
     """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
     orders = followed_orders(order_map, findings, settings.orders)
     made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed)
-    return OrderTracks(with_followed(made, followed))
+    return OrderTracks(with_followed(made, list(followed)))
 
 
 @stage
 def cycles(items: AllRecordingCycles, settings: Settings) -> CycleAverage:
     """Mean engine cycles ``items`` of all recordings joined at like speed (``settings`` of orders)."""
-    return CycleAverage(cycle_averages(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
+    return CycleAverage(cycle_averages(list(items), speed_bin_rpm=settings.orders.speed_bin_rpm))
 
 
 @stage
 def shapes(frames: AllOrderFrames, order_map: OrderMap, findings: Findings, settings: Settings) -> OperatingShapes:
     """Amplitude and phase over channels, of ``frames``, at the orders of ``order_map``, ``findings``, ``settings``."""
     orders = followed_orders(order_map, findings, settings.orders)
-    return OperatingShapes(operating_shapes(frames, orders, settings=settings.orders))
+    return OperatingShapes(operating_shapes(list(frames), orders, settings=settings.orders))
 
 
 @stage
 def shaft_of_test(shafts: AllShaftAngles) -> ShaftSummary:
     """Speed, pulses used, angle error and speed against time of each of ``shafts``: one row each."""
-    return ShaftSummary(shaft_summary(shafts))
+    return ShaftSummary(shaft_summary(list(shafts)))
 
 
 OF_ENCODER = (ingest, pattern)
@@ -410,7 +411,7 @@ class RecordingResult:
     """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
 
     shaft: ShaftAngle
-    frames: dict[Any, xr.Dataset]
+    frames: Mapping[Any, xr.Dataset]
 
     @property
     def name(self) -> str:
@@ -424,6 +425,35 @@ class RecordingResult:
         for dataset in (*self.frames.values(), self.shaft):
             seen += [flag for flag in flags_of(dataset) if flag not in seen]
         return seen
+
+    def history_of(self, noun: Any) -> str:
+        """History of the frames of this ``noun``, or of the shaft."""
+        return str((self.shaft if noun is ShaftAngle else self.frames[noun]).attrs.get("history", ""))
+
+
+class Gathered(Sequence[xr.Dataset]):
+    """Frames of one noun of all ``recordings`` that have it, taken from each as they are asked for."""
+
+    def __init__(self, recordings: Sequence[RecordingResult], noun: Any) -> None:
+        """Those of the ``noun``, ShaftAngle or one of the frames."""
+        self._noun = noun
+        self._of = [item for item in recordings if noun is ShaftAngle or noun in item.frames]
+
+    def __len__(self) -> int:
+        """Number of recordings."""
+        return len(self._of)
+
+    def __getitem__(self, number: Any) -> Any:
+        """Dataset of the recording ``number``; a list for a slice."""
+        if isinstance(number, slice):
+            return [self[k] for k in range(*number.indices(len(self)))]
+        one = self._of[number]
+        return one.shaft if self._noun is ShaftAngle else one.frames[self._noun]
+
+    @property
+    def histories(self) -> list[str]:
+        """History of each dataset."""
+        return [one.history_of(self._noun) for one in self._of]
 
 
 @dataclass(frozen=True)
@@ -513,9 +543,9 @@ def analyse_test(
         Settings: settings,
         Findings: nothing_sought(test, reason=""),
     }
-    given[AllShaftAngles] = [item.shaft for item in recordings]
+    given[AllShaftAngles] = Gathered(recordings, ShaftAngle)
     for gathered, noun in FRAMES_OF.items():
-        given[gathered] = [item.frames[noun] for item in recordings if noun in item.frames]
+        given[gathered] = Gathered(recordings, noun)
     made = _plan_of_test(results).run(given)
     # what every band shows of every train of strikes is for the findings alone: it would double the results
     datasets = {

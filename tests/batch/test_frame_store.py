@@ -17,8 +17,9 @@ import xarray as xr
 from click.testing import CliRunner
 
 from crankorder.batch import execute
-from crankorder.batch.frame_store import STORE, FrameStore
+from crankorder.batch.frame_store import STORE, FrameStore, PackedResult
 from crankorder.batch.plan import plan_tests
+from crankorder.batch.run_log import LOGS
 from crankorder.cli import main
 from crankorder.quantities import OrderFrames, ShaftAngle
 from crankorder.stages import RecordingResult, analyse_recording
@@ -46,6 +47,11 @@ def three(campaign, tmp_path):
     return folder
 
 
+def is_result(path: Path) -> bool:
+    """Whether two runs must give ``path`` the same bytes."""
+    return path.name != "timings.json" and LOGS not in path.parts
+
+
 def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
     """Equal to the last bit, with the same kinds of attributes in the same order."""
     assert list(one.variables) == list(other.variables) and set(one.coords) == set(other.coords)
@@ -63,7 +69,7 @@ def test_every_frame_of_a_recording_comes_back_to_the_last_bit(three, tmp_path):
     plan = plan_tests([three], tmp_path / "out").tests[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
     store = FrameStore(tmp_path / "store")
-    store.save("a", made)
+    store.save("a", PackedResult.of(made))
     kept = store.load("a")
     assert list(kept.frames) == list(made.frames)
     assert_same(kept.shaft, made.shaft)
@@ -82,17 +88,18 @@ def test_odd_attributes_and_shapes_come_back_too(tmp_path):
         "yes": True,
     }
     empty = xr.Dataset(
-        {"none": ("x", np.empty(0, complex)), "text": ("y", ["é漢", "b"]), "point": ((), np.int8(3))}, attrs=attrs
+        {"none": ("x", np.empty(0, complex)), "text": ("y", ["é漢", "b"]), "point": ((), np.int8(3))},
+        attrs={"recording": "é", **attrs},
     )
     store = FrameStore(tmp_path)
-    store.save("a", RecordingResult(ShaftAngle(empty), {OrderFrames: empty}))
+    store.save("a", PackedResult.of(RecordingResult(ShaftAngle(empty), {OrderFrames: empty})))
     assert_same(store.load("a").frames[OrderFrames], empty)
 
 
 def test_a_damaged_file_is_nothing_kept(three, tmp_path):
-    shaft = ShaftAngle(xr.Dataset({"a": ("x", np.arange(9.0))}))
+    shaft = ShaftAngle(xr.Dataset({"a": ("x", np.arange(9.0))}, attrs={"recording": "a"}))
     store = FrameStore(tmp_path / "store")
-    store.save("a", RecordingResult(shaft, {}))
+    store.save("a", PackedResult.of(RecordingResult(shaft, {})))
     whole = store.path("a").read_bytes()
     for place in range(len(whole)):
         store.path("a").write_bytes(whole[:place])
@@ -140,7 +147,7 @@ def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_
     assert len(run_again("--fresh")) == 3
     crankorder("run", three, "--out", tmp_path / "fresh", "-q")
     for path in (tmp_path / "fresh").rglob("*"):
-        if path.is_file() and path.name not in ("timings.json", "done.json") and STORE not in path.parts:
+        if path.is_file() and path.name != "done.json" and is_result(path) and STORE not in path.parts:
             assert path.read_bytes() == (out / path.relative_to(tmp_path / "fresh")).read_bytes()
 
 
@@ -148,13 +155,14 @@ def test_clean_removes_what_is_kept_and_nothing_else(three, tmp_path):
     crankorder("run", three, "--out", tmp_path / "out", "-q", "--recipe", "maps")
     outcome = crankorder("clean", tmp_path / "out")
     assert outcome.exit_code == 0 and "3 files" in outcome.output
-    assert sorted(path.name for path in (tmp_path / "out").iterdir())[:2] == ["batch.json", "index.html"]
+    left = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert left[:3] == [LOGS, "batch.json", "index.html"]
     assert "unchanged" in crankorder("run", three, "--out", tmp_path / "out", "--recipe", "maps").output
 
 
 def everything_in(out: Path) -> dict[Path, bytes]:
     """All files by their names, but for seconds and what is kept of recordings."""
-    files = [path for path in out.rglob("*") if path.is_file() and path.name != "timings.json"]
+    files = [path for path in out.rglob("*") if path.is_file() and is_result(path)]
     return {path.relative_to(out): path.read_bytes() for path in files if STORE not in path.parts}
 
 
@@ -218,8 +226,10 @@ def test_a_run_killed_at_any_moment_goes_on_and_ends_with_the_same_bytes(campaig
     subprocess.run([*command, str(tmp_path / "out")], check=True)
     whole = {path.relative_to(tmp_path / "whole"): path for path in (tmp_path / "whole").rglob("*") if path.is_file()}
     for name, path in whole.items():
-        if name.name != "timings.json":
+        if is_result(name):
             assert (tmp_path / "out" / name).read_bytes() == path.read_bytes(), name
     left = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert {name for name in left - set(whole) if name.suffix not in (".lock", ".part")} == set()
+    assert {
+        name for name in left - set(whole) if name.suffix not in (".lock", ".part") and LOGS not in name.parts
+    } == set()
     assert json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["status"] == "done"

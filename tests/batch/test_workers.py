@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import time
@@ -9,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from crankorder.batch.workers import FORKS, LEAST_BYTES, Worker, WorkerDiedError, each
+from crankorder.batch.workers import FORKS, LEAST_BYTES, SharedPages, Worker, WorkerDiedError, each
 from crankorder.errors import InputError
 
 needs_fork = pytest.mark.skipif(not FORKS, reason="workers are threads here")
@@ -125,10 +126,33 @@ def test_strided_arrays_come_back_too():
 
 @needs_fork
 def test_without_room_for_shared_pages_all_goes_through_the_pipe(monkeypatch):
-    monkeypatch.setattr("crankorder.batch.workers.MOST_BYTES", 1 << 16)
+    for name in ("MOST_BYTES", "MEMORY_BYTES"):
+        monkeypatch.setattr(f"crankorder.batch.workers.{name}", 1 << 16)
     made = answers(lambda number: np.full(20_000, float(number)), 3, jobs=1)
     for number, answer in made.items():
         np.testing.assert_array_equal(answer(), np.full(20_000, float(number)))
+
+
+@needs_fork
+@pytest.mark.parametrize("room", [0, 1, 3])
+def test_what_memory_does_not_hold_lies_in_a_file_and_on_a_full_disk_goes_through_the_pipe(monkeypatch, room):
+    claimed = []
+
+    def full(*arguments):
+        claimed.append(arguments)
+        if len(claimed) > room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("crankorder.batch.workers.MEMORY_BYTES", 1 << 16)
+    monkeypatch.setattr("crankorder.batch.workers.CLAIMED_BYTES", 1 << 12)
+    monkeypatch.setattr("os.posix_fallocate", full)
+    pages = SharedPages()
+    arrays = [np.full(20_000, float(number)) for number in range(6)]
+    said = [pages.put(array) for array in arrays]
+    assert sum(bool(places) for _, places in said) == room
+    assert all(on_disk for _, places in said for on_disk, _, _ in places)
+    for packed, array in zip(said, arrays, strict=True):
+        np.testing.assert_array_equal(pages.get(packed), array)
 
 
 @needs_fork

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +46,7 @@ def _without(result: RecordingResult, flags: list[QualityFlag]) -> RecordingResu
     """``result`` without the channels that ``flags`` leave out, and with these flags."""
     names = [flag["channel"] for flag in flags if flag.get("left_out") == "channel"]
     frames = {noun: _emptied(frame, names) for noun, frame in result.frames.items()}
-    return replace(result, frames=frames, shaft=ShaftAngle(with_flags(result.shaft.copy(), flags)))
+    return RecordingResult(ShaftAngle(with_flags(result.shaft.copy(), flags)), frames)
 
 
 def _emptied(frame: xr.Dataset, names: list[str]) -> xr.Dataset:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from crankorder.batch import run_log
 from crankorder.batch.changed_gains import without_changed_gains
-from crankorder.batch.frame_store import FrameStore, settings_of_recordings
+from crankorder.batch.frame_store import FrameStore, PackedResult, settings_of_recordings
 from crankorder.batch.index import publish_index
+from crankorder.batch.kernels import load_kernels
 from crankorder.batch.locks import locked
+from crankorder.batch.machine import engine_of_test, knowledge_of, sources_of
 from crankorder.batch.outcome import Outcome
 from crankorder.batch.plan import CampaignPlan, RunOptions
 from crankorder.batch.reporting import ReportingProcess
@@ -34,24 +37,17 @@ from crankorder.batch.result_folder import (
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
-from crankorder.engine.definition import Engine, load_engine, with_gas_file
-from crankorder.engine.forces import orders_made
-from crankorder.engine.in_cycle import Lag
+from crankorder.engine.definition import with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, Quality, SpeedSwing, quality_of
 from crankorder.identify.sources import Sources
-from crankorder.ingest.manifest import Manifest
-from crankorder.ingest.recording import read_recording
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.report.contradictions import contradiction_flags
 from crankorder.settings import Settings, toml_table
-from crankorder.shaft.calibration import calibrate, mass_lag
-from crankorder.shaft.decode import PULSE_KINDS, ShaftKnowledge, flags_named
-from crankorder.shaft.line_pattern import LinePattern
-from crankorder.shaft.slip_speed import ReadSpeed, slip_speed, speeds_under_load
+from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.shaft.tooth_errors import speed_swing
-from crankorder.stages import RecordingResult, analyse_encoder, analyse_recording, analyse_test, frames_wanted
+from crankorder.stages import RecordingResult, analyse_recording, analyse_test, frames_wanted
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
@@ -76,8 +72,10 @@ def run_plans(
     outcomes = []
     for plan in plans:
         alone = contextlib.nullcontext() if options.keep_only else locked(plan.out, tell=wait)
+        run_log.tell("test begun", test=plan.name, folder=plan.folder, out=plan.out, recordings=len(plan.recordings))
         with watched(plan.name) as progress, alone:
             outcome = run_test(plan, options, reporting=reporting, progress=progress)
+        _tell_end(outcome)
         tell(outcome)
         outcomes.append(outcome)
     if not options.keep_only:
@@ -110,8 +108,7 @@ def run_test(
             outcome.status, outcome.kept = "done", True
             outcome.findings = read_findings(plan.out)
             return outcome
-        made_by = text_sha256(code, json.dumps(versions, sort_keys=True))
-        results = _analyse(plan, options, hashes, made_by, outcome, progress)
+        results = _analyse(plan, options, hashes, (code, versions), outcome, progress)
         if options.keep_only:
             outcome.status = "kept"
             return outcome
@@ -135,29 +132,20 @@ def run_test(
     return outcome
 
 
-def _load_kernels() -> bool:
-    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker.
-
-    True where a kernel had to be compiled for it: then this is the first run, and the others must be compiled too.
-    """
-    from crankorder.ingest import channel_faults
-    from crankorder.settings import load_settings
-    from crankorder.shaft import pulses
-
-    before = _compiled(pulses) + _compiled(channel_faults)
-    trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
-    channel_faults.survey(trace, size=16)
-    shaft = load_settings().shaft
-    pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
-    return _compiled(pulses) + _compiled(channel_faults) > before
-
-
-def _compiled(module: ModuleType) -> int:
-    """How many kernels of ``module`` were not found compiled."""
-    from numba.core.dispatcher import Dispatcher
-
-    kernels = [kernel for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
-    return sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
+def _tell_end(outcome: Outcome) -> None:
+    """Log what became of a test, and what was left out of it."""
+    test = outcome.plan.name
+    for fault in outcome.faults:
+        run_log.tell(
+            "left out", level=logging.WARNING, test=test, recording=outcome.plan.name_of(Path(fault.file)), why=fault
+        )
+    for note in outcome.notes:
+        run_log.tell("left out", level=logging.WARNING, test=test, why=note)
+    for error in outcome.internal:
+        run_log.tell("internal fault", level=logging.ERROR, test=test, why=f"{type(error).__name__}: {error}")
+    counts = {"recordings": len(outcome.plan.recordings), "reused": outcome.reused}
+    status = "unchanged" if outcome.kept else outcome.status
+    run_log.tell("test ended", test=test, status=status, **counts, seconds=dict(outcome.seconds))
 
 
 def _finish(
@@ -170,7 +158,7 @@ def _finish(
     clock: _Clock,
 ) -> None:
     """Maps, findings, files and their publication."""
-    sources = sources_of(plan.manifest, _engine(plan), plan.settings)
+    sources = sources_of(plan.manifest, engine_of_test(plan), plan.settings)
     groups, findings, left_out = results_of_test(
         results,
         test=plan.name,
@@ -246,37 +234,46 @@ def _analyse(
     plan: CampaignPlan,
     options: RunOptions,
     hashes: dict[Path, HashedFile],
-    made_by: str,
+    made_by: tuple[str, dict[str, str]],
     outcome: Outcome,
     progress: Progress | None,
 ) -> dict[Path, RecordingResult]:
     """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
 
-    What the program ``made_by`` gave of a recording with these ``hashes`` before is taken as it was kept.
+    What the program ``made_by`` (its hash, versions of libraries) gave of a recording with these ``hashes`` before is
+    taken as it was kept.
     """
     results: dict[Path, RecordingResult] = {}
     wanted, copies = _each_once(plan, hashes)
-    knowledge, flags = knowledge_of(plan, _engine(plan), wanted, options.jobs)
+    knowledge, flags = knowledge_of(plan, engine_of_test(plan), wanted, options.jobs)
     outcome.flags += copies + flags
     store = FrameStore.of(plan.out)
     hashed = {path: {file: hashes[file] for file in plan.files_of(path)} for path in wanted}
-    keys = [text_sha256(made_by, *_recording_parts(plan, path, hashed[path], knowledge)) for path in wanted]
+    program = text_sha256(made_by[0], json.dumps(made_by[1], sort_keys=True))
+    keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], knowledge)) for path in wanted]
 
-    def analyse(number: int) -> tuple[RecordingResult, bool]:
-        kept = None if options.fresh else store.load(keys[number])
+    of_key = dict(zip(keys, wanted, strict=True))
+    blamed = _on_cluster(plan, options, of_key, hashed, (knowledge, made_by), store, progress)
+
+    def analyse(number: int) -> _Made:
+        begun = time.perf_counter()
+        if keys[number] in blamed:
+            raise blamed[keys[number]]
+        kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
         if kept is not None:
-            return kept, True
+            return _Made(kept, True, time.perf_counter() - begun)
         made = analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
         _check_unchanged(hashed[wanted[number]])
-        store.save(keys[number], made)
-        return made, False
+        packed = PackedResult.of(made)
+        store.save(keys[number], packed)
+        return _Made(packed, False, time.perf_counter() - begun)
 
     # where kernels are yet to be compiled, one worker does it, not all at once
-    first = _load_kernels()
+    first = load_kernels()
     made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
     for count, (number, made) in enumerate(made_in_turn, start=1):
         path = wanted[number]
-        _collect(made, path, plan.name_of(path), hashed[path], results, outcome)
+        _collect(made, path, plan, hashed[path], results, outcome)
         if progress is not None:
             progress(plan.name, count, len(wanted))
     if not options.keep_only:
@@ -284,6 +281,55 @@ def _analyse(
     place = {plan.name_of(path): number for number, path in enumerate(plan.recordings)}
     outcome.faults.sort(key=lambda fault: place.get(plan.name_of(Path(fault.file)), -1))
     return {path: results[path] for path in wanted if path in results}
+
+
+@dataclass(frozen=True)
+class _Made:
+    """What a recording gave, whether it was ``reused`` as an earlier run had kept it, and how long that took."""
+
+    result: RecordingResult
+    reused: bool
+    seconds: float
+
+
+def _on_cluster(
+    plan: CampaignPlan,
+    options: RunOptions,
+    wanted: dict[str, Path],
+    hashed: dict[Path, dict[Path, HashedFile]],
+    known: tuple[ShaftKnowledge, tuple[str, dict[str, str]]],
+    store: FrameStore,
+    progress: Progress | None,
+) -> dict[str, CrankorderError]:
+    """Have the cluster of ``options``, if any, fill the ``store`` with the recordings ``wanted``; its faults, by key.
+
+    ``known``: knowledge of the shaft, and the program that the workers must have. What is kept already is not sent.
+    """
+    if options.scheduler is None:
+        return {}
+    from crankorder.batch.cluster import ClusterTask, analyse_on_cluster
+
+    if options.fresh:
+        store.keep_only(())
+    tasks = [
+        ClusterTask(
+            path.resolve(), plan.name_of(path), key, {file.resolve(): one.sha256 for file, one in hashed[path].items()}
+        )
+        for key, path in wanted.items()
+        if not store.path(key).exists()
+    ]
+    begun = time.perf_counter()
+    blamed = analyse_on_cluster(
+        options.scheduler,
+        tasks,
+        (plan.manifest, plan.settings, known[0]),
+        made_by=known[1],
+        store=store,
+        progress=lambda done: None if progress is None else progress(plan.name, done, len(tasks)),
+    )
+    seconds = round(time.perf_counter() - begun, 3)
+    run_log.tell("cluster", test=plan.name, at=options.scheduler, tasks=len(tasks), faults=len(blamed), seconds=seconds)
+    return blamed
 
 
 def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list[Path], list[QualityFlag]]:
@@ -297,6 +343,7 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
     }
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
+    first = set(wanted)
     flags: list[QualityFlag] = [
         {
             "recording": plan.name_of(path),
@@ -305,7 +352,7 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
             "detail": f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once",
         }
         for path in plan.recordings
-        if path not in set(wanted)
+        if path not in first
     ]
     return wanted, flags
 
@@ -339,17 +386,21 @@ def _check_unchanged(files: dict[Path, HashedFile]) -> None:
 
 
 def _collect(
-    made: Callable[[], tuple[RecordingResult, bool]],
+    made: Callable[[], _Made],
     path: Path,
-    name: str,
+    plan: CampaignPlan,
     hashed: dict[Path, HashedFile],
     results: dict[Path, RecordingResult],
     outcome: Outcome,
 ) -> None:
+    name = plan.name_of(path)
     try:
         _check_unchanged(hashed)
-        results[path], reused = made()
-        outcome.reused += reused
+        one = made()
+        results[path] = one.result
+        outcome.reused += one.reused
+        event = "recording reused" if one.reused else "recording computed"
+        run_log.tell(event, test=plan.name, recording=name, seconds=round(one.seconds, 4))
     except EnvironmentFailure:
         raise
     except CrankorderError as error:
@@ -365,72 +416,6 @@ def _collect(
     except Exception as error:
         error.add_note(f"while analysing {printable(name)}")
         outcome.internal.append(error)
-
-
-def knowledge_of(
-    plan: CampaignPlan, engine: Engine | None, recordings: list[Path], jobs: int
-) -> tuple[ShaftKnowledge, list[QualityFlag]]:
-    """What is known of the shaft of a test, and flags for the whole test.
-
-    Where the settings of ``plan`` ask for it the encoder is calibrated first: ``recordings`` are read ``jobs`` at a
-    time for their pulses alone. ``engine``: of the test, or None. A recording that cannot be read is left out here and
-    told later, when it is analysed.
-    """
-    if plan.manifest.encoder.kind == "constant":
-        return _loads_of(plan, engine, recordings, jobs)
-    if not plan.settings.shaft.calibrate_encoder or plan.manifest.encoder.kind not in PULSE_KINDS:
-        return ShaftKnowledge(engine), []
-
-    def pattern(number: int) -> LinePattern:
-        return analyse_encoder(recordings[number], plan.manifest, plan.settings)
-
-    found: dict[int, LinePattern] = {}
-    for number, made in each(pattern, len(recordings), jobs=jobs):
-        with contextlib.suppress(CrankorderError, WorkerDiedError):
-            found[number] = made()
-    patterns = [found[number] for number in sorted(found)]
-    encoder = plan.manifest.encoder
-    calibration = calibrate(
-        patterns,
-        ratio=encoder.ratio,
-        engine_lag=_mass_lag(engine),
-        index_to_tdc_deg=encoder.index_to_tdc_deg if "index_to_tdc_deg" in encoder.model_fields_set else None,
-        least_speed_ratio=plan.settings.shaft.calibration_speed_ratio,
-    )
-    return ShaftKnowledge(engine, calibration if calibration.separated else None), flags_named(
-        "all", calibration.remarks
-    )
-
-
-def _loads_of(
-    plan: CampaignPlan, engine: Engine | None, recordings: list[Path], jobs: int
-) -> tuple[ShaftKnowledge, list[QualityFlag]]:
-    """What is known of the shaft of a test of stated speeds, and those that its motor's slip tells otherwise."""
-    motor = plan.manifest.motor
-    stated = {plan.name_of(path): plan.manifest.speed_of(path) for path in recordings}
-    known = {name: rpm for name, rpm in stated.items() if rpm is not None}
-    if motor is None or motor.poles is None or len(set(known.values())) == len(known):
-        return ShaftKnowledge(engine), []
-
-    def read(number: int) -> ReadSpeed | None:
-        recording = read_recording(
-            recordings[number], plan.manifest, settings=plan.settings.ingest, shaft=plan.settings.shaft
-        )
-        return slip_speed(recording["signal"].values, float(recording.attrs["rate_hz"]), motor)
-
-    told: dict[str, ReadSpeed] = {}
-    for number, made in each(read, len(recordings), jobs=jobs):
-        with contextlib.suppress(CrankorderError, WorkerDiedError):
-            if (speed := made()) is not None:
-                told[plan.name_of(recordings[number])] = speed
-    speeds, remarks = speeds_under_load(known, told)
-    return ShaftKnowledge(engine, speeds_rpm=speeds), [
-        flag for name, remark in remarks for flag in flags_named(name, [remark])
-    ]
-
-
-def _mass_lag(engine: Engine | None) -> Lag | None:
-    return None if engine is None else mass_lag(engine)
 
 
 def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity, ...]) -> list[CrankorderError]:
@@ -471,37 +456,6 @@ def channels_left_out(results: dict[Path, RecordingResult]) -> list[str]:
         f"{printable(name)}: channel {printable(channel)} left out of all averages: {'; '.join(why)}"
         for (name, channel), why in said.items()
     ]
-
-
-KINEMATIC_SHARE = 1e-3
-"""An order with less than this share of the largest inertia force is not called engine kinematics."""
-
-
-def _engine(plan: CampaignPlan) -> Engine | None:
-    """The engine that the manifest names, if any."""
-    name = plan.manifest.test.engine
-    return None if name is None else load_engine(name, beside=plan.folder)
-
-
-def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> Sources:
-    """What ``manifest`` and ``engine`` say of the machine; less where ``settings`` ask for no findings that need it."""
-    orders: tuple[float, ...] = ()
-    bearings = manifest.bearings
-    if engine is not None and "findings" in settings.report.results:
-        orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(settings.orders.max_order))
-        named = {bearing.name for bearing in bearings}
-        bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
-    return Sources(
-        revs_per_cycle=manifest.revs_per_cycle,
-        engine_orders=orders,
-        bearings=bearings,
-        firing=engine is not None and engine.gas is not None,
-        gears=tuple((gear.name, gear.mesh_order) for gear in manifest.gears),
-        engine=engine,
-        paths=manifest.transfer_paths,
-        added=manifest.added_masses,
-        motor=manifest.motor,
-    )
 
 
 def _provenance(

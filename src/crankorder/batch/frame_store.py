@@ -8,8 +8,9 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import ShaftAngle
+from crankorder.quantities import QualityFlag, ShaftAngle
 from crankorder.settings import Settings
 from crankorder.stages import FRAMES_OF, RecordingResult
 
@@ -27,7 +28,7 @@ STORE = ".crankorder-frames"
 LEAST_FREE_BYTES = 1 << 30
 """Space that is left on the disk for the results themselves."""
 
-_MAGIC = b"crankorder frames 1\n"
+_MAGIC = b"crankorder frames 2\n"
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
 _ALIGNED = 16
@@ -48,23 +49,23 @@ class FrameStore:
         """File of the result with this ``key``, whether it is there or not."""
         return self.folder / f"{key}.frames"
 
-    def load(self, key: str) -> RecordingResult | None:
+    def load(self, key: str) -> PackedResult | None:
         """What was kept under ``key``; None where nothing is, or where it is damaged."""
         try:
-            return _unpacked(self.path(key).read_bytes())
+            return PackedResult.checked(np.fromfile(self.path(key), dtype=np.uint8))
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
-    def save(self, key: str, result: RecordingResult) -> None:
-        """Keep ``result`` under ``key``; where the disk is nearly full or it cannot be kept, do without."""
-        with contextlib.suppress(OSError, TypeError):
+    def save(self, key: str, result: PackedResult) -> None:
+        """Keep ``result`` under ``key``; where the disk is nearly full or it cannot be written, do without."""
+        with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             if shutil.disk_usage(self.folder).free < LEAST_FREE_BYTES:
                 return
             handle, temporary = tempfile.mkstemp(dir=self.folder, suffix=".part")
             try:
                 with os.fdopen(handle, "wb") as stream:
-                    stream.writelines(_packed(result))
+                    stream.write(result.data.data)
                 Path(temporary).replace(self.path(key))
             except BaseException:
                 Path(temporary).unlink(missing_ok=True)
@@ -93,19 +94,116 @@ def settings_of_recordings(settings: Settings) -> dict[str, Any]:
     return settings.model_dump(mode="json", exclude={"report"})
 
 
-def _packed(result: RecordingResult) -> list[bytes]:
-    """Pieces of a file: magic, digest, length of the header, header, arrays. TypeError where it cannot be kept."""
+class PackedResult(RecordingResult):
+    """A recording's result in one piece of memory; its shaft and frames are made anew each time they are asked for.
+
+    Thousands of these cost what lies in that memory, which may be a file's, and no more.
+    """
+
+    def __init__(self, data: NDArray[np.uint8]) -> None:
+        """Result that ``data`` (bytes,) holds as :meth:`of` packed it. ValueError or KeyError where it does not."""
+        begin = len(_MAGIC) + _DIGEST_BYTES
+        place = begin + _LENGTH_BYTES
+        length = int.from_bytes(data[begin:place].tobytes(), "little")
+        index = json.loads(data[place : place + length].tobytes())
+        self.__dict__.update(data=data, _index=index["parts"], _first=place + length, _about=index["about"])
+
+    data: NDArray[np.uint8]
+    _index: dict[str, list[int]]
+    _first: int
+    _about: dict[str, Any]
+
+    @classmethod
+    def of(cls, result: RecordingResult) -> PackedResult:
+        """``result``, packed: magic, digest, index, then header and arrays of each dataset. TypeError where it cannot.
+
+        The digest is that of all that follows.
+        """
+        parts, index = list[bytes](), dict[str, list[int]]()
+        size = 0
+        named = {"": result.shaft, **{noun.__name__: frames for noun, frames in result.frames.items()}}
+        for name, dataset in named.items():
+            made = _packed(dataset)
+            index[name] = [size, len(made[0]), sum(map(len, made))]
+            parts += made
+            size += index[name][2]
+        histories = {name: str(dataset.attrs.get("history", "")) for name, dataset in named.items()}
+        about = {"name": result.name, "flags": result.flags, "histories": histories}
+        header = json.dumps({"parts": index, "about": about}).encode()
+        header += b" " * (-(len(header) + len(_MAGIC) + _DIGEST_BYTES + _LENGTH_BYTES) % _ALIGNED)
+        parts = [len(header).to_bytes(_LENGTH_BYTES, "little"), header, *parts]
+        digest = hashlib.sha256()
+        for part in parts:
+            digest.update(part)
+        return cls(np.frombuffer(bytearray().join([_MAGIC, digest.digest(), *parts]), dtype=np.uint8))
+
+    @classmethod
+    def checked(cls, data: NDArray[np.uint8]) -> PackedResult:
+        """Result that ``data`` (bytes,) holds. ValueError where it is not that, to the last byte."""
+        begin = len(_MAGIC) + _DIGEST_BYTES
+        digest = hashlib.sha256(data[begin:].data).digest()
+        if data[: len(_MAGIC)].tobytes() != _MAGIC or digest != data[len(_MAGIC) : begin].tobytes():
+            raise ValueError("damaged")
+        return cls(data)
+
+    def __reduce__(self) -> tuple[type[PackedResult], tuple[NDArray[np.uint8]]]:
+        """Travel as the one array."""
+        return PackedResult, (self.data,)
+
+    @property
+    def shaft(self) -> ShaftAngle:
+        """The ShaftAngle, made anew."""
+        return ShaftAngle(self._part(""))
+
+    @cached_property
+    def frames(self) -> Mapping[Any, xr.Dataset]:
+        """The frames by noun, each made anew when it is asked for."""
+        return _PackedFrames(self)
+
+    @property
+    def name(self) -> str:
+        """Name of the recording: its path inside the folder of the test."""
+        return str(self._about["name"])
+
+    @property
+    def flags(self) -> list[QualityFlag]:
+        """Quality flags of shaft and frames, as of RecordingResult."""
+        return list(self._about["flags"])
+
+    def history_of(self, noun: Any) -> str:
+        """History of the frames of this ``noun``, or of the shaft."""
+        return str(self._about["histories"]["" if noun is ShaftAngle else noun.__name__])
+
+    def _part(self, name: str) -> xr.Dataset:
+        begin, header, size = self._index[name]
+        part = self.data[self._first + begin : self._first + begin + size]
+        return _dataset(json.loads(part[:header].tobytes()), _Arrays(part[header:]))
+
+
+class _PackedFrames(Mapping[Any, xr.Dataset]):
+    """Frames by noun of one packed result."""
+
+    def __init__(self, result: PackedResult) -> None:
+        self._result = result
+
+    def __getitem__(self, noun: Any) -> xr.Dataset:
+        return self._result._part(noun.__name__)
+
+    def __iter__(self) -> Iterator[Any]:
+        return (noun for noun in FRAMES_OF.values() if noun.__name__ in self._result._index)
+
+    def __len__(self) -> int:
+        return len(self._result._index) - 1
+
+
+def _packed(dataset: xr.Dataset) -> list[bytes]:
+    """Pieces of ``dataset``: header, arrays; each a multiple of the alignment. TypeError where it cannot be kept."""
     arrays: list[NDArray[Any]] = []
-    named = {"": result.shaft, **{noun.__name__: frames for noun, frames in result.frames.items()}}
-    header = json.dumps({name: _described(dataset, arrays) for name, dataset in named.items()}).encode()
-    header += b" " * (-len(header) % _ALIGNED)
-    pieces: list[bytes] = [len(header).to_bytes(_LENGTH_BYTES, "little"), header]
+    header = json.dumps(_described(dataset, arrays)).encode()
+    pieces = [header + b" " * (-len(header) % _ALIGNED)]
     for array in arrays:
         pieces += [array.tobytes(), b"\0" * (-array.nbytes % _ALIGNED)]
-    digest = hashlib.sha256()
-    for piece in pieces:
-        digest.update(piece)
-    return [_MAGIC, digest.digest(), *pieces]
+    return pieces
 
 
 def _described(dataset: xr.Dataset, arrays: list[NDArray[Any]]) -> dict[str, Any]:
@@ -137,24 +235,10 @@ def _array(values: Any, arrays: list[NDArray[Any]]) -> list[Any]:
     return [array.dtype.str, list(array.shape), array.nbytes]
 
 
-def _unpacked(data: bytes) -> RecordingResult:
-    """What :func:`_packed` packed. ValueError where it is not that, to the last byte."""
-    begin = len(_MAGIC) + _DIGEST_BYTES
-    if data[: len(_MAGIC)] != _MAGIC or hashlib.sha256(memoryview(data)[begin:]).digest() != data[len(_MAGIC) : begin]:
-        raise ValueError("damaged")
-    place = begin + _LENGTH_BYTES
-    length = int.from_bytes(data[begin:place], "little")
-    header = json.loads(data[place : place + length])
-    arrays = _Arrays(bytearray(memoryview(data)[place + length :]))
-    datasets = {name: _dataset(described, arrays) for name, described in header.items()}
-    nouns = {noun.__name__: noun for noun in FRAMES_OF.values()}
-    return RecordingResult(ShaftAngle(datasets.pop("")), {nouns[name]: dataset for name, dataset in datasets.items()})
-
-
 class _Arrays:
     """Arrays that lie one behind the other, taken in their order."""
 
-    def __init__(self, memory: bytearray) -> None:
+    def __init__(self, memory: NDArray[np.uint8]) -> None:
         self._memory, self._place = memory, 0
 
     def take(self, kind: str, shape: list[int], size: int) -> NDArray[Any]:

@@ -9,7 +9,8 @@ from typing import Any
 import xarray as xr
 
 from crankorder.batch.changed_gains import without_changed_gains
-from crankorder.batch.execute import channels_left_out, left_out_of, results_of_test, sources_of
+from crankorder.batch.execute import channels_left_out, left_out_of, results_of_test
+from crankorder.batch.machine import sources_of
 from crankorder.batch.plan import settings_for
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError

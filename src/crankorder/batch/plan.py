@@ -106,7 +106,8 @@ class RunOptions:
     """How planned tests are run: ``jobs`` recordings at a time, each for ``timeout_s`` at most.
 
     ``fresh`` recomputes even what is kept; ``strict`` turns "suspect" flags into faults; of a shard (``keep_only``)
-    what its recordings give is kept, and no results are made.
+    what its recordings give is kept, and no results are made; the Dask cluster of ``scheduler``, an address, analyses
+    recordings.
     """
 
     jobs: int
@@ -114,6 +115,7 @@ class RunOptions:
     strict: bool = False
     timeout_s: float | None = None
     keep_only: bool = False
+    scheduler: str | None = None
 
 
 def plan_tests(

@@ -13,14 +13,17 @@ import os
 import pickle
 import signal
 import sys
+import tempfile
 import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, Pipe, wait
+from pathlib import Path
 from typing import Any
 
 from crankorder.batch.locks import forget_locks
+from crankorder.scratch import scratch_folder
 
 FORKS = sys.platform == "linux"
 """Whether workers are processes; the libraries used here survive a fork on Linux alone."""
@@ -44,8 +47,14 @@ class RemoteTraceback(Exception):
         return f"\n{self.args[0]}"
 
 
-MOST_BYTES = 1 << 36
-"""Addresses set aside for one direction of one worker; memory is taken only as they are written."""
+MOST_BYTES = 1 << 40
+"""Addresses set aside for one direction of one worker; room is taken only as they are written."""
+
+MEMORY_BYTES = 1 << 26
+"""So much of them is memory; what lies behind is a file without a name, whose pages the system writes out as needed."""
+
+CLAIMED_BYTES = 1 << 24
+"""Room on the disk is claimed in pieces of this size, so that a full disk is told and kills nobody."""
 
 LEAST_BYTES = 1 << 14
 """A smaller array goes through the pipe: pages of its own would cost more."""
@@ -56,40 +65,76 @@ ALIGNED = 64
 NO_RESERVE = 0x4000
 """``MAP_NORESERVE`` of Linux, which the module mmap does not name."""
 
+Place = tuple[bool, int, int]
+"""Whether an array lies in the file, its first byte there, and the byte after its last."""
+
 
 class SharedPages:
-    """What one process says to another, laid one behind the other; what is read there stays valid while it is held."""
+    """What one process says to another, laid one behind the other; what is read there stays valid while it is held.
+
+    The first of it lies in memory, all else in a file without a name: so a process may hold more than its memory.
+    """
 
     def __init__(self) -> None:
         """Set the addresses aside; where the system refuses, all goes through the pipe."""
-        self._used = 0
-        self._memory: memoryview | None = None
+        self._used, self._claimed = {False: 0, True: 0}, 0
+        self._pages: dict[bool, memoryview] = {}
+        self._file = -1
         with contextlib.suppress(OSError, ValueError, OverflowError):
             flags = mmap.MAP_SHARED | mmap.MAP_ANONYMOUS | NO_RESERVE
-            self._memory = memoryview(mmap.mmap(-1, MOST_BYTES, flags=flags))
+            self._pages[False] = memoryview(mmap.mmap(-1, MEMORY_BYTES, flags=flags))
+        with contextlib.suppress(OSError, ValueError, OverflowError):
+            self._file, path = tempfile.mkstemp(dir=scratch_folder(), prefix="crankorder-")
+            Path(path).unlink()
+            os.truncate(self._file, MOST_BYTES)
+            self._pages[True] = memoryview(mmap.mmap(self._file, MOST_BYTES, flags=mmap.MAP_SHARED | NO_RESERVE))
 
-    def put(self, value: Any) -> tuple[bytes, list[tuple[int, int]]]:
-        """Pickle of ``value`` without its large arrays, and the first byte and the byte after the last of each."""
-        places: list[tuple[int, int]] = []
+    def __del__(self) -> None:
+        """Let go of the file; what was mapped of it stays while it is held."""
+        if self._file >= 0:
+            os.close(self._file)
+
+    def put(self, value: Any) -> tuple[bytes, list[Place]]:
+        """Pickle of ``value`` without its large arrays, and where each of these lies."""
+        places: list[Place] = []
 
         def is_small(buffer: pickle.PickleBuffer) -> bool:
             raw = buffer.raw()
-            begin = -(-self._used // ALIGNED) * ALIGNED
-            if self._memory is None or raw.nbytes < LEAST_BYTES or begin + raw.nbytes > MOST_BYTES:
+            place = None if raw.nbytes < LEAST_BYTES else self._room(raw.nbytes)
+            if place is None:
                 return True
-            self._used = begin + raw.nbytes
-            self._memory[begin : self._used] = raw
-            places.append((begin, self._used))
+            on_disk, begin, end = place
+            self._pages[on_disk][begin:end] = raw
+            places.append(place)
             return False
 
         return pickle.dumps(value, protocol=5, buffer_callback=is_small), places
 
-    def get(self, packed: tuple[bytes, list[tuple[int, int]]]) -> Any:
+    def _room(self, size: int) -> Place | None:
+        """Room for ``size`` bytes, None where there is none."""
+        for on_disk in self._pages:
+            begin = -(-self._used[on_disk] // ALIGNED) * ALIGNED
+            end = begin + size
+            if end <= len(self._pages[on_disk]) and (not on_disk or self._claim(end)):
+                self._used[on_disk] = end
+                return on_disk, begin, end
+        return None
+
+    def _claim(self, end: int) -> bool:
+        """Whether the disk has room for the file up to the byte ``end``."""
+        if end > self._claimed:
+            size = -(-(end - self._claimed) // CLAIMED_BYTES) * CLAIMED_BYTES
+            try:
+                os.posix_fallocate(self._file, self._claimed, size)
+            except OSError:
+                return False
+            self._claimed += size
+        return True
+
+    def get(self, packed: tuple[bytes, list[Place]]) -> Any:
         """The value that was ``packed`` by :meth:`put` in the other process; its arrays lie where they were put."""
         data, places = packed
-        if self._memory is None:
-            return pickle.loads(data)
-        return pickle.loads(data, buffers=[self._memory[begin:end] for begin, end in places])
+        return pickle.loads(data, buffers=[self._pages[on_disk][begin:end] for on_disk, begin, end in places])
 
 
 class Worker:

@@ -48,14 +48,19 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
 
 
 def manifest_faults(folder: Path, manifest_path: Path | None = None) -> list[CrankorderError]:
-    """All faults of the manifest of the test-run folder ``folder``, or of that at ``manifest_path``."""
+    """All faults of the manifest of the test-run folder ``folder``, or of that at ``manifest_path``.
+
+    Of a right manifest those of the files that it names, where none of them is there to be looked into.
+    """
+    from crankorder.ingest.folder import recordings_of
+
     try:
-        load_manifest(folder, manifest_path)
+        found = recordings_of(folder, load_manifest(folder, manifest_path))
     except ManyErrors as error:
         return error.faults
     except CrankorderError as error:
         return [error]
-    return []
+    return [] if found.paths else list(found.faults)
 
 
 def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:

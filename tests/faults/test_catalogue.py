@@ -1,0 +1,29 @@
+"""The list of faults beside this file is whole, and every test that it names is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+LINE = re.compile(r"\| ([A-I][0-9]+) \| (.*) \|")
+LISTED = {found[1]: found[2] for found in map(LINE.fullmatch, (HERE / "README.md").read_text().splitlines()) if found}
+
+
+@pytest.mark.parametrize("entry", LISTED)
+def test_every_test_that_stands_for_a_fault_is_there(entry: str) -> None:
+    named = re.findall(r"`([\w/]+\.py)::(test_\w+)`", LISTED[entry])
+    assert named or LISTED[entry] == "none yet"
+    for file, test in named:
+        assert re.search(rf"^\s*def {test}\(", (HERE.parent / file).read_text(encoding="utf-8"), re.MULTILINE), test
+
+
+def test_no_entry_of_the_catalogue_is_left_out(project_root: Path) -> None:
+    catalogue = project_root.parent / "shared" / "faults.md"
+    if not catalogue.exists():
+        pytest.skip("../shared/faults.md is absent: it lies beside the project, never inside")
+    entries = re.findall(r"^\| ([A-I][0-9]+) \|", catalogue.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(entries) > 70
+    assert set(entries) == set(LISTED)

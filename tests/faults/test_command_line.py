@@ -1,0 +1,162 @@
+"""Faults of the shared catalogue that only a whole command shows, each named by its entry."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+HEAD = """
+schema_version = 1
+[test]
+name = "{name}"
+cycle = "rotor"
+[recordings]
+files = ["*.h5"]
+[sampling]
+domain = "time"
+rate_hz = 1000.0
+[encoder]
+source = "speed"
+kind = "speed"
+"""
+CHANNEL = '[[channels]]\nname = "{0}"\nsource = "{0}"\nquantity = "acceleration"\nunit = "m/s2"\n'
+PROCESSOR_S = 2.0
+
+
+def crankorder(*arguments: object, **given: object) -> tuple[subprocess.CompletedProcess[bytes], float]:
+    """The command as it ended, and the processor seconds that it took."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "crankorder", *map(str, arguments)]
+    made = subprocess.run(command, capture_output="stdout" not in given and "stderr" not in given, **given)  # type: ignore[call-overload]
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return made, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def folder_of(place: Path, manifest: str) -> Path:
+    place.mkdir()
+    (place / "run.toml").write_text(manifest, encoding="utf-8")
+    (place / "a.h5").write_bytes(b"")
+    return place
+
+
+MANIFESTS: dict[str, Callable[[], str]] = {
+    "90,000 channels": lambda: HEAD.format(name="a") + "".join(CHANNEL.format(f"c{k}") for k in range(90_000)),
+    "300,000 unknown keys": lambda: (
+        HEAD.format(name="a") + CHANNEL.format("a") + "[x]\n" + "".join(f"k{k} = 1\n" for k in range(300_000))
+    ),
+    "100,000 missing files": lambda: (
+        HEAD.format(name="a").replace('["*.h5"]', "[" + ", ".join(f'"m{k}.h5"' for k in range(100_000)) + "]")
+        + CHANNEL.format("a")
+    ),
+    "a key of 20,000 parts": lambda: HEAD.format(name="a") + CHANNEL.format("a") + ".".join(["k"] * 20_000) + " = 1\n",
+    "a number of 5,000 digits": lambda: HEAD.format(name="a").replace("1000.0", "9" * 5_000) + CHANNEL.format("a"),
+    "a table 100,000 deep": lambda: HEAD.format(name="a") + "x = " + "[" * 100_000 + "]" * 100_000,
+}
+
+
+@pytest.mark.parametrize("what", MANIFESTS)
+def test_i8_i9_an_endless_manifest_is_refused_within_two_seconds(what: str, tmp_path: Path) -> None:
+    made, seconds = crankorder("check", folder_of(tmp_path / "data", MANIFESTS[what]()))
+    said = made.stderr.decode()
+    assert made.returncode in (2, 3, 4), said[-500:]
+    assert "Traceback" not in said and said.startswith("crankorder: ")
+    assert seconds <= PROCESSOR_S
+    assert len(said) < 100_000
+
+
+def test_i8_a_recipe_of_900_characters_is_no_recipe(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "data", HEAD.format(name="a") + CHANNEL.format("a"))
+    made, _ = crankorder("run", folder, "--out", tmp_path / "out", "--recipe", "r" * 900)
+    assert made.returncode == 2 and b"Traceback" not in made.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_i8_a_link_that_leads_to_itself_is_told(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for arguments in (("check", tmp_path / "loop"), ("run", tmp_path / "loop", "--out", tmp_path / "out")):
+        made, _ = crankorder(*arguments)
+        assert made.returncode in (2, 3) and b"Traceback" not in made.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_i8_a_full_standard_output_is_exit_5() -> None:
+    with Path("/dev/full").open("wb") as full:
+        made, _ = crankorder("balance", "msu-optical-second", "--json", stdout=full, stderr=subprocess.PIPE)
+    assert made.returncode == 5 and b"Traceback" not in made.stderr
+
+
+def test_i8_a_closed_stderr_and_no_home_change_nothing(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "data", "x = ")
+    whole, _ = crankorder("check", folder)
+    line = f'exec "{sys.executable}" -m crankorder check "{folder}" 2>&-'
+    homeless = {name: value for name, value in os.environ.items() if name not in ("HOME", "USER", "LOGNAME")}
+    made = subprocess.run(["/bin/sh", "-c", line], env=homeless, capture_output=True)
+    assert (made.returncode, made.stdout) == (whole.returncode, whole.stdout) == (2, b"")
+
+
+def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path: Path) -> None:
+    """A folder of the expected name that others may write is passed over."""
+    guess = tmp_path / f"crankorder-kernels-{os.getuid()}"
+    guess.mkdir(mode=0o777)
+    guess.chmod(0o777)
+    program = (
+        "import os, stat; os.access = lambda *unused: False\n"
+        "from crankorder.batch.kernels import keep_compiled_kernels\n"
+        "keep_compiled_kernels(); place = os.environ['NUMBA_CACHE_DIR']\n"
+        "print(place, oct(stat.S_IMODE(os.stat(place).st_mode)))"
+    )
+    surroundings = {**os.environ, "TMPDIR": str(tmp_path)}
+    surroundings.pop("NUMBA_CACHE_DIR", None)
+    made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
+    place, mode = made.stdout.decode().split()
+    assert Path(place) != guess and mode == "0o700"
+    guess.chmod(0o700)
+    made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
+    assert Path(made.stdout.decode().split()[0]) == guess
+
+
+def test_i10_a_name_cannot_write_on_the_terminal(tmp_path: Path) -> None:
+    name = "a\\u001b[31m\\u0007\\u202eb"
+    folder = folder_of(tmp_path / "data", HEAD.format(name=name) + CHANNEL.format("a"))
+    made, _ = crankorder("run", folder, "--out", tmp_path / "out", "--dry-run")
+    said = made.stdout + made.stderr
+    assert made.returncode == 0, said
+    assert b"\x1b" not in said and b"\x07" not in said and "\u202e".encode() not in said and b"[31m" in said
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
+
+
+def logged_in(out: Path, event: str) -> int:
+    return sum(path.read_text().count(f" {event}:") for path in out.glob(".crankorder-logs/*"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="children are looked up in /proc")
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_f2_a_run_that_is_told_to_end_ends_within_5_s_and_goes_on_later(
+    number: signal.Signals, status: int, tmp_path: Path
+) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    assert crankorder("synth", "thesis-second-motoring", "--quick", "--out", data, "-q")[0].returncode == 0
+    command = ("run", data, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")
+    process = subprocess.Popen([sys.executable, "-m", "crankorder", *map(str, command)], stderr=subprocess.PIPE)
+    while logged_in(out, "recording computed") < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    family = children_of(process.pid)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=5.0)
+    assert process.returncode == status and b"Traceback" not in said
+    assert family and not [pid for pid in family if Path(f"/proc/{pid}").exists()]
+    assert not list(out.glob("*/done.json"))
+    assert crankorder(*command)[0].returncode == 0
+    assert logged_in(out, "recording reused") >= 2
