@@ -8,7 +8,12 @@ import pytest
 from crankorder.engine.definition import BalanceShafts, Engine, load_engine
 from crankorder.engine.forces import Z, crankcase_forces
 from crankorder.engine.shaft_design import designs
-from crankorder.engine.tolerance_study import BalanceTolerances, tolerance_table, with_single_shafts
+from crankorder.engine.tolerance_study import (
+    BalanceTolerances,
+    tolerance_sentences,
+    tolerance_table,
+    with_single_shafts,
+)
 
 RPM = 30 / math.pi
 SINGLE = Engine(crank_radius_m=0.04, rod_length_m=0.14, reciprocating_mass_kg=0.5)
@@ -43,8 +48,15 @@ def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
 
 def test_pairs_as_single_shafts_make_the_same_force() -> None:
     engine = load_engine("msu-optical-second")
-    apart = crankcase_forces(engine, RPM, max_order=4) - crankcase_forces(with_single_shafts(engine, 4), RPM, max_order=4)
+    single = with_single_shafts(engine, 4)
+    apart = crankcase_forces(engine, RPM, max_order=4) - crankcase_forces(single, RPM, max_order=4)
     assert np.abs(apart).max() < 1e-13
+
+
+def test_an_engine_without_shafts_is_told_of_no_mistiming() -> None:
+    table = tolerance_table(SINGLE, BalanceTolerances(mistiming_deg=10.0, samples=100), max_order=2, speeds=[3000.0])
+    assert table["mistiming"] is None
+    assert "late" not in " ".join(tolerance_sentences(table))
 
 
 def test_the_grade_is_that_of_the_standard_and_the_same_seed_gives_the_same_numbers() -> None:

@@ -130,9 +130,7 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
     return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
 
 
-def _cycle(
-    balance: Balance, subject: BalancedEngine, settings: ReportSettings
-) -> tuple[xr.Dataset, dict[str, bytes]]:
+def _cycle(balance: Balance, subject: BalancedEngine, settings: ReportSettings) -> tuple[xr.Dataset, dict[str, bytes]]:
     """Torques and loads of an engine over its cycle, and their pictures by file name."""
     from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
     from crankorder.report.figures import picture_bytes

@@ -128,8 +128,8 @@ def tolerance_of(subject: BalancedEngine, max_order: int, speeds: Sequence[float
         return None
     made = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
     studied = made[-1].on(engine) if made else engine
-    orders = [abs(shaft.speed_ratio) for shaft in studied.shafts.single]
-    table = tolerance_table(studied, tolerances, max_order=max([max_order, *orders]), speeds=speeds)
+    top = max([max_order, *studied.shafts.every_order])
+    table = tolerance_table(studied, tolerances, max_order=top, speeds=speeds)
     return {"of": made[-1].name if made else "own" if engine.shafts.every_order else "none", **table}
 
 

@@ -1,4 +1,4 @@
-"""What errors of masses, pins and shaft timing leave of a balanced engine, and the classes that keep a stated residual."""
+"""What errors of masses, pins and shaft timing leave of a balanced engine, and classes that keep a stated residual."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, Positive, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
@@ -17,6 +17,8 @@ from crankorder.engine.harmonics import acceleration_harmonics
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
+Parts = NDArray[np.complex128]
+"""Direct and reverse part by sample and order 1, 2, …: shape (2, sample, order)."""
 
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
 QUANTILES = {"2.5 %": 0.025, "median": 0.5, "95 %": 0.95, "97.5 %": 0.975}
@@ -58,7 +60,7 @@ class BalanceTolerances(EngineData):
                 raise ValueError("either allowed_g_mm or a grade")
         return value
 
-    model_config = {**EngineData.model_config, "validate_default": True}
+    model_config = ConfigDict(validate_default=True)
 
     def allowed_at(self, speed_rpm: float) -> float | None:
         """Unbalance (g·mm) that may remain at ``speed_rpm``. Source: ISO 21940-11, U = 1000 · G · M / Ω."""
@@ -122,7 +124,7 @@ def tolerance_table(
     stated = {kind: float(getattr(tolerances, kind)) for kind in KINDS}
     force, couple = _left(studied, errors, stated, max_order)
     late = None
-    if tolerances.mistiming_deg is not None:
+    if tolerances.mistiming_deg is not None and studied.shafts.single:
         still = Errors(mass=errors.mass[:1] * 0, throw=errors.throw[:1] * 0, pin=errors.pin[:1] * 0,
                        weight=errors.weight[:1] * 0, gear=np.full((1, errors.gear.shape[1]), -1.0))  # fmt: skip
         shift = {**dict.fromkeys(KINDS, 0.0), "gear_deg": tolerances.mistiming_deg}
@@ -153,32 +155,40 @@ def _draw(engine: Engine, tolerances: BalanceTolerances) -> Errors:
     )
 
 
-Parts = NDArray[np.complex128]
-"""Direct and reverse part by sample and order 1, 2, …: shape (2, sample, order)."""
-
-
 def _left(engine: Engine, errors: Errors, size: dict[str, float], max_order: int) -> tuple[Parts, Parts]:
     """Force (g·mm) and couple (g·mm²) over ω² of every sample."""
-    orders = np.arange(1, max_order + 1)
     parts = np.zeros((2, 2, errors.mass.shape[0], max_order), dtype=np.complex128)  # force and couple
+    _add_cylinders(parts, engine, errors, size)
+    for web in engine.webs:
+        _add(parts, np.asarray(web.unbalance_g_mm * np.exp(1j * np.radians(web.angle_deg))), 0.0, web.position_m, 0)
+    _add_shafts(parts, engine, errors, size)
+    return parts[0], parts[1]
 
-    def add(direct: Complex, reverse: Complex | float, position_m: float, at: Any = slice(None)) -> None:
-        for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
-            parts[row, 0, :, at] += lever * direct
-            parts[row, 1, :, at] += lever * reverse
 
+def _add(parts: Complex, direct: Complex, reverse: Complex | float, position_m: float, at: int | slice) -> None:
+    for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
+        parts[row, 0, :, at] += lever * direct
+        parts[row, 1, :, at] += lever * reverse
+
+
+def _add_cylinders(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+    max_order = parts.shape[-1]
+    orders = np.arange(1, max_order + 1)
     for n, one in enumerate(engine.each):
         where = one.cylinders[0]
+        bank = math.radians(where.bank_deg)
         turned = np.radians(where.crank_deg) + np.radians(size["pin_deg"]) * errors.pin[:, n]
         mass_g = 1e3 * one.reciprocating_mass_kg + size["reciprocating_g"] * errors.mass[:, n]
-        bank = math.radians(where.bank_deg)
         harmonics = acceleration_harmonics(one.mechanism, max_order)[1:]
         line = 0.5e3 * one.crank_radius_m * mass_g[:, None] * harmonics * np.exp(1j * orders * (turned[:, None] - bank))
-        add(line * np.exp(1j * bank), line.conj() * np.exp(1j * bank), where.position_m)
+        tilt = np.exp(1j * bank)
+        _add(parts, line * tilt, line.conj() * tilt, where.position_m, slice(None))
         rest = 1e6 * one.rotating_unbalance_kg_m * np.exp(1j * np.radians(one.rotating_unbalance_deg))
-        add((rest + size["rotating_g_mm"] * errors.throw[:, n]) * np.exp(1j * turned), 0.0, where.position_m, 0)
-    for web in engine.webs:
-        add(np.asarray(web.unbalance_g_mm * np.exp(1j * np.radians(web.angle_deg))), 0.0, web.position_m, 0)
+        throw = (rest + size["rotating_g_mm"] * errors.throw[:, n]) * np.exp(1j * turned)
+        _add(parts, throw, 0.0, where.position_m, 0)
+
+
+def _add_shafts(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
     counted = 0
     for number, shaft in enumerate(engine.shafts.single):
         ahead, k = math.copysign(1, shaft.speed_ratio), abs(shaft.speed_ratio)
@@ -186,9 +196,9 @@ def _left(engine: Engine, errors: Errors, size: dict[str, float], max_order: int
             amount = k**2 * weight.unbalance_g_mm * (1 + size["shaft_percent"] / 100 * errors.weight[:, counted])
             angle = math.radians(weight.angle_deg) + ahead * np.radians(size["gear_deg"]) * errors.gear[:, number]
             made = amount * np.exp(1j * angle)
-            add(made if ahead > 0 else 0.0 * made, made if ahead < 0 else 0.0, weight.position_m, k - 1)
+            direct, reverse = (made, 0.0 * made) if ahead > 0 else (0.0 * made, made)
+            _add(parts, direct, reverse, weight.position_m, k - 1)
             counted += 1
-    return parts[0], parts[1]
 
 
 def _most(parts: Parts) -> Floats:
@@ -235,17 +245,27 @@ def tolerance_sentences(table: dict[str, Any] | None) -> list[str]:
     """What a series leaves, what one mistiming adds, and the classes that keep it; ``table`` as made above or None."""
     if table is None:
         return []
-    worst = max(table["force_g_mm"].items(), key=lambda one: one[1]["95 %"])
+    spread = table["force_g_mm"]
+    largest = max(spread, key=lambda order: float(spread[order]["95 %"]))
+    widest = max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
+    of_largest = "their largest and the one that errors spread most" if largest == widest else "their largest"
     said = [
-        f"Of {table['samples']} engines drawn within the tolerances 95 % leave less than {worst[1]['95 %']:.4g} g·mm of "
-        f"order {worst[0]}, their largest; the middle 95 % lie between {worst[1]['2.5 %']:.4g} and "
-        f"{worst[1]['97.5 %']:.4g} g·mm."
+        f"Of {table['samples']} engines drawn within the tolerances 95 % leave less than "
+        f"{_span(spread[largest])} of order {largest}, {of_largest}."
     ]
+    if largest != widest:
+        said.append(f"Errors spread order {widest} most: 95 % leave less than {_span(spread[widest])} of it.")
     if table["mistiming"] is not None:
         order, size = max(table["mistiming"]["force_g_mm"].items(), key=lambda one: one[1])
         said.append(f"All shafts late by {table['mistiming']['deg']:g}° leave {size:.4g} g·mm of order {order}.")
     if table["largest_alone"] is not None:
-        units = dict(zip(KINDS, ("g on a piston", "g·mm on a throw", "° of a pin", "% of a weight", "° of a shaft")))
+        units = dict(
+            zip(KINDS, ("g on a piston", "g·mm on a throw", "° of a pin", "% of a weight", "° of a shaft"), strict=True)
+        )
         told = [f"{size:.3g} {units[kind]}" for kind, size in table["largest_alone"].items() if size is not None]
         said.append(f"Each alone, ± {', '.join(told)} add no more than {table['allowed_g_mm']:.4g} g·mm in 95 %.")
     return said
+
+
+def _span(one: dict[str, float]) -> str:
+    return f"{one['95 %']:.4g} g·mm (the middle 95 % between {one['2.5 %']:.4g} and {one['97.5 %']:.4g} g·mm)"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.cycle_tables import cycle_curves
@@ -31,7 +33,13 @@ from crankorder.report.style import (
 )
 from crankorder.settings import ReportSettings
 
+Floats = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+"""Left, bottom, width, height in inches."""
+
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.35, 1.1, 0.62, 0.95  # inches
+_CURVES = 2.6  # inches, height of the loads against crank angle
+_MOST_COLUMNS = 3
 _SHOWN_SHARE = 1e-3
 _MOST_ORDERS = 12
 
@@ -70,9 +78,7 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     return xr.Dataset(made, coords=coords)
 
 
-def torque_figure(
-    cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings
-) -> Figure:
+def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Figure:
     """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
 
     ``cycle`` as :func:`cycle_dataset` makes it; ``turning`` by speed, of the balance sheet; ``title`` of the engine;
@@ -82,25 +88,11 @@ def torque_figure(
         figure = new_figure(settings.width_in, settings.height_in)
         speed = float(cycle["speed"].values.max())
         found = turning[speed_key(speed)]
-        shown = cycle.sel(speed=speed)
-        gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
         height = (settings.height_in - _TOP - _BOTTOM - _GAP) / 2
         width = settings.width_in - _LEFT - _RIGHT
-        box = (_LEFT, _BOTTOM + height + _GAP, width, height)
-        axes = axes_at(figure, *box)
-        quiet_frame(axes)
-        entries = [("masses", LINES[0], masses)]
-        if np.any(gas):
-            entries = [("gas", LINES[1], gas), *entries, ("together", INK, gas + masses)]
-        for name, color, values in entries:
-            axes.plot(shown["crank_angle"].values, values, color=color, linewidth=2 if name == "together" else 1.3)
-        axes.axhline(0, color=FAINT, linewidth=0.8)
-        if found["power_w"] is not None:
-            axes.axhline(found["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-        _cycle_axis(axes, shown)
-        axes.set_ylabel("N·m")
-        color_key(figure, box, [(name, color) for name, color, _ in entries])
-        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), found["by_order"], with_gas=len(entries) > 1)
+        with_gas = bool(np.any(cycle["gas_torque"].sel(speed=speed).values))
+        _torque_curves(figure, (_LEFT, _BOTTOM + height + _GAP, width, height), cycle.sel(speed=speed), found, with_gas)
+        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), found["by_order"], with_gas=with_gas)
         said = f"Torque on the crank at {speed_key(speed)} rpm, {number_text(found['least_n_m'])} to "
         said += f"{number_text(found['peak_n_m'])} N·m"
         said += "" if found["power_w"] is None else f"; mean {number_text(found['mean_n_m'])} N·m (dashed)"
@@ -108,6 +100,23 @@ def torque_figure(
         said += "." if swing is None else f"; the speed swings by {number_text(100 * swing)} %."
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", said)
         return figure
+
+
+def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, found: Mapping[str, Any], with_gas: bool) -> None:
+    axes = axes_at(figure, *box)
+    quiet_frame(axes)
+    gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
+    entries = [("masses", LINES[0], masses)]
+    if with_gas:
+        entries = [("gas", LINES[1], gas), *entries, ("together", INK, gas + masses)]
+    for name, color, values in entries:
+        axes.plot(shown["crank_angle"].values, values, color=color, linewidth=2 if name == "together" else 1.3)
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    if found["power_w"] is not None:
+        axes.axhline(found["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    _cycle_axis(axes, shown)
+    axes.set_ylabel("N·m")
+    color_key(figure, box, [(name, color) for name, color, _ in entries])
 
 
 def _order_bars(axes: Axes, by_order: Mapping[str, Any], *, with_gas: bool) -> None:
@@ -139,46 +148,71 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
     with house_style():
         speed = float(cycle["speed"].values.max())
         shown = cycle.sel(speed=speed)
-        polar = [("crank pin of cylinder 0", *shown["crank_pin_load"].isel(cylinder=0).values, "along", "across")]
-        if "main_bearing_load" in shown:
-            for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
-                polar.append((f"main bearing at {number_text(1e3 * float(place))} mm", z, x, "Z", "X"))
-        columns = min(3, len(polar))
-        rows = -(-len(polar) // columns)
-        step = (settings.width_in - _LEFT - _RIGHT) / columns
+        polar = _polar_loads(shown)
+        columns = min(_MOST_COLUMNS, len(polar))
+        width = settings.width_in - _LEFT - _RIGHT
+        step = width / columns
         side = min(step - 0.3, 3.2)
-        top = 2.6
-        figure = new_figure(settings.width_in, _TOP + top + _GAP + rows * (side + 0.75) + 0.2)
-        height = float(figure.get_size_inches()[1])
-        box = (_LEFT, height - _TOP - top, settings.width_in - _LEFT - _RIGHT, top)
-        _curves(figure, box, shown)
-        sizes = [float(np.hypot(up, right).max()) for _, up, right, _, _ in polar]
-        limits = [1.1 * sizes[0] or 1.0, *(1.1 * max(sizes[1:], default=0.0) or 1.0 for _ in sizes[1:])]
-        for number, (name, up, right, along, across) in enumerate(polar):
-            left = _LEFT + (number % columns) * step
-            bottom = box[1] - _GAP - (number // columns + 1) * (side + 0.75) + 0.45
-            axes = axes_at(figure, left, bottom, side, side)
-            axes.set_xlim(-limits[number], limits[number])
-            axes.set_ylim(-limits[number], limits[number])
-            axes.set_xticks([])
-            axes.set_yticks([])
-            for spine in axes.spines.values():
-                spine.set_color(GRID)
-            axes.axhline(0, color=GRID, linewidth=0.8)
-            axes.axvline(0, color=GRID, linewidth=0.8)
-            axes.plot([*right, right[0]], [*up, up[0]], color=LINES[number % len(LINES)], linewidth=1.4)
-            axes.plot(right[0], up[0], "o", color=LINES[number % len(LINES)], markersize=4)
-            write(figure, left + side / 2, bottom + side + 0.2, name, ha="center", fontsize=SMALL + 0.5, fontweight="bold")
-            most = number_text(float(np.hypot(up, right).max()))
-            text = f"up to {most} N; up {along}, right {across}"
-            write(figure, left + side / 2, bottom + side + 0.06, text, ha="center", fontsize=SMALL, color=FAINT)
-        said = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(limits[0])} N for the pin"
-        said += "." if len(sizes) == 1 else f", ±{number_text(limits[1])} N for the main bearings."
+        row, rows = side + 0.75, -(-len(polar) // columns)
+        figure = new_figure(settings.width_in, _TOP + _CURVES + _GAP + rows * row + 0.2)
+        base = float(figure.get_size_inches()[1]) - _TOP - _CURVES
+        _curves(figure, (_LEFT, base, width, _CURVES), shown)
+        bearings = 1.1 * max((one.peak_n for one in polar[1:]), default=0.0) or 1.0
+        frames = [1.1 * polar[0].peak_n or 1.0] + [bearings] * (len(polar) - 1)
+        for number, (one, frame) in enumerate(zip(polar, frames, strict=True)):
+            corner = (_LEFT + number % columns * step, base - _GAP - (number // columns + 1) * row + 0.45)
+            _polar(figure, (*corner, side, side), one, frame, LINES[number % len(LINES)])
+        said = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
+        said += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", said)
         return figure
 
 
-def _curves(figure: Figure, box: tuple[float, float, float, float], shown: xr.Dataset) -> None:
+@dataclass(frozen=True)
+class _PolarLoad:
+    """One closed curve of a load over the cycle, N: its part ``up`` and to the ``right``, and how those are called."""
+
+    name: str
+    up: Floats
+    right: Floats
+    ways: str
+
+    @property
+    def peak_n(self) -> float:
+        return float(np.hypot(self.up, self.right).max())
+
+
+def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
+    """Of the first crank pin, then of every main bearing."""
+    pin = shown["crank_pin_load"].isel(cylinder=0).values
+    found = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
+    if "main_bearing_load" in shown:
+        for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
+            at = number_text(1e3 * float(place))
+            found.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
+    return found
+
+
+def _polar(figure: Figure, box: Box, one: _PolarLoad, frame: float, color: str) -> None:
+    axes = axes_at(figure, *box)
+    axes.set_xlim(-frame, frame)
+    axes.set_ylim(-frame, frame)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color(GRID)
+    axes.axhline(0, color=GRID, linewidth=0.8)
+    axes.axvline(0, color=GRID, linewidth=0.8)
+    axes.plot([*one.right, one.right[0]], [*one.up, one.up[0]], color=color, linewidth=1.4)
+    axes.plot(one.right[0], one.up[0], "o", color=color, markersize=4)
+    left, bottom, side, _ = box
+    middle, top = left + side / 2, bottom + side
+    write(figure, middle, top + 0.2, one.name, ha="center", fontsize=SMALL + 0.5, fontweight="bold")
+    text = f"up to {number_text(one.peak_n)} N; {one.ways}"
+    write(figure, middle, top + 0.06, text, ha="center", fontsize=SMALL, color=FAINT)
+
+
+def _curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
     axes = axes_at(figure, *box)
     quiet_frame(axes)
     angle = shown["crank_angle"].values
