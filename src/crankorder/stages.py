@@ -25,6 +25,7 @@ from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.lines.swept_orders import swept_orders
+from crankorder.identify.modal.sweep_poles import SweepFits
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
@@ -82,6 +83,8 @@ AllOrderFrames = NewType("AllOrderFrames", Sequence[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", Sequence[xr.Dataset])
 ShownRecordingTracks = NewType("ShownRecordingTracks", Sequence[xr.Dataset])
 AllRecordingTracks = NewType("AllRecordingTracks", Sequence[xr.Dataset])
+FilteredTracks = NewType("FilteredTracks", Sequence[xr.Dataset])
+SweepModes = NewType("SweepModes", SweepFits)
 AllRecordingCycles = NewType("AllRecordingCycles", Sequence[xr.Dataset])
 AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", Sequence[xr.Dataset])
 AllRecordingLevels = NewType("AllRecordingLevels", Sequence[xr.Dataset])
@@ -283,9 +286,29 @@ def frames_of_test(shown: ShownOrderFrames, swings: Swings) -> AllOrderFrames:
 
 
 @stage
-def tracks_of_test(shown: ShownRecordingTracks, swings: Swings) -> AllRecordingTracks:
+def tracks_by_filter(shown: ShownRecordingTracks, swings: Swings) -> FilteredTracks:
     """Tracks of all recordings, as ``shown`` by the encoder, brought to the true angle by ``swings``."""
-    return AllRecordingTracks(tracks_in_true_angle(shown, swings))
+    return FilteredTracks(tracks_in_true_angle(shown, swings))
+
+
+@stage
+def modes_of_sweeps(filtered: FilteredTracks, settings: Settings) -> SweepModes:
+    """Modes that the signals of sweeps tell behind the orders of ``filtered`` (``settings`` of identify)."""
+    if not any("waveform" in item for item in filtered):
+        return SweepModes(SweepFits())
+    from crankorder.identify.modal.sweep_rows import fits_of_sweeps
+
+    return SweepModes(fits_of_sweeps(filtered, settings=settings.identify))
+
+
+@stage
+def tracks_of_test(filtered: FilteredTracks, modes: SweepModes) -> AllRecordingTracks:
+    """Tracks of all recordings: ``filtered``, and beside the ``modes`` of sweeps as their signals tell them."""
+    if not modes.groups:
+        return AllRecordingTracks(filtered)
+    from crankorder.identify.modal.sweep_rows import with_rows_of_fits
+
+    return AllRecordingTracks(with_rows_of_fits(filtered, modes))
 
 
 @stage
@@ -306,21 +329,23 @@ def findings(
     campbell: CampbellMap,
     frames: AllOrderFrames,
     envelope: EnvelopeMap,
-    followed: AllRecordingTracks,
+    filtered: FilteredTracks,
     levels: AllRecordingLevels,
+    modes: SweepModes,
     test: TestName,
     sources: Sources,
     settings: Settings,
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``followed``: orders through each sweep; ``levels``: of each recording, with what lies above the band.
+    ``filtered``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
+    with what lies above the band.
     ``settings``: of identify, and of orders for the floor.
     """
     from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
 
     maps = (order_map, campbell, frames, envelope)
-    return find(*maps, test=test, sources=sources, settings=settings, followed=followed, levels=levels)
+    return find(*maps, test=test, sources=sources, settings=settings, followed=filtered, levels=levels, swept=modes)
 
 
 @stage
@@ -373,6 +398,8 @@ OF_RECORDING = (
 OF_TEST = (
     swings,
     frames_of_test,
+    tracks_by_filter,
+    modes_of_sweeps,
     tracks_of_test,
     map_by_order,
     map_by_frequency,

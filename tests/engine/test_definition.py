@@ -88,7 +88,6 @@ def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path: 
         "main_bearings_m",
         "cylinders",
         "gas.crank_angle_deg",
-        "gas.surroundings_pa",
         "bearings.0.designation",
     }
 

@@ -27,7 +27,7 @@ KINEMATIC_SHARE = 1e-3
 
 
 def engine_of_test(plan: CampaignPlan) -> Engine | None:
-    """The engine that the manifest names, if any."""
+    """The engine that the manifest of the ``plan`` names, if any."""
     name = plan.manifest.test.engine
     return None if name is None else load_engine(name, beside=plan.folder)
 

@@ -25,7 +25,7 @@ LOGGER.addHandler(logging.NullHandler())
 
 
 def tell(event: str, *, level: int = logging.INFO, **fields: object) -> None:
-    """Log the ``event``, a word or two, with its ``fields``, numbers and texts by name."""
+    """Log the ``event``, a word or two, at ``level`` with its ``fields``, numbers and texts by name."""
     if LOGGER.isEnabledFor(level):
         LOGGER.log(level, event, extra={"fields": fields})
 

@@ -27,6 +27,8 @@ from crankorder.identify.lines.lock_through_modes import with_locks_through_mode
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
+from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
+from crankorder.identify.modal.sweep_rows import with_rows_of_fits
 from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
 from crankorder.identify.motor_speed import SpeedRead, explained_at, with_speed_read
@@ -63,6 +65,7 @@ def find(
     settings: Settings,
     followed: Sequence[xr.Dataset] = (),
     levels: Sequence[xr.Dataset] = (),
+    swept: SweepFits = NO_FITS,
 ) -> Findings:
     """Findings of a test.
 
@@ -70,7 +73,7 @@ def find(
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
     ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
     RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
-    RecordingLevels.
+    RecordingLevels, ``swept`` what the signals of sweeps tell of modes.
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
@@ -78,9 +81,9 @@ def find(
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
-    in_map, modal = _orders_and_modes(order_map, campbell, frames, followed, (held, known), settings, doubt)
+    in_map, modal = _orders_and_modes(order_map, campbell, frames, (followed, swept), (held, known), settings, doubt)
     in_map, read = with_speed_read(sources.motor, in_map, order_map, settings=asked)
-    orders = _with_rows(in_map, order_map, frames, without_swings(followed, modal.swings), settings)
+    orders = _with_rows(in_map, order_map, frames, _rows_of_sweeps(followed, modal, swept), settings)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
     explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
@@ -153,6 +156,11 @@ def _speeds(
     return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)
 
 
+def _rows_of_sweeps(followed: Sequence[xr.Dataset], modal: ModalFit, swept: SweepFits) -> Sequence[xr.Dataset]:
+    """``followed`` without what modes ring into the filters, and near modes as the signals tell them."""
+    return with_rows_of_fits(without_swings(followed, modal.swings), swept)
+
+
 def _with_rows(
     in_map: tuple[AgreedOrder, ...],
     order_map: xr.Dataset,
@@ -204,18 +212,21 @@ def _orders_and_modes(
     order_map: xr.Dataset,
     campbell: xr.Dataset,
     frames: Sequence[xr.Dataset],
-    followed: Sequence[xr.Dataset],
+    sweeps: tuple[Sequence[xr.Dataset], SweepFits],
     electric: tuple[Sequence[Held], Sequence[LineSeen]],
     settings: Settings,
     doubt: str | None,
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
     """Orders as the map and the modes that they cross tell them, and modes without ``electric`` lines (held, known).
 
+    ``sweeps``: orders as they were followed, and poles that the signals tell.
+
     With a ``doubt`` about the speed no order is locked or slips.
     """
     held, known = electric
+    followed, swept = sweeps
     in_map = _orders_in_map(order_map, frames, settings, followed)
-    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed)
+    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept.poles)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
     modal = without_doubles(with_mains_tones(with_tones_parted(modal, held), known, in_map))
     return in_map if doubt is None else undecided_orders(in_map), modal

@@ -43,6 +43,15 @@ MEMORY = 4.0
 MARGIN = 6.0
 """Reciprocal bandwidths that a piece overlaps into the next: the filter's memory."""
 
+WAVEFORM_BAND, WAVEFORM_ORDER = 1.1, 10.0
+"""Band [Hz] in which the waveform is kept over the highest frequency of what is followed, and of this order."""
+
+MOST_WAVEFORM = 1 << 18
+"""Samples of a channel that are kept of the waveform at most: a longer recording keeps a narrower band."""
+
+RATE_PER_BAND = 2.6
+"""Samples per second that a hertz of band takes, about."""
+
 RATE_PER_BANDWIDTH = 24.0
 """Band [Hz] kept over the widest bandwidth, so that knots are several samples apart."""
 
@@ -258,7 +267,37 @@ def _dataset(
     found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}
     found.attrs["crank_angle_error_rev"] = _angle_error(shaft)
+    _put_waveform(found, band, shaft, course)
     return with_flags(found, [*flags_of(shaft), *_flags(found, notes)])
+
+
+def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse) -> None:
+    """Put the longest sound stretch of the signals into ``found``, in the band of its orders, with angle and speed.
+
+    What rings of a mode while the next order passes it is told in the signals only, not in any one track.
+    """
+    fastest_hz = float(course.speed_rpm.max()) / 60.0
+    top = WAVEFORM_BAND * float(found["order"].values.max(initial=WAVEFORM_ORDER)) * fastest_hz
+    seconds = band.sizes["time"] / float(band.attrs["rate_hz"])
+    top = min(top, MOST_WAVEFORM / seconds / RATE_PER_BAND)
+    if top < 0.8 * float(band.attrs.get("band_hz", np.inf)):
+        band = band_limited(band, band_hz=top, grid_hz=1.0)
+    rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
+    time_s = start + np.arange(band.sizes["time"]) / rate
+    angle = angle_at(time_s, **knots_of(shaft))
+    sound = np.isfinite(angle) & np.isfinite(band["signal"].values).all(axis=0)
+    if "usable" in band:
+        sound &= band["usable"].values.all(axis=0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]))).reshape(-1, 2)
+    first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])] if len(edges) else (0, 0)
+    speed = np.interp(time_s[first:last], course.time_s, course.speed_rpm)
+    values = band["signal"].values[:, first:last].astype(np.float32)
+    words = {"units": "see unit", "long_name": "signal in the band of the orders"}
+    found["waveform"] = (("channel", "sample"), values, words)
+    for name, given, units in (("waveform_angle", angle[first:last], "rev"), ("waveform_speed", speed, "min-1")):
+        found[name] = ("sample", given, {"units": units, "long_name": f"{name.split('_')[1]} of the shaft at a sample"})
+    found.attrs |= {"waveform_rate_hz": rate, "waveform_start_s": float(time_s[first]) if len(time_s) else start}
+    found.attrs["waveform_band_hz"] = min(top, float(band.attrs.get("band_hz", 0.5 * rate)))
 
 
 def _angle_error(shaft: xr.Dataset) -> float:

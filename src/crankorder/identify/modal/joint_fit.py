@@ -17,10 +17,18 @@ from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_s
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modal.order_modes import OrderPole, Proof, is_proven, mode_of, proven_by, tone_as_mode
+from crankorder.identify.modal.order_modes import (
+    OrderPole,
+    Proof,
+    is_proven,
+    is_shown,
+    mode_of,
+    proven_by,
+    tone_as_mode,
+)
 from crankorder.identify.modal.order_responses import Block, fitting, responses_of
 from crankorder.identify.modal.order_search import orders_raised, poles_of_orders, settled
-from crankorder.identify.modal.pole_errors import covariance_of_all, pole_covariance
+from crankorder.identify.modal.pole_errors import covariance_of_all, pole_covariance, side_by_side
 from crankorder.identify.modal.ringing import hidden_speeds
 from crankorder.identify.modal.search import (
     dispersion,
@@ -33,6 +41,8 @@ from crankorder.identify.modal.search import (
     with_strong_tones,
 )
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
+from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
+from crankorder.identify.modal.sweep_poles import SweepPole
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modal.whirl import whirls_of, with_whirls
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -149,14 +159,15 @@ def modal_fit(
     *,
     settings: IdentifySettings,
     followed: Sequence[xr.Dataset] = (),
+    swept: Sequence[SweepPole] = (),
 ) -> ModalFit:
     """Natural frequencies, damping ratios and tones of a test, with their covariance.
 
     ``campbell`` (CampbellMap) and ``order_map`` (OrderMap) are the maps of the test, ``orders`` what was found in the
-    latter, ``followed`` (RecordingTracks) how they ran along sweeps; ``settings`` state the false-alarm level and what
-    counts as a mode. The floor that the order lines leave, in all channels, and amplitude and phase of the orders over
-    the speeds are fitted by one set of poles, band by band where the map is long; poles that only orders show are
-    looked for in all of them.
+    latter, ``followed`` (RecordingTracks) how they ran along sweeps, ``swept`` the poles that the signals of these
+    tell; ``settings`` state the false-alarm level and what counts as a mode. The floor that the order lines leave, in
+    all channels, and amplitude and phase of the orders over the speeds are fitted by one set of poles, band by band
+    where the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells them.
     """
     blocks = blocks_of(order_map, orders, followed)
     floor = _floor(campbell, order_map, orders)
@@ -168,28 +179,31 @@ def modal_fit(
         for band in bands_of(floor):
             problem, fit = search(band.floor, chance=settings.false_alarm_probability)
             fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
-    known = _own_modes(fitted)
+    cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
+    fixed, spread = poles_of(swept)
+    known, covariance = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept)
     blocks, extra = poles_of_orders(
         blocks,
-        known,
-        _own_covariance(fitted),
+        known.joined(fixed),
+        side_by_side([covariance, spread]),
         chance=settings.false_alarm_probability,
         most_damping=settings.max_damping_ratio,
+        most_poles=0 if swept else None,
     )
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
-        fitted = [_with_orders(item, fitted, blocks, extra) for item in fitted]
-    known = _own_modes(fitted)
-    told = settled(blocks, known, extra, chance=settings.false_alarm_probability)
+        fitted = [_with_orders(item, fitted, blocks, fixed.joined(_of_orders(extra))) for item in fitted]
+    known, _ = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept)
+    told = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
     blocks = told.blocks
     found = ModalFit((), (), np.zeros((0, 0)))
     kept = NO_POLES
     if floor is not None:
-        proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=True))
+        proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=False))
         found, kept = _found(fitted, floor, proof, settings)
+    found, kept = with_sweep_modes(*modes_unlike(found, kept, swept), swept, settings)
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, floors, unit, settings)
-    cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
     made = replace(made, hidden=hidden, swings=told.swings)
     return with_whirls(made, whirls, campbell["speed"].values)
@@ -214,7 +228,7 @@ def _own_modes(fitted: list[Fitted]) -> Poles:
 
 def _own_covariance(fitted: list[Fitted]) -> Array:
     """Covariance of (f_1, ζ_1, f_2, …) of the poles of all bands that are no tones."""
-    return _side_by_side([item.covariance_of(item.own) for item in fitted])
+    return side_by_side([item.covariance_of(item.own) for item in fitted])
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,13 +266,18 @@ class Fitted:
         return pole_covariance(self.problem, self.fit, scatter=scatter)[np.ix_(at, at)]
 
 
-def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], extra: tuple[OrderPole, ...]) -> Fitted:
+def _of_orders(extra: Sequence[OrderPole]) -> Poles:
+    """Poles of what only orders show."""
+    made = NO_POLES
+    for pole in extra:
+        made = made.with_pole(pole.frequency_hz, pole.damping)
+    return made
+
+
+def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
     """The fit of a band together with the orders that sweep through its modes; other bands stay as they are."""
     if not blocks or not len(item.own_modes):
         return item
-    fixed = NO_POLES
-    for pole in extra:
-        fixed = fixed.with_pole(pole.frequency_hz, pole.damping)
     for other in every:
         if other is not item:
             fixed = fixed.joined(other.own_modes.chosen(~item.band.holds(other.own_modes)))
@@ -301,8 +320,8 @@ def _with_order_modes(
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(_is_shown(tone, mode) for mode in more)),
-        covariance=_side_by_side(whole)[np.ix_(at, at)],
+        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more)),
+        covariance=side_by_side(whole)[np.ix_(at, at)],
         responses=responses_of(blocks, poles),
         unseen=least_seen(
             blocks,
@@ -315,19 +334,13 @@ def _with_order_modes(
     )
 
 
-def _is_shown(tone: Tone, mode: Mode) -> bool:
-    """Whether ``tone`` is what the floor shows of a ``mode`` that orders raise."""
-    near = max(mode.damping_ratio * mode.frequency_hz, 3.0 * np.hypot(mode.frequency_error_hz, tone.frequency_error_hz))
-    return tone.kind == "tone" and abs(tone.frequency_hz - mode.frequency_hz) <= near
-
-
 def _raised_tones(
     fit: ModalFit, more: list[Mode], blocks: tuple[Block, ...], poles: Poles
 ) -> dict[Tone, tuple[float, ...]]:
     """Tones of ``fit`` that are none of the modes ``more``, at which orders rise, and these orders."""
     found = {}
     for tone in fit.tones:
-        if tone.kind != "tone" or any(_is_shown(tone, mode) for mode in more):
+        if tone.kind != "tone" or any(is_shown(tone, mode) for mode in more):
             continue
         orders = orders_raised(blocks, poles, tone.frequency_hz)
         if orders:
@@ -367,7 +380,7 @@ def _found(
     found = ModalFit(
         tuple(modes),
         with_one_mains(sorted((t for t in tones if t.amplitude), key=lambda t: t.frequency_hz), settings=settings),
-        _side_by_side(parts),
+        side_by_side(parts),
         frequency_hz=floor.frequency_hz,
         floor_psd=floor.psd,
         fitted_psd=shape,
@@ -411,16 +424,6 @@ def _of_band(
     at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
     which = np.isin(np.arange(len(fit.poles)), kept)
     return modes, tones, covariance[np.ix_(at, at)], fit.poles.chosen(which)
-
-
-def _side_by_side(parts: list[Array]) -> Array:
-    """Square matrix with ``parts`` on its diagonal: what different bands tell is independent."""
-    whole = np.zeros((sum(len(part) for part in parts),) * 2)
-    first = 0
-    for part in parts:
-        whole[first : first + len(part), first : first + len(part)] = part
-        first += len(part)
-    return whole
 
 
 def _without_hidden(item: Fitted) -> Array:

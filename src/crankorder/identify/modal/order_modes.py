@@ -336,3 +336,9 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
     if len(wider):
         said.append(f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same")
     return "; ".join(said)
+
+
+def is_shown(tone: Tone, mode: Mode) -> bool:
+    """Whether ``tone`` is what the floor shows of a ``mode`` that orders raise."""
+    near = max(mode.damping_ratio * mode.frequency_hz, 3.0 * np.hypot(mode.frequency_error_hz, tone.frequency_error_hz))
+    return tone.kind == "tone" and abs(tone.frequency_hz - mode.frequency_hz) <= near

@@ -107,7 +107,13 @@ NO_PRIOR = Prior(np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 def poles_of_orders(
-    blocks: Sequence[Block], known: Poles, covariance: Array, *, chance: float, most_damping: float
+    blocks: Sequence[Block],
+    known: Poles,
+    covariance: Array,
+    *,
+    chance: float,
+    most_damping: float,
+    most_poles: int | None = None,
 ) -> tuple[tuple[Block, ...], tuple[OrderPole, ...]]:
     """``blocks`` with their laws and scatter, and the poles beyond the ``known`` ones that they ask for.
 
@@ -115,8 +121,8 @@ def poles_of_orders(
     others to where the likelihood is largest, the known ones within their ``covariance`` (of f_1, ζ_1, f_2, …). Those
     are kept in the end that save more than the false-alarm level ``chance`` would let noise save at any of the
     frequencies tried: while others are missing, what one explains hides in what they leave. ``most_damping`` is the
-    largest damping ratio. Each order has the scatter that is left of it, so that a force which only varies from speed
-    to speed makes no pole.
+    largest damping ratio, ``most_poles`` how many are looked for at most, if not the usual number. Each order has the
+    scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
     """
     if not blocks:
         return (), ()
@@ -126,7 +132,7 @@ def poles_of_orders(
     if len(known):
         state = state.moved()
     tried = Tried.of(blocks)
-    while len(state.poles) - len(known) < NUMBERS.most_poles:
+    while len(state.poles) - len(known) < (NUMBERS.most_poles if most_poles is None else most_poles):
         more = _more(state, tried, chance=chance, most_damping=most_damping)
         if more is None:
             break

@@ -252,3 +252,13 @@ def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> A
     more = np.ones(len(scale))
     more[free] = disagreement(cells, inverse, known)
     return np.asarray(made * np.outer(more, more))
+
+
+def side_by_side(parts: list[Array]) -> Array:
+    """Square matrix with ``parts`` on its diagonal: what different bands tell is independent."""
+    whole = np.zeros((sum(len(part) for part in parts),) * 2)
+    first = 0
+    for part in parts:
+        whole[first : first + len(part), first : first + len(part)] = part
+        first += len(part)
+    return whole

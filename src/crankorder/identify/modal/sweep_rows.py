@@ -1,0 +1,165 @@
+"""Rows of tracks near a resonance that a sweep passes, as the fit of the signals has them: no filter lowers a peak."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.modal.sweep_poles import GroupFit, SweepFits, sweep_fits
+from crankorder.identify.modal.sweep_window import Solved, spectra_of
+from crankorder.settings import IdentifySettings, MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows"):
+    fewest_samples: int
+    most_angle_rad: float
+    inner_share: float
+    least_error_share: float
+    speed_error_share: float
+    most_off_share: float
+    between: int
+    higher_ratio: float
+
+
+NUMBERS = _Numbers.load()
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
+
+
+def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings) -> SweepFits:
+    """Poles that the signals in ``followed`` (RecordingTracks) of sweeps tell, behind the orders that were followed.
+
+    ``settings``: the false-alarm level and the largest damping ratio of a mode.
+    """
+    spectra = spectra_of([item for item in followed if _turns_surely(item)], fewest=NUMBERS.fewest_samples)
+    held = {one.recording for one in spectra}
+    own = [item for item in followed if str(item.attrs.get("recording")) in held]
+    numbers = sorted({float(number) for item in own for number in item["order"].values})
+    if not numbers:
+        return SweepFits()
+    cycle = int(own[0].attrs["revs_per_cycle"])
+    return sweep_fits(
+        spectra,
+        numbers,
+        others=(np.arange(1, cycle * max(numbers) + 1) / cycle).tolist(),
+        chance=settings.false_alarm_probability,
+        most_damping=settings.max_damping_ratio,
+    )
+
+
+def _turns_surely(item: xr.Dataset) -> bool:
+    """Whether the shaft's angle in ``item`` is known so well that its highest order keeps its phase.
+
+    What a strong order is off by has amplitude and phase over the whole sweep, and would be taken for many light modes.
+    """
+    error = 2.0 * np.pi * float(item.attrs.get("crank_angle_error_rev", 0.0))
+    return "waveform" in item and error * float(item["order"].values.max(initial=0.0)) <= NUMBERS.most_angle_rad
+
+
+def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[xr.Dataset]:
+    """``followed`` (RecordingTracks) whose rows near the modes of ``fits`` are theirs, with one more at each peak."""
+    made = []
+    for item in followed:
+        for group in fits.groups if "waveform" in item else ():
+            for one, less in zip(group.fit.solved, group.less.solved, strict=True):
+                if one.window.sweep.recording == item.attrs["recording"]:
+                    item = _with_group(item, group, one, less)
+        made.append(item)
+    return made
+
+
+def _with_group(item: xr.Dataset, group: GroupFit, one: Solved, less: Solved) -> xr.Dataset:
+    """``item`` with the rows of one window of a ``group``; ``less`` is that with one degree less."""
+    proven = {order for pole in group.poles for order in pole.orders}
+    numbers = item["order"].values.tolist()
+    for order in one.window.orders:
+        if order in proven and order in numbers and order in less.window.orders:
+            item = _with_order(item, numbers.index(order), group, one, less)
+    return item
+
+
+def _with_order(item: xr.Dataset, place: int, group: GroupFit, one: Solved, less: Solved) -> xr.Dataset:
+    """``item`` with the rows of its order number ``place`` from the window ``one``, and one at its peak."""
+    window, order = one.window, float(item["order"].values[place])
+    half = 0.5 * NUMBERS.inner_share * (window.high_hz - window.low_hz)
+    middle = 0.5 * (window.high_hz + window.low_hz)
+    near = np.abs(order * item["speed"].values / 60.0 - middle) <= half
+    last = window.sweep.start_s + len(window.sweep.angle_rev) / window.sweep.rate_hz
+    near &= (item["time"].values >= window.sweep.start_s) & (item["time"].values <= last)
+    if not near.any():
+        return item
+    value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
+    peak = _peak(group, one, less, order, item["time"].values[near], np.abs(value).max(axis=1))
+    if peak is not None:
+        item, at = _with_row(item, peak, one)
+        near = np.insert(near, at, True)
+        value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
+    else:
+        item = item.copy(deep=True)
+    usable = np.isfinite(item["amplitude"].values[:, place][:, near].real).any(axis=1)
+    rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
+    for name, given in (("amplitude", value), ("standard_error", error)):
+        item[name].values[rows] = given.T[usable][:, None]
+    item["smoothing"].values[rows] = 0.0
+    freedom = item["degrees_of_freedom"].values
+    freedom[rows] = np.nanmax(freedom[:, place], initial=1.0)
+    return item
+
+
+def _values(
+    group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, angle_rev: Array
+) -> tuple[Complex, Array]:
+    """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part."""
+    value, variance = one.envelope(order, time_s, angle_rev, group.covariance)
+    other, _ = less.envelope(order, time_s, angle_rev, group.covariance)
+    # where a row stands is known as well as its speed is: on a flank the phase turns in no time
+    sweep = one.window.sweep
+    at = np.clip(((time_s - sweep.start_s) * sweep.rate_hz).astype(np.int64), 0, len(sweep.speed_rpm) - 1)
+    off = NUMBERS.speed_error_share * sweep.speed_rpm[at] / np.maximum(sweep.rate_rpm_per_s[at], 1e-9)
+    off = np.minimum(off, NUMBERS.most_off_share / max(float(one.damping.min(initial=1.0)) * one.window.high_hz, 1e-9))
+    sampled = sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz
+    beside = [
+        one.envelope(order, time_s + way * off, np.interp(time_s + way * off, sampled, sweep.angle_rev), None)[0]
+        for way in (-1.0, 1.0)
+    ]
+    error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(NUMBERS.least_error_share * np.abs(value))
+    error = error + 0.25 * np.square(np.abs(beside[1] - beside[0]))
+    return value, np.asarray(np.sqrt(error))
+
+
+def _peak(group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, size: Array) -> float | None:
+    """Time between the rows ``time_s`` at which ``order`` is clearly larger than their largest ``size``; or None."""
+    best = int(np.argmax(size))
+    low, high = time_s[max(best - 1, 0)], time_s[min(best + 1, len(time_s) - 1)]
+    if high <= low:
+        return None
+    fine = np.linspace(low, high, NUMBERS.between)
+    sweep = one.window.sweep
+    angle = np.interp(fine, sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz, sweep.angle_rev)
+    found = np.abs(one.envelope(order, fine, angle, group.covariance)[0]).max(axis=1)
+    top = int(np.argmax(found))
+    return float(fine[top]) if found[top] > NUMBERS.higher_ratio * size[best] else None
+
+
+def _with_row(item: xr.Dataset, time_s: float, one: Solved) -> tuple[xr.Dataset, int]:
+    """``item`` with one row more at ``time_s``, in which nothing is known yet, and its number."""
+    time = item["time"].values
+    at = int(np.searchsorted(time, time_s))
+    beside = min(at, len(time) - 1)
+    made = item.isel(frame=np.insert(np.arange(len(time)), at, beside)).copy(deep=True)
+    sweep = one.window.sweep
+    sampled = sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz
+    for name, value in (
+        ("time", time_s),
+        ("speed", np.interp(time_s, sampled, sweep.speed_rpm)),
+        ("crank_angle", np.interp(time_s, sampled, sweep.angle_rev)),
+    ):
+        made.coords[name].values[at] = value
+    for name, nothing in (("amplitude", np.nan), ("standard_error", np.nan), ("degrees_of_freedom", 0.0)):
+        made[name].values[:, :, at] = nothing
+    made["smoothing"].values[:, :, at] = 0.0
+    return made, at

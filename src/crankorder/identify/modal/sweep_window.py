@@ -1,0 +1,405 @@
+"""A sweep in a window of frequency: all orders, what their modes answer and what rings, in one linear model.
+
+The transform of a whole recording is taken without a window. In it the answer of a mode to an order is the transform of
+that order's force times the mode's response, whatever the rate of the sweep; what rings at its ends is, at the bins of
+the transform, one term 1 / (1 - exp((λ - iω) / rate)) of each mode (Pintelon and Schoukens, System Identification,
+2012, section 6.3). So every order that passes a window, and every mode in it, is a column, and no filter comes between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from crankorder.identify.resonance import resonance
+
+FORCE_EXPONENT = 2.0
+"""Power of the speed with which the force of an order grows in a window, before its bend is told."""
+
+BEND_SPREAD = 1.5
+"""Standard deviation of what is known beforehand of how the exponent of a force, or its phase per logarithm of the
+speed, differs from that: forces are steady to cubic."""
+
+SLOWEST_SHARE = 1e-2
+"""Share of a window's speed below which the force of an order is taken to be that at this share."""
+
+STEP = 1e-5
+"""Relative step of the slopes of a column by frequency and damping."""
+
+THINNED = 64
+"""Samples of which the force of an order is reckoned at one at the most, where a window lies low."""
+
+KEPT_OVER, DROPPED_OVER = 1.5, 2.0
+"""An order's force is kept whole up to the first of these over a window's end, and dropped beyond the second: what it
+leaves in the window from there is smooth."""
+
+TAPERED = 0.8
+"""Share of a window's half width from which its ends are tapered where an envelope is made of it."""
+
+LEAST_NORM = 1e-12
+"""Share of a column's square that is added to it: amplitudes of columns that others make are kept small."""
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepSpectrum:
+    """Transform of one recording: ``spectrum`` (C, F) at ``frequency_hz`` (F,), ``angle_rev`` and ``speed_rpm`` (N,).
+
+    ``channels`` name its rows, ``rate_hz`` is that of its samples, the first at ``start_s``, ``top_hz`` the end of its
+    band.
+    """
+
+    recording: str
+    channels: tuple[str, ...]
+    start_s: float
+    rate_hz: float
+    top_hz: float
+    frequency_hz: Array
+    spectrum: Complex
+    angle_rev: Array
+    speed_rpm: Array
+
+    @property
+    def length_s(self) -> float:
+        """Length of the recording."""
+        return len(self.angle_rev) / self.rate_hz
+
+    @cached_property
+    def logarithm(self) -> Array:
+        """Logarithm (N,) of the speed, as far as it turns."""
+        return np.asarray(np.log(np.maximum(self.speed_rpm, SLOWEST_SHARE * self.speed_rpm.max())))
+
+    @cached_property
+    def rate_rpm_per_s(self) -> Array:
+        """Rate (N,) at which the speed changes, without sign."""
+        return np.asarray(np.abs(np.gradient(self.speed_rpm)) * self.rate_hz)
+
+    def passing(self, order: float, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
+        """At which samples (N,) the ``order`` lies from ``low_hz`` to ``high_hz``."""
+        hz = order * self.speed_rpm / 60.0
+        return np.asarray((hz >= low_hz) & (hz <= high_hz))
+
+
+def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpectrum, ...]:
+    """SweepSpectrum of those ``followed`` (RecordingTracks) that hold ``fewest`` samples of a sweep or more."""
+    from scipy.fft import rfft
+
+    made = []
+    for item in followed:
+        if "waveform" not in item or item.sizes["sample"] < fewest:
+            continue
+        signals, rate = item["waveform"].values.astype(np.float64), float(item.attrs["waveform_rate_hz"])
+        names = tuple(str(name) for name in item["channel"].values)
+        n = _even_length(signals.shape[1])
+        signals = signals[:, :n]
+        made.append(
+            SweepSpectrum(
+                str(item.attrs["recording"]),
+                names,
+                float(item.attrs["waveform_start_s"]),
+                rate,
+                min(float(item.attrs["waveform_band_hz"]), 0.47 * rate),
+                np.arange(n // 2 + 1) * rate / n,
+                rfft(signals - signals.mean(axis=1, keepdims=True), axis=1),
+                item["waveform_angle"].values[:n],
+                item["waveform_speed"].values[:n],
+            )
+        )
+    return tuple(made)
+
+
+def _even_length(n: int) -> int:
+    """Largest length up to ``n`` that a transform likes and that can be thinned."""
+    from scipy.fft import next_fast_len
+
+    parts = n // THINNED
+    while parts > 1 and next_fast_len(parts) != parts:
+        parts -= 1
+    return parts * THINNED
+
+
+@dataclass(eq=False)
+class Window:
+    """One recording from ``low_hz`` to ``high_hz`` with the ``orders`` that pass it, for poles to be told in.
+
+    ``degree`` is that of the polynomial in frequency by which the channels answer an order beside the modes;
+    ``shape`` (B,) is that of the noise over the bins, ``level`` (C,) its size: standard deviations of a bin. ``bends``
+    is how the force of each order differs from a square of the speed, as exponent and phase per logarithm of speed.
+    """
+
+    sweep: SweepSpectrum
+    low_hz: float
+    high_hz: float
+    orders: tuple[float, ...]
+    degree: int
+    shape: Array
+    level: Array
+    bends: dict[float, complex] = field(default_factory=dict)
+    _made: dict[tuple[float, complex], tuple[Complex, Complex]] = field(default_factory=dict, repr=False)
+    _carriers: dict[float, tuple[Array, Complex]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(
+        cls, sweep: SweepSpectrum, orders: Sequence[float], low_hz: float, high_hz: float, *, degree: int
+    ) -> Window | None:
+        """Window of ``sweep`` with those of ``orders`` that pass it; None where none does, or it has few bins.
+
+        ``low_hz``, ``high_hz`` and ``degree`` are those of the window.
+        """
+        passing = tuple(order for order in orders if sweep.passing(order, low_hz, high_hz).any())
+        at = (sweep.frequency_hz >= low_hz) & (sweep.frequency_hz <= high_hz)
+        fewest = 4 * (len(passing) * (degree + 2) + 4)
+        if not passing or np.count_nonzero(at) < fewest:
+            return None
+        made = cls(sweep, low_hz, high_hz, passing, degree, np.ones(int(at.sum())), np.ones(len(sweep.channels)))
+        made.level = np.sqrt(np.mean(np.abs(made.measured) ** 2, axis=1))
+        return made
+
+    @cached_property
+    def bins(self) -> slice:
+        """Bins of the transform that lie in the window."""
+        at = np.flatnonzero((self.sweep.frequency_hz >= self.low_hz) & (self.sweep.frequency_hz <= self.high_hz))
+        return slice(int(at[0]), int(at[-1]) + 1)
+
+    @cached_property
+    def frequency_hz(self) -> Array:
+        """Frequencies (B,) of the bins."""
+        return self.sweep.frequency_hz[self.bins]
+
+    @cached_property
+    def measured(self) -> Complex:
+        """The transform (C, B)."""
+        return self.sweep.spectrum[:, self.bins]
+
+    @cached_property
+    def powers(self) -> Array:
+        """Polynomials (B, degree + 1) of the frequency."""
+        place = (2.0 * self.frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
+        return np.asarray(legendre.legvander(place, self.degree))
+
+    def force(self, order: float) -> tuple[Complex, Complex]:
+        """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
+        bend = self.bends.get(order, 0j)
+        if (order, bend) not in self._made:
+            from scipy.fft import fft
+
+            logarithm, carrier = self._carrier(order)
+            turned = carrier * np.exp((FORCE_EXPONENT + bend) * logarithm)
+            both = fft(np.stack([turned, turned * logarithm]), axis=1)[:, self.bins] * (0.5 * self.thinned)
+            self._made = {key: kept for key, kept in self._made.items() if key[0] != order}
+            self._made[order, bend] = (both[0], both[1])
+        return self._made[order, bend]
+
+    @cached_property
+    def thinned(self) -> int:
+        """One sample in so many tells the force of an order as far as the window needs it."""
+        enough = self.sweep.rate_hz / (1.1 * DROPPED_OVER * self.high_hz)
+        return int(2 ** np.clip(np.floor(np.log2(max(enough, 1.0))), 0, np.log2(THINNED)))
+
+    def _carrier(self, order: float) -> tuple[Array, Complex]:
+        """Logarithm of the speed over that at which ``order`` passes, and its carrier, (N / thinned,)."""
+        if order not in self._carriers:
+            sweep, part = self.sweep, slice(None, None, self.thinned)
+            inside = sweep.passing(order, self.low_hz, self.high_hz)
+            speed, hz = sweep.speed_rpm[part], order * sweep.speed_rpm[part] / 60.0
+            whole = np.clip((DROPPED_OVER - hz / self.high_hz) / (DROPPED_OVER - KEPT_OVER), 0.0, 1.0)
+            whole[speed <= SLOWEST_SHARE * sweep.speed_rpm.max()] = 0.0
+            carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
+            self._carriers[order] = sweep.logarithm[part] - float(sweep.logarithm[inside].mean()), carrier
+        return self._carriers[order]
+
+    def is_passed(self, order: float) -> bool:
+        """Whether ``order`` passes the window."""
+        return bool(self.sweep.passing(order, self.low_hz, self.high_hz).any())
+
+    @cached_property
+    def taper(self) -> Array:
+        """Weight (B,) that falls to nothing at both ends of the window."""
+        place = np.abs(2.0 * self.frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
+        return np.asarray(np.cos(0.5 * np.pi * np.clip((place - TAPERED) / (1.0 - TAPERED), 0.0, 1.0)) ** 2)
+
+    def with_order(self, order: float) -> Window:
+        """The window with one ``order`` more."""
+        return replace(self, orders=tuple(sorted({*self.orders, order})))
+
+    def ringing(self, natural_hz: Array, damping: Array) -> Complex:
+        """What modes ring at the ends of the recording (B, M), of about the size of a bin.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes.
+        """
+        natural = 2.0 * np.pi * natural_hz
+        pole = natural * (-damping + 1j * np.sqrt(1.0 - damping**2))
+        turn = np.exp((pole - 2j * np.pi * self.frequency_hz[:, None]) / self.sweep.rate_hz)
+        return np.asarray(1.0 / (1.0 - turn))
+
+    def design(self, natural_hz: Array, damping: Array) -> Complex:
+        """Columns (B, K): of each order its polynomials and modes, what rings of each mode, and two of leakage.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes.
+        """
+        answers = resonance(self.frequency_hz, natural_hz, damping)
+        basis = np.concatenate([self.powers, answers], axis=1)
+        columns = [self.force(order)[0][:, None] * basis for order in self.orders]
+        return np.concatenate([*columns, self.ringing(natural_hz, damping), self.powers[:, :2] + 0j], axis=1)
+
+    def order_columns(self, count: int) -> int:
+        """Columns of one order where ``count`` modes take part."""
+        return self.degree + 1 + count
+
+    def solved(self, natural_hz: Array, damping: Array) -> Solved:
+        """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
+        columns = self.design(natural_hz, damping) / self.shape[:, None]
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        columns /= scale
+        gram = columns.conj().T @ columns + LEAST_NORM * np.eye(len(scale))
+        inverse = np.linalg.inv(np.linalg.cholesky(gram)).conj().T  # upper: columns @ inverse are orthonormal
+        wanted = (self.measured / self.shape).T
+        amplitude = inverse @ (inverse.conj().T @ (columns.conj().T @ wanted))
+        left = (wanted - columns @ amplitude) / self.level
+        return Solved(self, natural_hz, damping, amplitude / scale[:, None], left, columns, inverse, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A ``window`` behind modes: ``amplitude`` (K, C) of its columns, ``left`` (B, C) in standard deviations.
+
+    ``columns`` (B, K) are those over the noise's shape, each over its ``scale`` (K,); ``inverse`` (K, K) makes them
+    orthonormal.
+    """
+
+    window: Window
+    natural_hz: Array
+    damping: Array
+    amplitude: Complex
+    left: Complex
+    columns: Complex
+    inverse: Complex
+    scale: Array
+
+    @cached_property
+    def misfit(self) -> float:
+        """Sum of the squares that are left."""
+        return float(np.sum(np.abs(self.left) ** 2))
+
+    @property
+    def freedom(self) -> int:
+        """Complex numbers beyond the unknowns."""
+        return int((len(self.left) - len(self.scale)) * self.left.shape[1])
+
+    def residue(self, number: int) -> Complex:
+        """Amplitudes (orders, C) of the mode ``number`` behind each order."""
+        width = self.window.order_columns(len(self.natural_hz))
+        at = np.arange(len(self.window.orders)) * width + self.window.degree + 1 + number
+        return np.asarray(self.amplitude[at])
+
+    def rung(self, number: int) -> Complex:
+        """Amplitudes (C,) of what rings of the mode ``number``."""
+        return np.asarray(
+            self.amplitude[len(self.window.orders) * self.window.order_columns(len(self.natural_hz)) + number]
+        )
+
+    def slopes(self) -> Complex:
+        """Derivatives (B, C, 2 M) of what is left by ln f and ln ζ of each mode, the amplitudes as good as they get."""
+        return self._beyond(self._bent)
+
+    @cached_property
+    def _answers_bent(self) -> tuple[Complex, Complex]:
+        """Derivatives (B, 2 M), by ln f and ln ζ in turns, of what each mode answers and of what it rings."""
+        window = self.window
+        made = np.empty((2, len(window.frequency_hz), 2 * len(self.natural_hz)), dtype=np.complex128)
+        for which, (by_f, by_zeta) in enumerate(((STEP, 0.0), (0.0, STEP))):
+            up = self.natural_hz * (1.0 + by_f), self.damping * (1.0 + by_zeta)
+            down = self.natural_hz * (1.0 - by_f), self.damping * (1.0 - by_zeta)
+            made[0, :, which::2] = resonance(window.frequency_hz, *up) - resonance(window.frequency_hz, *down)
+            made[1, :, which::2] = window.ringing(*up) - window.ringing(*down)
+        made /= 2.0 * STEP
+        return made[0], made[1]
+
+    @cached_property
+    def _bent(self) -> Complex:
+        """Derivatives (B, C, 2 M) of the columns by ln f and ln ζ of each mode, with their amplitudes."""
+        answered, rung = self._answers_bent
+        forces = np.stack([self.window.force(order)[0] for order in self.window.orders])
+        made = np.empty((*self.left.shape, answered.shape[1]), dtype=np.complex128)
+        for place in range(answered.shape[1]):
+            number = place // 2
+            made[..., place] = answered[:, place, None] * (forces.T @ self.residue(number))
+            made[..., place] += rung[:, place, None] * self.rung(number)
+        return made
+
+    def envelope(
+        self, order: float, time_s: Array, angle_rev: Array, covariance: Array | None
+    ) -> tuple[Complex, Array]:
+        """Complex amplitude (T, C) of ``order`` at ``time_s`` (T,), with its variance (T, C) by noise and poles.
+
+        ``angle_rev`` (T,) is that of the shaft there, ``covariance`` (2 M, 2 M) that of (ln f, ln ζ) of the modes,
+        None where nobody asks for the variance. The order must lie well within the window then: its ends are tapered.
+        """
+        window = self.window
+        width = window.order_columns(len(self.natural_hz))
+        own = window.orders.index(order) * width + np.arange(width)
+        columns = self.columns[:, own] * self.scale[own] * window.shape[:, None]
+        turn = np.exp(
+            2j * np.pi * (np.outer(time_s - window.sweep.start_s, window.frequency_hz) - order * angle_rev[:, None])
+        )
+        turn *= window.taper * (2.0 / len(window.sweep.angle_rev))
+        seen = turn @ columns
+        value: Complex = np.asarray(seen @ self.amplitude[own])
+        if covariance is None:
+            return value, np.zeros(value.shape)
+        power = np.sum(np.abs(self.left) ** 2, axis=0) / max(len(self.left) - len(self.scale), 1)
+        spread = np.sum(np.abs(seen @ (self.inverse[own] / self.scale[own, None])) ** 2, axis=1)
+        variance = spread[:, None] * power * np.square(window.level)
+        if len(self.natural_hz):
+            answered, _ = self._answers_bent
+            force = window.force(order)[0]
+            bent = np.stack(
+                [
+                    answered[:, at, None] * force[:, None] * self.residue(at // 2)[window.orders.index(order)]
+                    for at in range(answered.shape[1])
+                ],
+                axis=2,
+            )
+            full = (self._bent / window.shape[:, None, None]).reshape(len(self.left), -1)
+            taken = self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ full))
+            taken = (taken / self.scale[:, None])[own].reshape(width, *bent.shape[1:])
+            slope = np.einsum("tb,bcp->tcp", turn, bent) - np.einsum("tw,wcp->tcp", seen, taken)
+            variance = variance + 2.0 * np.einsum("tcp,pq,tcq->tc", slope, covariance, slope.conj()).real
+        return value, np.asarray(variance)
+
+    def slopes_of_bends(self, orders: Sequence[float]) -> Complex:
+        """Derivatives (B, C, orders) of what is left by the bend of each of ``orders``; 0 of those elsewhere."""
+        window = self.window
+        width = window.order_columns(len(self.natural_hz))
+        path = np.concatenate([window.powers, resonance(window.frequency_hz, self.natural_hz, self.damping)], axis=1)
+        made = np.zeros((*self.left.shape, len(orders)), dtype=np.complex128)
+        for place, order in enumerate(orders):
+            if order in window.orders:
+                at = window.orders.index(order) * width
+                made[..., place] = window.force(order)[1][:, None] * (path @ self.amplitude[at : at + width])
+        return self._beyond(made)
+
+    def gain_of(self, order: float) -> float:
+        """What one ``order`` more, answered smoothly and by the modes, saves of twice the negative log likelihood."""
+        window = self.window
+        path = np.concatenate([window.powers, resonance(window.frequency_hz, self.natural_hz, self.damping)], axis=1)
+        columns = window.force(order)[0][:, None] * path / window.shape[:, None]
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        columns -= self.columns @ (self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ columns)))
+        gram = columns.conj().T @ columns + 1e-6 * np.eye(columns.shape[1])
+        seen = columns.conj().T @ self.left
+        return float(2.0 * np.sum(seen.conj() * np.linalg.solve(gram, seen)).real)
+
+    def _beyond(self, bent: Complex) -> Complex:
+        """``bent`` (B, C, P) in standard deviations, without what the columns can make themselves."""
+        flat = (bent / self.window.shape[:, None, None]).reshape(len(bent), -1)
+        flat = flat - self.columns @ (self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ flat)))
+        return np.asarray(flat.reshape(bent.shape) / self.window.level[:, None])

@@ -1,0 +1,108 @@
+"""Poles that the signals of sweeps tell, against the exact signals of ``tests/machines``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crankorder.identify.modal.sweep_poles import SweepFits, sweep_fits
+from crankorder.identify.modal.sweep_window import SweepSpectrum
+from machines.machine import Encoder, Machine, Mode, Order, Profile, Tone
+from machines.signals import order_envelope, recorded, sample_times
+
+RATE_HZ = 1024.0
+HALVES = [0.5 * number for number in range(1, 25)]
+
+
+def a_machine(*modes: tuple[float, float], rpm: tuple[float, float], seconds: float, noise: float = 0.002) -> Machine:
+    """Orders 2 and 3.5 in two channels through ``modes`` (Hz, damping ratio), from ``rpm`` to ``rpm``."""
+    made = tuple(Mode(f, zeta, (0.02, -0.015), (1.0, 0.7), (0.0,)) for f, zeta in modes)
+    orders = (
+        Order(2.0, 0.0, 0.5, 2.0, 30.0, 4.0, (0.02, 0.01)),
+        Order(3.5, 0.2, 0.3, 1.6, -70.0, -6.0, (-0.01, 0.03)),
+    )
+    profile = Profile((0.0, seconds), rpm, 0.3)
+    encoder = Encoder("speed", "speed")
+    density = (noise, noise)
+    return Machine("run-up", 1, RATE_HZ, ("X", "Y"), made, orders, (), (profile,), encoder, density, (), 50.0, False)
+
+
+def spectra_of(machine: Machine, seed: int) -> list[SweepSpectrum]:
+    made = []
+    for number, profile in enumerate(machine.profiles):
+        samples, _ = recorded(machine, profile, np.random.default_rng([seed, number]))
+        n = 64 * (samples.shape[1] // 64)
+        time_s = sample_times(machine, profile)[:n]
+        frequency = np.arange(n // 2 + 1) * RATE_HZ / n
+        spectrum = np.fft.rfft(samples[:, :n], axis=1)
+        angle, speed = profile.angle(time_s), profile.speed(time_s)
+        made.append(
+            SweepSpectrum(str(number), machine.channels, 0.0, RATE_HZ, 0.4 * RATE_HZ, frequency, spectrum, angle, speed)
+        )
+    return made
+
+
+def told(machine: Machine, orders: list[float] | None = None, seed: int = 0) -> SweepFits:
+    followed = [2.0, 3.5] if orders is None else orders
+    spectra = spectra_of(machine, seed)
+    return sweep_fits(spectra, followed, others=HALVES, chance=1e-4, most_damping=0.2)
+
+
+@pytest.mark.parametrize("rpm_per_s", [10.0, -60.0, 300.0])
+@pytest.mark.parametrize("damping", [0.003, 0.02])
+def test_a_mode_is_told_to_a_part_of_its_width_whatever_the_rate(rpm_per_s: float, damping: float) -> None:
+    seconds = min(1500.0 / abs(rpm_per_s), 20.0)
+    middle = 60.0 * 81.3 / 2.7
+    ends = middle - 0.5 * rpm_per_s * seconds, middle + 0.5 * rpm_per_s * seconds
+    poles = told(a_machine((81.3, damping), rpm=ends, seconds=seconds)).poles
+    near = [pole for pole in poles if abs(pole.frequency_hz - 81.3) < 1.0]
+    if not any(
+        ends[0] < 60.0 * 81.3 / order < ends[1] or ends[1] < 60.0 * 81.3 / order < ends[0] for order in (2, 3.5)
+    ):
+        assert not near
+        return
+    assert len(near) == len(poles) == 1
+    assert abs(near[0].frequency_hz - 81.3) < 0.1 * damping * 81.3  # of its half width
+    assert abs(near[0].frequency_hz - 81.3) < 4.0 * near[0].frequency_error_hz
+    assert near[0].damping == pytest.approx(damping, rel=0.15)
+
+
+def test_two_modes_a_hertz_apart_are_two() -> None:
+    poles = told(a_machine((96.0, 0.004), (97.0, 0.003), rpm=(1200.0, 3600.0), seconds=12.0)).poles
+    assert [round(pole.frequency_hz, 1) for pole in poles] == [96.0, 97.0]
+
+
+def test_noise_alone_has_no_modes() -> None:
+    for seed in range(6):
+        machine = a_machine(rpm=(900.0, 3000.0), seconds=8.0, noise=0.1)
+        assert told(machine, seed=seed).poles == ()
+
+
+def test_mains_are_no_mode() -> None:
+    machine = a_machine((81.3, 0.01), rpm=(900.0, 3000.0), seconds=8.0)
+    tones = (Tone(50.02, (0.3, 0.2), (0.4, 1.0)), Tone(100.04, (0.1, 0.2), (0.4, 1.0)))
+    poles = told(replace(machine, tones=tones)).poles
+    assert [round(pole.frequency_hz, 1) for pole in poles] == [81.3]
+
+
+def test_an_order_that_nobody_followed_is_no_mode() -> None:
+    poles = told(a_machine((81.3, 0.01), rpm=(900.0, 3000.0), seconds=8.0), orders=[3.5]).poles
+    assert [round(pole.frequency_hz, 1) for pole in poles] == [81.3]
+
+
+def test_the_envelope_of_the_fit_has_the_peak_that_was_there() -> None:
+    machine = a_machine((81.3, 0.005), rpm=(1100.0, 3500.0), seconds=6.0)
+    profile = machine.profiles[0]
+    (group,) = told(machine).groups
+    for number, order in enumerate((2.0, 3.5)):
+        true = order_envelope(machine, profile, number)[0]
+        time_s = sample_times(machine, profile)
+        at = int(np.argmax(np.abs(true).max(axis=0)))
+        near = slice(at - 40, at + 40, 8)
+        one = group.fit.solved[0]
+        value, variance = one.envelope(order, time_s[near], profile.angle(time_s[near]), group.covariance)
+        largest = np.abs(true).max()
+        assert np.abs(value.T - true[:, near]).max() < 0.02 * largest
+        assert (np.abs(value.T - true[:, near]) < 5.0 * np.sqrt(variance.T) + 0.004 * largest).all()
