@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing
 import os
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from crankorder.batch import locks
 from crankorder.batch.locks import locked
 from crankorder.errors import EnvironmentFailure
 
@@ -67,4 +69,24 @@ def test_who_holds_it_stands_in_the_lock(tmp_path):
 def test_a_place_that_cannot_be_written_is_said_to_be_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(EnvironmentFailure, match="file"), locked(tmp_path / "file" / "test"):
+        pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, 37, 77, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_f7_a_disk_without_locks_is_told_of_where_something_is_written(tmp_path, monkeypatch, number):
+    def refused(handle: int, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(locks.fcntl, "flock", refused)
+    told = []
+    with locked(tmp_path / "test", tell=told.append):
+        assert told == ["test: this disk knows no locks: let no other run write there at the same time"]
+
+
+def test_f7_a_lock_that_fails_in_another_way_is_no_disk_without_locks(tmp_path, monkeypatch):
+    def refused(handle: int, operation: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(locks.fcntl, "flock", refused)
+    with pytest.raises(EnvironmentFailure), locked(tmp_path / "test"):
         pass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import shutil
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from crankorder.batch import result_folder
+from crankorder.batch.index import BATCH, INDEX, publish_index
 from crankorder.batch.result_folder import DONE, Owner, belongs, finished_with, publish, refuse_foreign, settle
 from crankorder.errors import EnvironmentFailure, RequestError
 
@@ -22,16 +24,55 @@ def held(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != DONE}
 
 
-def failing_at(number: int, real):
-    count = [0]
+class FailsAt:
+    """A call in whose place another stands that fails once, the ``number``-th time, with the error ``fault``."""
 
-    def failing(*arguments, **named):
-        count[0] += 1
-        if count[0] == number + 1:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "disk")
-        return real(*arguments, **named)
+    def __init__(self, real, number: int, fault: int) -> None:
+        self.real, self.left, self.fault = real, number, fault
 
-    return failing
+    def __call__(self, *arguments, **named):
+        self.left -= 1
+        if self.left == -1:
+            raise OSError(self.fault, os.strerror(self.fault), "disk")
+        return self.real(*arguments, **named)
+
+    @property
+    def reached(self) -> bool:
+        return self.left < 0
+
+
+class HalfWritten(FailsAt):
+    """The stream of a file, made by ``os.fdopen``, that takes half of what is written and no more."""
+
+    def __call__(self, *arguments, **named):
+        stream = self.real(*arguments, **named)
+        self.left -= 1
+        if self.left != -1:
+            return stream
+
+        class Stream(type(stream)):
+            def write(_, data):
+                stream.write(data[: len(data) // 2])
+                raise OSError(self.fault, os.strerror(self.fault))
+
+            def __exit__(_, *error):
+                stream.close()
+
+        return Stream(stream)
+
+
+CALLS = ("fsync", "rename", "replace", "open", "mkdir", "unlink", "half a write")
+MOST_CALLS = 60
+
+
+@contextlib.contextmanager
+def failing(monkeypatch, call: str, number: int, fault: int):
+    """While this lasts, the ``number``-th ``call`` of the system fails."""
+    name, kind = ("fdopen", HalfWritten) if call == "half a write" else (call, FailsAt)
+    made = kind(getattr(os, name), number, fault)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, name, made)
+        yield made
 
 
 def test_published_results_are_finished_with_their_key_and_no_other(tmp_path):
@@ -52,32 +93,65 @@ def test_results_that_were_touched_are_not_finished(tmp_path, name, harm):
     assert not finished_with(tmp_path / "out", "one")
 
 
-@pytest.mark.parametrize("can_exchange", [True, False])
-@pytest.mark.parametrize("call", ["fsync", "rename", "open", "mkdir", "write"])
-@pytest.mark.parametrize("number", range(8))
-def test_whichever_call_fails_the_old_results_are_whole_or_the_new_ones(
-    tmp_path, monkeypatch, call, number, can_exchange
-):
-    out = tmp_path / "out"
-    publish(out, OLD, key="old")
-    with monkeypatch.context() as patched:
-        if not can_exchange:
-            patched.setattr(result_folder, "_exchanged", lambda one, other: False)
-        if call == "write":
-            patched.setattr(result_folder, "write_flushed", failing_at(number, result_folder.write_flushed))
-        else:
-            patched.setattr(os, call, failing_at(number, getattr(os, call)))
-        try:
-            publish(out, NEW, key="new")
-            failed = False
-        except EnvironmentFailure as error:
-            failed = True
-            assert error.exit_status == 5 and "No space left" in str(error)
-    settle(out)  # as every command does first
-    assert not failed or finished_with(out, "old") or finished_with(out, "new")
-    assert failed or finished_with(out, "new")
-    assert held(out) == (OLD if finished_with(out, "old") else NEW)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EIO])
+@pytest.mark.parametrize("way", ["exchanged", "renamed", "among files of others"])
+@pytest.mark.parametrize("call", CALLS)
+def test_whichever_call_fails_the_old_results_are_whole_or_the_new_ones(tmp_path, monkeypatch, call, way, fault):
+    """Each time one more call goes well, until all do."""
+    for number in range(MOST_CALLS):
+        out = tmp_path / str(number) / "out"
+        out.mkdir(parents=True)
+        others = {"notes.txt": b"mine"} if way == "among files of others" else {}
+        for name, data in others.items():
+            (out / name).write_bytes(data)
+        publish(out, OLD, key="old")
+        failed = False
+        with failing(monkeypatch, call, number, fault) as made:
+            if way == "renamed":
+                monkeypatch.setattr(result_folder, "_exchanged", lambda one, other: False)
+            try:
+                publish(out, NEW, key="new")
+            except EnvironmentFailure as error:
+                failed = True
+                assert error.exit_status == 5 and os.strerror(fault) in str(error)
+        before = held(out) if (out / DONE).exists() else None
+        settle(out)  # as every command does first
+        assert before in (None, held(out))
+        assert finished_with(out, "new") or (failed and finished_with(out, "old"))
+        assert held(out) == {**others, **(OLD if finished_with(out, "old") else NEW)}
+        assert [path.name for path in out.parent.iterdir()] == ["out"]
+        if not made.reached:
+            assert not failed
+            return
+    raise AssertionError("more calls than were tried")
+
+
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EIO])
+@pytest.mark.parametrize("call", CALLS)
+def test_whichever_call_fails_each_file_of_the_index_is_the_old_one_or_the_new_one(tmp_path, monkeypatch, call, fault):
+    for number in range(MOST_CALLS):
+        out = tmp_path / str(number)
+        publish(out / "a", OLD, key="a", record={"name": "a", "status": "done", "folder": "a"})
+        publish_index(out, [], page_of=lambda tests: f"{len(tests)} test")
+        old = {path.name: path.read_bytes() for path in (out / BATCH, out / INDEX)}
+        publish(out / "b", NEW, key="b", record={"name": "b", "status": "done", "folder": "b"})
+        failed = False
+        with failing(monkeypatch, call, number, fault) as made:
+            try:
+                publish_index(out, [], page_of=lambda tests: f"{len(tests)} test")
+            except EnvironmentFailure as error:
+                failed = True
+                assert error.exit_status == 5
+        now = {path.name: path.read_bytes() for path in (out / BATCH, out / INDEX)}
+        publish_index(out, [], page_of=lambda tests: f"{len(tests)} test")
+        new = {path.name: path.read_bytes() for path in (out / BATCH, out / INDEX)}
+        assert [one["name"] for one in json.loads(new[BATCH])["tests"]] == ["a", "b"]
+        assert all(now[name] in (old[name], new[name]) for name in now)
+        assert failed or now == new
+        assert {path.name for path in out.iterdir()} <= {"a", "b", BATCH, INDEX, f".{BATCH}.lock"}
+        if not made.reached:
+            return
+    raise AssertionError("more calls than were tried")
 
 
 @pytest.mark.parametrize("can_exchange", [True, False])

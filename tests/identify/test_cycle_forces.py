@@ -7,7 +7,9 @@ import pytest
 
 from crankorder.engine.definition import Cylinder, Engine, GasCurve, load_engine
 from crankorder.engine.slider_crank import piston_velocity
-from crankorder.identify.cycle_forces import cycle_forces, gas_half_orders
+from crankorder.findings import OrderFinding
+from crankorder.identify.cycle_forces import cycle_doubts, cycle_forces, gas_half_orders
+from made.typed import record_of
 
 FIRING = load_engine("msu-optical-second-firing")
 
@@ -70,3 +72,23 @@ def test_without_gas_or_the_firing_angles_nothing_is_said() -> None:
 
 def test_half_orders_of_the_gas_are_named() -> None:
     assert gas_half_orders([0.5, 1.0, 1.493, 5.5]) == ("0.5", "1.5")
+
+
+@pytest.mark.parametrize(
+    ("orders", "two_stroke", "doubted"),
+    [
+        ({0.5: "locked", 1.0: "locked", 1.5: "locked"}, True, True),
+        ({0.5: "locked", 1.0: "locked", 1.5: "locked"}, False, False),  # a four-stroke engine, or a rotor that rubs
+        ({0.5: "locked", 1.0: "locked", 2.0: "locked"}, True, False),
+        ({0.5: "locked", 1.5: "slips"}, True, False),
+        ({0.5: "undecided", 1.5: "undecided"}, True, False),
+        ({}, True, False),
+    ],
+)
+def test_d16_several_half_orders_put_a_stated_two_stroke_cycle_in_doubt(
+    orders: dict[float, str], two_stroke: bool, doubted: bool
+) -> None:
+    found = [record_of(OrderFinding, {"order": order, "lock": lock}) for order, lock in orders.items()]
+    flags = cycle_doubts([*found, *found], two_stroke=two_stroke)  # the same in a second channel
+    assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
+    assert all("0.5, 1.5" in one.detail and "four-stroke" in one.detail for one in flags)

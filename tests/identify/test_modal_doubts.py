@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+import xarray as xr
 from tests.made.floors import Made, campbell_of, no_orders
 
-from crankorder.identify.found import ModalFit
-from crankorder.identify.modal.doubts import common_step, said_wide
+from crankorder.identify.found import ModalFit, Mode
+from crankorder.identify.modal.doubts import common_step, of_the_air, said_wide
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
@@ -56,3 +57,13 @@ def test_tones_of_no_common_step_have_none() -> None:
 def test_the_evidence_says_when_the_frequency_is_known_badly() -> None:
     assert said_wide(100.0, 0.09) == ""
     assert "± 0.39 %" in said_wide(100.0, 0.2)
+
+
+def test_what_is_heard_in_pressure_alone_is_not_called_a_mode() -> None:
+    channels = {"channel": ["microphone", "mount"], "quantity": ("channel", ["sound pressure", "acceleration"])}
+    heard = Mode(100.0, 0.1, 0.02, 0.001, ("microphone",), 10.0, "seen")
+    felt = replace(heard, channels=("microphone", "mount"))
+    doubted, kept = of_the_air((heard, felt), xr.Dataset(coords=channels))
+    assert "pressure alone" in doubted.undecided
+    assert kept.undecided == ""
+    assert of_the_air((heard,), xr.Dataset()) == (heard,)

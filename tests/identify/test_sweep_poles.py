@@ -102,7 +102,11 @@ def test_the_envelope_of_the_fit_has_the_peak_that_was_there() -> None:
         at = int(np.argmax(np.abs(true).max(axis=0)))
         near = slice(at - 40, at + 40, 8)
         one = group.fit.solved[0]
-        value, variance = one.envelope(order, time_s[near], profile.angle(time_s[near]), group.covariance)
+        turn = one.window.turn(order, time_s[near], profile.angle(time_s[near]))
+        value, variance = one.envelope(order, turn, group.covariance)
+        plain = np.exp(2j * np.pi * np.outer(time_s[near] - one.window.sweep.start_s, one.window.frequency_hz))
+        plain *= np.exp(-2j * np.pi * order * profile.angle(time_s[near]))[:, None] * one.window.taper
+        assert np.abs(turn - plain * 2.0 / len(one.window.sweep.angle_rev)).max() < 1e-9 * np.abs(turn).max()
         largest = np.abs(true).max()
         assert np.abs(value.T - true[:, near]).max() < 0.02 * largest
         assert (np.abs(value.T - true[:, near]) < 5.0 * np.sqrt(variance.T) + 0.004 * largest).all()

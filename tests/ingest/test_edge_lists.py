@@ -151,6 +151,22 @@ def test_edges_in_a_file_of_their_own_read_as_pulses_in_the_recording(tmp_path: 
     assert [one["name"] for one in stated["inputs"]] == ["a.h5", "a.edges.csv"]
 
 
+def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_are_not(tmp_path: Path) -> None:
+    assert run(joined(tmp_path / "joined"), tmp_path / "out")[0] == 0
+    (told,) = [one for one in findings_in(tmp_path / "out")["quality"] if one["flag"] == "clocks_not_compared"]
+    pulses = edges_of(0)[0]
+    assert told["severity"] == "info"
+    assert f"in {1e-5 * (pulses[-1] - pulses[0]) * 1e3:.2g} ms" in told["detail"]
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    write_signal(folder / "a.h5", pulses=pulses)
+    table = '[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n'
+    table += f'[encoder]\nkind = "pulse_times"\nsource = "pulses"\n{WHEEL}'
+    (folder / "run.toml").write_text(HEAD.format(name="alone", files="*.h5") + table, encoding="utf-8")
+    run(folder, tmp_path / "alone-out")
+    assert not [one for one in findings_in(tmp_path / "alone-out")["quality"] if one["flag"] == "clocks_not_compared"]
+
+
 def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path: Path) -> None:
     code, said = run(joined(tmp_path / "joined", files="*"), tmp_path / "out")
     assert code == 0, said

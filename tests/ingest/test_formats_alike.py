@@ -161,6 +161,52 @@ def test_a_stump_is_an_error_that_names_the_file(tmp_path, limits, name, content
         contents_of(tmp_path / name, settings=limits)
 
 
+@pytest.mark.parametrize("share", [0.999, 0.97, 0.92, 0.905, 0.89, 0.5, 0.1])
+@pytest.mark.parametrize("segments", [1, 10])
+def test_a2_a_cut_tdms_is_refused_or_flagged_with_its_counts_but_never_silently_short(
+    tmp_path, limits, capfd, share, segments
+):
+    nptdms = pytest.importorskip("nptdms", reason="the package nptdms (extra tdms) is not installed")
+    made, path = columns(1), tmp_path / "a.tdms"
+    n = made["acc"].size // segments
+    with nptdms.TdmsWriter(str(path)) as file:
+        for first in range(0, segments * n, n):
+            parts = [nptdms.ChannelObject("bench", name, made[name][first : first + n]) for name in ("acc", "crank")]
+            file.write_segment(parts)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: round(share * len(whole))])
+    if share < 0.9 and segments == 1:
+        with pytest.raises(InputError, match=rf"truncated: .* of {len(whole)} bytes") as error:
+            read_file(path, sources=["acc", "crank"], settings=limits)
+        assert "a.tdms" in str(error.value)
+        return
+    # of several segments, those behind the cut leave no trace: only the one that was cut tells
+    raw = read_file(path, sources=["acc", "crank"], settings=limits)
+    (told,) = raw.flags
+    lengths = {values.size for values in raw.columns.values()}
+    assert told["flag"] == "missing_data" and told["severity"] == "suspect"
+    assert f"{path.stat().st_size} of " in told["detail"] and "nptdms" in told["detail"]
+    assert len(lengths) == 1 and f"{lengths.pop()} samples are there" in told["detail"]
+    for name, values in raw.columns.items():
+        np.testing.assert_array_equal(values, made[name][: values.size])
+    assert capfd.readouterr().err == ""
+
+
+def test_a2_a_tdms_is_flagged_wherever_it_is_cut_but_between_two_segments(tmp_path, limits):
+    nptdms = pytest.importorskip("nptdms", reason="the package nptdms (extra tdms) is not installed")
+    path, values = tmp_path / "a.tdms", np.arange(20.0)
+    with path.open("wb", buffering=0) as stream, nptdms.TdmsWriter(stream) as file:
+        ends = []
+        for _ in range(20):
+            file.write_segment([nptdms.ChannelObject("g", "a", values)])
+            ends.append(path.stat().st_size)
+    whole = path.read_bytes()
+    for size in {*range(len(whole) * 19 // 20, len(whole), 17), ends[-2]}:
+        path.write_bytes(whole[:size])
+        flags = [one["flag"] for one in read_file(path, sources=["a"], settings=limits).flags]
+        assert flags == ([] if size in ends else ["missing_data"]), size
+
+
 HEAD_HDF = (
     b"start of data: 8192\r\nnumber of channels: 2\r\nnbr of scans: 4410\r\nchannel definition: 1\r\ncalibration: 93.5"
 )

@@ -212,10 +212,14 @@ def _at_an_end(machine: Machine, takes: tuple[Take, ...], true: int, channel: in
 
 
 def _at_speed(take: Take, true: int, channel: int, at: float) -> FloatArray:
-    """Smallest and largest of what a recording held at the speed ``at``: nothing where it never had it."""
-    near = np.abs(take.speed_rpm - at) <= max(3.0, 0.005 * at)
-    size = np.abs(take.envelopes[true][channel][near])
-    return np.array([size.min(), np.median(size), size.max()]) if size.size else size
+    """Smallest and largest of what a recording held near the speed ``at``, and what it held there, if it ever had it.
+
+    A row of a line that rises steeply is right where it holds what was at its own speed.
+    """
+    off = np.abs(take.speed_rpm - at)
+    near = off <= max(3.0, 0.005 * at)
+    size = np.abs(take.envelopes[true][channel])
+    return np.array([size[near].min(), size[np.argmin(off)], size[near].max()]) if near.any() else size[near]
 
 
 def _phase(machine: Machine, takes: tuple[Take, ...], record: dict[str, Any], true: int) -> list[Judgement]:

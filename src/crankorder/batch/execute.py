@@ -40,6 +40,7 @@ from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, Quality, SpeedSwing, quality_of
+from crankorder.identify.cycle_forces import cycle_doubts
 from crankorder.identify.sources import Sources
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity
@@ -212,6 +213,7 @@ def results_of_test(
     ]
     told = [flag for flag in quality_of(_flags_of(results)) if flag not in findings.quality]
     quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out], name_of)))
+    quality += tuple(cycle_doubts(findings.orders, two_stroke=sources.two_stroke))
     most_deg = settings.orders.largest_eccentricity_deg
     findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
     findings = replace(findings, quality=(*quality, *contradiction_flags(findings)))

@@ -25,7 +25,7 @@ PAUSE_S = 0.05
 _held: set[int] = set()
 """Locks of this process: a worker that is forked from it closes them, so that they end with this process."""
 
-WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, getattr(errno, "EBADFD", errno.ENOLCK))
 
 
 @contextlib.contextmanager

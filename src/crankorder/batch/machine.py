@@ -50,6 +50,7 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         paths=manifest.transfer_paths,
         added=manifest.added_masses,
         motor=manifest.motor,
+        two_stroke=manifest.test.cycle == "two-stroke",
     )
 
 

@@ -28,6 +28,9 @@ DONE, RESULTS, FINDINGS = "done.json", "results.nc", "findings.json"
 TIMINGS = "timings.json"
 """Seconds of the stages: no result, and not the same in a second run."""
 
+FORMER = "former.json"
+"""Marker of the results that are being replaced, while files are moved in among those of others."""
+
 EXCHANGE = 2
 """``RENAME_EXCHANGE`` of Linux's renameat2."""
 
@@ -40,10 +43,10 @@ class Owner:
     manifest_sha256: str
 
 
-def marker_of(folder: Path) -> dict[str, Any]:
-    """What ``done.json`` in ``folder`` says; empty where there is none that a run wrote."""
+def marker_of(folder: Path, name: str = DONE) -> dict[str, Any]:
+    """What ``done.json``, or another ``name``, in ``folder`` says; empty where there is none that a run wrote."""
     try:
-        marker = json.loads((folder / DONE).read_bytes())
+        marker = json.loads((folder / name).read_bytes())
         names = marker["outputs_sha256"]
         sound = isinstance(marker["key"], str) and all(Path(name).name == name for name in names)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -265,17 +268,20 @@ def _replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
     folder.mkdir(exist_ok=True)
     new = folder / _inside(folder)
     _write_all(new, files)
-    stale = set(marker_of(folder).get("outputs_sha256", ())) - set(files)
-    (folder / DONE).unlink(missing_ok=True)
+    if marker_of(folder):
+        (folder / DONE).rename(new / FORMER)
     _move_in(folder, new)
-    for name in stale:
-        (folder / name).unlink(missing_ok=True)
     new.rmdir()
 
 
 def _move_in(folder: Path, new: Path) -> None:
-    for path in sorted(new.iterdir(), key=lambda path: path.name == DONE):
+    """Move what is ``new`` into ``folder``, the marker last, and remove what only the results before had."""
+    for name in set(marker_of(new, FORMER).get("outputs_sha256", ())) - set(marker_of(new)["outputs_sha256"]):
+        (folder / name).unlink(missing_ok=True)
+    files = [path for path in new.iterdir() if path.name != FORMER]
+    for path in sorted(files, key=lambda path: path.name == DONE):
         path.replace(folder / path.name)
+    (new / FORMER).unlink(missing_ok=True)
     flush_folder(folder)
 
 

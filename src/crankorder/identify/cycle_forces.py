@@ -13,6 +13,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.engine.gas import gas_torque_by_order
 from crankorder.errors import RequestError
+from crankorder.findings import OrderFinding, Quality
 from crankorder.settings import MethodNumbers
 
 
@@ -98,3 +99,19 @@ def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:
     return tuple(
         f"{one:.1f}" for one in orders if any(abs(one - known) < NUMBERS.gas_reach_orders for known in GAS_ORDERS)
     )
+
+
+def cycle_doubts(orders: Iterable[OrderFinding], *, two_stroke: bool) -> list[Quality]:
+    """A flag where the ``orders`` found do not fit the stated cycle: several half orders of a ``two_stroke`` engine.
+
+    They must be locked to the shaft. Fewer half orders than a four-stroke engine could make say nothing.
+    """
+    locked = sorted({one.order for one in orders if one.lock == "locked"})
+    half = gas_half_orders(locked) if two_stroke else ()
+    if len(half) < 2:
+        return []
+    detail = (
+        f"half orders ({', '.join(half)}) are locked to the shaft, and a two-stroke engine's gas makes none: "
+        'if it is a four-stroke engine, state cycle = "four-stroke"; else something rubs or is loose'
+    )
+    return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)]

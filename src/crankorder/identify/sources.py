@@ -17,7 +17,7 @@ class Sources:
     ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
     and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
     named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose;
-    ``motor``: a stated induction motor.
+    ``motor``: a stated induction motor; ``two_stroke``: whether it is a piston engine that fires each revolution.
     """
 
     revs_per_cycle: int
@@ -29,6 +29,7 @@ class Sources:
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()
     motor: Motor | None = None
+    two_stroke: bool = False
     known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
 
     def __post_init__(self) -> None:

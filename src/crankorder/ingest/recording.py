@@ -387,6 +387,8 @@ def _add_encoder(
         encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
+    if encoder.file is not None and manifest.channels and pulse_s.size > 1:
+        flags.append(flag(path, "clocks_not_compared", "info", _of_two_clocks(float(pulse_s[-1] - pulse_s[0]))))
     marks = (("index", encoder.index, "revolution", "no_index"), ("cam mark", encoder.cam, "cycle", "no_cam"))
     for role, source, axis, silent in marks:
         if source is None:
@@ -398,6 +400,13 @@ def _add_encoder(
             mark_s = np.empty(0)
         name = f"{role.split()[0]}_time"
         recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role}"})
+
+
+def _of_two_clocks(length_s: float) -> str:
+    return (
+        "times of pulses come from a file of their own, and nothing compares its clock with that of the samples: "
+        f"each 10 ppm between them move the angle by what the shaft turns in {1e-2 * length_s:.2g} ms, by the end"
+    )
 
 
 def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crankorder.errors import EnvironmentFailure
+from crankorder.errors import EnvironmentFailure, InputError, printable
 from crankorder.ingest.child import in_child
 from crankorder.ingest.rawfile import (
     Contents,
@@ -28,6 +31,12 @@ _REALS = "iufb"
 _MOST_PER_BYTE = 8
 """Bytes of samples that a byte of the file may become: its integers are widened, nothing is compressed."""
 
+_LEAD_IN, _OPEN = 28, 2**64 - 1
+"""Bytes before each segment, and the length of one that its writer never closed."""
+
+_MIN_PRESENT = 0.9
+"""Share of the stated bytes below which a cut recording is refused; above it, it is used and flagged."""
+
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Channels that ``sources`` ask for from the TDMS file at ``path``, scaled as it says: ``"group/channel"``.
@@ -38,9 +47,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     parser = _parser(path)
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
-    told, columns, incomplete, start_s = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
+    told, columns, cut, start_s = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
     names = {source: named(source, told.names, path) for source in sources}
-    flags = [flag(path, "missing_data", "suspect", "the last segment was not written to its end")] if incomplete else []
+    if cut is not None and cut.share < _MIN_PRESENT:
+        raise InputError(
+            f"truncated: {cut.words}", file=path, found=printable(cut.said) or None, remedy="Copy it again"
+        )
+    said = "" if cut is None or not cut.said else f" ({printable(cut.said)})"
+    flags = [] if cut is None else [flag(path, "missing_data", "suspect", f"truncated: {cut.words}{said}")]
     rates = {name: told.rates_hz[name] for name in names.values() if name in told.rates_hz}
     return RawFile(
         columns={source: columns[name] for source, name in names.items()},
@@ -108,11 +122,20 @@ def _is_step(step: Any) -> bool:
     return isinstance(step, (int, float)) and bool(np.isfinite(step)) and step > 0
 
 
+@dataclass(frozen=True)
+class _Cut:
+    """A file that lacks its end: which ``share`` of its bytes is there, that in ``words``, and what nptdms ``said``."""
+
+    share: float
+    words: str
+    said: str
+
+
 def _read(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
-) -> tuple[Contents, dict[str, Any], bool, float]:
-    """What the file holds, columns by name, whether its last segment is cut short, and the first time."""
-    with parser.open(path) as file:
+) -> tuple[Contents, dict[str, Any], _Cut | None, float]:
+    """What the file holds, columns by name, what it lacks of its end, and the first time."""
+    with _heard() as said, parser.open(path) as file:
         channels = _channels(file)
         told = _told(channels)
         names = list(dict.fromkeys(named(source, told.names, path) for source in sources))
@@ -123,4 +146,58 @@ def _read(
             columns[name] = values.astype(float_type_for(values.dtype), copy=False)
         offset = channels[names[0]].properties.get("wf_start_offset", 0.0) if names else 0.0
         start_s = float(offset) if isinstance(offset, (int, float)) and np.isfinite(offset) else 0.0
-        return told, columns, bool(getattr(file.file_status, "incomplete_final_segment", False)), start_s
+        stated = _stated_samples(file, {name: channels[name] for name in names})
+        cut = _cut(path, columns, stated, " ".join(said.getvalue().split()))
+        if cut is not None and len(set(stated.values())) == 1:
+            shortest = min(map(len, columns.values()))
+            columns = {name: values[:shortest] for name, values in columns.items()}
+        return told, columns, cut, start_s
+
+
+def _stated_samples(file: Any, channels: dict[str, Any]) -> dict[str, int]:
+    """Samples of each of the ``channels`` with those that the last chunk of ``file`` states and lacks."""
+    lacking = file.file_status.channel_statuses or {}
+    return {
+        name: len(channel)
+        + (0 if (one := lacking.get(channel.path)) is None else max(0, one.expected_length - one.read_length))
+        for name, channel in channels.items()
+    }
+
+
+def _cut(path: Path, columns: dict[str, Any], stated: dict[str, int], said: str) -> _Cut | None:
+    """What ``path`` lacks of its end, None where it is whole; ``columns`` of ``stated`` lengths are in it."""
+    size, end = path.stat().st_size, _stated_bytes(path)
+    if end == size:
+        return None
+    there, all_of_it = min(map(len, columns.values()), default=0), max(stated.values(), default=0)
+    samples = f"{there} samples are there" + (f" of {all_of_it} or more" if all_of_it > there else "")
+    if end is None:
+        return _Cut(1.0, f"its last segment was not written to its end: {samples}, and more may be lost", said)
+    return _Cut(size / end, f"{size} of {end} bytes: {samples}", said)
+
+
+def _stated_bytes(path: Path) -> int | None:
+    """Bytes that the segments of ``path`` say it has; None where the last was never closed, or lacks its lead-in."""
+    size, place = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while place < size:
+            file.seek(place)
+            lead_in = file.read(_LEAD_IN)
+            length = int.from_bytes(lead_in[12:20], "big" if lead_in[4:5] and lead_in[4] & 64 else "little")
+            if len(lead_in) < _LEAD_IN or length == _OPEN:
+                return None
+            place += _LEAD_IN + length
+    return place
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[io.StringIO]:
+    """What nptdms logs meanwhile, as text; nothing of it goes to the terminal."""
+    from nptdms.log import log_manager
+
+    said, handler = io.StringIO(), log_manager.console_handler
+    before, handler.stream = handler.stream, said
+    try:
+        yield said
+    finally:
+        handler.stream = before

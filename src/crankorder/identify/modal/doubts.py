@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import xarray as xr
 
 from crankorder.campbell.map import HANN_CORRELATION
+from crankorder.identify.found import Mode
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit
 from crankorder.identify.modal.tones import NUMBERS as TONES
@@ -180,12 +184,17 @@ def of_lines_within(problem: Problem, fit: SurfaceFit, number: int, floor: Floor
     )
 
 
-def of_the_air(shown: tuple[str, ...], floor: Floor) -> str:
-    """Why a hump in the channels ``shown`` may be one of the air or of the source; "" where one is no pressure.
+def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...]:
+    """``modes``, in doubt where they are seen in pressure alone: they may be of the air or of the source.
 
-    ``floor``: in all channels.
+    ``campbell`` (CampbellMap) tells what each channel measures.
     """
-    quantity = dict(zip(floor.channels, floor.quantity, strict=True))
-    if not all(any(word in quantity[name].lower() for word in PRESSURES) for name in shown):
-        return ""
-    return "seen in pressure alone: a room, a duct or the spectrum of the source would look the same"
+    if "quantity" not in campbell.coords:
+        return modes
+    quantity = zip(campbell["channel"].values.tolist(), campbell["quantity"].values.tolist(), strict=True)
+    heard = {name for name, what in quantity if any(word in what.lower() for word in PRESSURES)}
+    doubt = "seen in pressure alone: a room, a duct or the spectrum of the source would look the same"
+    return tuple(
+        replace(mode, undecided=doubt) if not mode.undecided and heard.issuperset(mode.channels) else mode
+        for mode in modes
+    )

@@ -205,7 +205,7 @@ def modal_fit(
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, floors, unit, settings)
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
-    made = replace(made, hidden=hidden, swings=told.swings)
+    made = replace(made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings)
     return with_whirls(made, whirls, campbell["speed"].values)
 
 
@@ -478,7 +478,7 @@ def _mode(
     )
     if not doubt and narrower_than_fitted(problem, fit, number):
         doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
-    doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or of_the_air(names, floor)
+    doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings)
     if (
         doubt
         and is_proven(proof)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.sweep_window import BEND_SPREAD, Solved, SweepSpectrum, Window
+from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, shares_of
+from crankorder.identify.modal.sweep_window import Solved, SweepSpectrum, Window
 from crankorder.identify.resonance import resonance
 from crankorder.settings import MethodNumbers
 
@@ -22,6 +22,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     beside_share: float
     blurs: float
     widths: float
+    widest_share: float
+    most_together: int
     fewest_bins: int
     search_degree: int
     degrees: tuple[int, int]
@@ -31,8 +33,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     frequency_model_share: float
     damping_model_share: float
     known_share: float
-    smoothed_share: float
-    least_noise_share: float
+    alone_frequency_share: float
+    alone_damping_share: float
     lowest_hz: float
     highest_hz: float
     most_tiles: int
@@ -43,21 +45,9 @@ NUMBERS = _Numbers.load()
 TRIED_DAMPING = (0.003, 0.015, 0.06)
 """Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
 
-LIGHTEST, HEAVIEST = 1e-4, 0.5
-"""Damping ratios that a fit may come to."""
-
-LARGEST_STEP = 0.4
-"""Largest step of a fit: of a frequency as a share of its half width, of the logarithm of a damping, of a bend."""
-
-SETTLED = 0.1
-"""Misfit that a step must save to be followed by another."""
-
 ROUGHLY = {"rounds": 1, "steps": 6}
 EXACTLY = {"rounds": 2, "steps": 6}
 """Times that the noise is told anew, and steps between: while poles are looked for, and in the end."""
-
-LAGS = 3
-"""Bins beside one another whose errors may go together."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -94,177 +84,6 @@ class SweepPole:
     def damping_error(self) -> float:
         """Standard error of the damping ratio."""
         return float(self.damping * np.sqrt(self.covariance[1, 1]))
-
-
-@dataclass(frozen=True, eq=False)
-class LocalFit:
-    """``windows`` of all recordings at one place of frequency behind common poles ``natural_hz``, ``damping`` (M,)."""
-
-    windows: tuple[Window, ...]
-    natural_hz: Array
-    damping: Array
-
-    @cached_property
-    def solved(self) -> tuple[Solved, ...]:
-        """Each window with its amplitudes."""
-        return tuple(window.solved(self.natural_hz, self.damping) for window in self.windows)
-
-    @cached_property
-    def orders(self) -> tuple[float, ...]:
-        """Orders that pass any of the windows."""
-        return tuple(sorted({order for window in self.windows for order in window.orders}))
-
-    @cached_property
-    def bends(self) -> Complex:
-        """Bend of the force of each of the orders."""
-        every = {order: bend for window in self.windows for order, bend in window.bends.items()}
-        return np.array([every.get(order, 0j) for order in self.orders], dtype=np.complex128)
-
-    @cached_property
-    def misfit(self) -> float:
-        """Squares that are left, and those by which the forces differ from what is usual."""
-        left = sum(one.misfit for one in self.solved)
-        return float(left + np.sum(np.abs(self.bends) ** 2) / (2.0 * BEND_SPREAD**2))
-
-    @cached_property
-    def freedom(self) -> int:
-        """Complex numbers beyond the amplitudes."""
-        return sum(one.freedom for one in self.solved)
-
-    def normal(self) -> tuple[Array, Array, list[Array]]:
-        """Normal matrix (P, P), right side (P,) and scores by bin (B, P) of poles, then bends (real, imaginary)."""
-        orders = self.orders
-        size = 2 * len(self.natural_hz) + 2 * len(orders)
-        matrix, side = np.zeros((size, size)), np.zeros(size)
-        scores = []
-        for one in self.solved:
-            bent = one.slopes_of_bends(orders)
-            both = np.stack([bent, 1j * bent], axis=3).reshape(*bent.shape[:2], -1)
-            rows = np.concatenate([one.slopes(), both], axis=2)
-            flat, left = rows.reshape(-1, size), one.left.ravel()
-            matrix += (flat.conj().T @ flat).real
-            side += (flat.conj().T @ left).real
-            scores.append(np.einsum("bcp,bc->bp", rows.conj(), one.left).real)
-        place = np.arange(2 * len(self.natural_hz), size)
-        matrix[place, place] += 1.0 / (2.0 * BEND_SPREAD**2)
-        side[place] -= np.stack([self.bends.real, self.bends.imag], axis=1).ravel() / (2.0 * BEND_SPREAD**2)
-        return matrix, side, scores
-
-    def moved(self, step: Array) -> LocalFit:
-        """The fit after ``step`` (P,) of the poles and bends."""
-        count = 2 * len(self.natural_hz)
-        by_f = np.clip(step[:count:2], -LARGEST_STEP * self.damping, LARGEST_STEP * self.damping)
-        by_zeta = np.clip(step[1:count:2], -LARGEST_STEP, LARGEST_STEP)
-        turned = np.clip(step[count:], -LARGEST_STEP, LARGEST_STEP).reshape(-1, 2)
-        bends = dict(zip(self.orders, (self.bends + turned[:, 0] + 1j * turned[:, 1]).tolist(), strict=True))
-        windows = tuple(replace(window, bends=bends) for window in self.windows)
-        damping = np.clip(self.damping * np.exp(by_zeta), LIGHTEST, HEAVIEST)
-        return LocalFit(windows, self.natural_hz * np.exp(by_f), damping)
-
-    def settled(self, *, rounds: int, steps: int) -> LocalFit:
-        """Where the misfit is smallest near by (Levenberg and Marquardt).
-
-        The noise is told anew ``rounds`` times, with ``steps`` between at most.
-        """
-        fit = self.with_noise()
-        for _ in range(rounds if len(self.natural_hz) else 1):
-            fit = fit.descended(steps).with_noise()
-        return fit
-
-    def descended(self, steps: int) -> LocalFit:
-        """After ``steps`` downhill at most, the noise being as it is."""
-        fit, damped = self, 1e-3
-        for _ in range(steps if len(self.natural_hz) else 0):
-            matrix, side, _ = fit.normal()
-            diagonal = np.diag(np.diag(matrix) + 1e-12)
-            better = None
-            for _ in range(5):
-                trial = fit.moved(np.asarray(np.linalg.solve(matrix + damped * diagonal, side), dtype=np.float64))
-                if trial.misfit < fit.misfit:
-                    better = trial
-                    break
-                damped *= 10.0
-            if better is None:
-                break
-            saved, fit, damped = fit.misfit - better.misfit, better, max(0.1 * damped, 1e-6)
-            if saved < SETTLED:
-                break
-        return fit
-
-    def with_noise(self) -> LocalFit:
-        """With shape and level of the noise as what is left has them."""
-        windows = []
-        for one in self.solved:
-            window = one.window
-            left = np.square(np.abs(one.left)) * np.square(window.shape)[:, None]
-            left *= len(left) / max(len(left) - len(one.scale), 1)
-            level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300)) * window.level
-            shape = np.sqrt(_smoothed((left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)))
-            windows.append(replace(window, shape=shape, level=level))
-        return LocalFit(tuple(windows), self.natural_hz, self.damping)
-
-    def with_pole(self, natural_hz: float, damping: float) -> LocalFit:
-        """With one pole more, of ``natural_hz`` and ``damping``."""
-        return LocalFit(self.windows, np.append(self.natural_hz, natural_hz), np.append(self.damping, damping))
-
-    def without(self, number: int) -> LocalFit:
-        """Without the pole ``number``, the noise being as it is."""
-        kept = np.arange(len(self.natural_hz)) != number
-        return LocalFit(self.windows, self.natural_hz[kept], self.damping[kept])
-
-    def covariance(self) -> Array:
-        """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles: what the scores of the bins really scatter by.
-
-        Channels share what excites the structure beside the orders, and neighbouring bins what no model knows.
-        """
-        matrix, _, scores = self.normal()
-        scatter = np.zeros_like(matrix)
-        for score in scores:
-            scatter += score.T @ score
-            for lag in range(1, LAGS + 1):
-                beside = score[lag:].T @ score[:-lag]
-                scatter += (1.0 - lag / (LAGS + 1.0)) * (beside + beside.T)
-        inverse = np.linalg.pinv(matrix, hermitian=True)
-        robust = inverse @ scatter @ inverse
-        plain = 0.5 * inverse * max(1.0, sum(one.misfit for one in self.solved) / max(self.freedom, 1))
-        count = 2 * len(self.natural_hz)
-        # the larger of both: few bins scatter by chance less than they may
-        wide = np.sqrt(np.maximum(np.diag(robust), np.diag(plain)) / np.maximum(np.diag(robust), 1e-300))
-        return np.asarray((robust * wide * wide[:, None])[:count, :count])
-
-    def gain(self, number: int) -> float:
-        """What the pole ``number`` saves of twice the negative log likelihood, the others staying where they are."""
-        return 2.0 * (self.without(number).misfit - self.misfit)
-
-    def share(self, number: int) -> float:
-        """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""
-        return max((float(part.max()) for one in self.solved if (part := _shares(one, number)).size), default=0.0)
-
-
-def _smoothed(power: Array) -> Array:
-    """``power`` (B,) over the bins, smoothed; no less anywhere than a share of its mean."""
-    half = int(np.clip(NUMBERS.smoothed_share * len(power), 12, len(power) - 1))
-    window = np.hanning(2 * half + 3)[1:-1]
-    padded = np.pad(power, half, mode="reflect" if half < len(power) - 1 else "edge")
-    smooth = np.convolve(padded, window / window.sum(), mode="valid")
-    return np.asarray(np.maximum(smooth, NUMBERS.least_noise_share * power.mean()))
-
-
-def _shares(one: Solved, number: int) -> Array:
-    """Part (orders, C) of each order's amplitude that pole ``number`` makes at its peak, 0 of those that miss it."""
-    window = one.window
-    peak = one.natural_hz[number]
-    place = np.array([(2.0 * peak - window.low_hz - window.high_hz) / (window.high_hz - window.low_hz)])
-    smooth = np.polynomial.legendre.legvander(place, window.degree)
-    answers = resonance(np.array([peak]), one.natural_hz, one.damping)
-    basis, width = np.concatenate([smooth, answers], axis=1)[0], window.order_columns(len(one.natural_hz))
-    made = np.zeros((len(window.orders), one.left.shape[1]))
-    for row, order in enumerate(window.orders):
-        if window.sweep.passing(order, (1.0 - one.damping[number]) * peak, (1.0 + one.damping[number]) * peak).any():
-            parts = basis[:, None] * one.amplitude[row * width : (row + 1) * width]
-            own = parts[window.degree + 1 + number]
-            made[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)
-    return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +196,7 @@ def sweep_fits(
         found, shown = search.in_tile(found, low, high)
         every |= shown
     groups = _groups(spectra, sorted(every), found)
-    made = [_refined(spectra, sorted(every), group, most_damping=most_damping) for group in groups]
+    made = [_refined(spectra, sorted(every), group, found, most_damping=most_damping) for group in groups]
     return SweepFits(tuple(one for one in made if one is not None and one.poles))
 
 
@@ -495,7 +314,8 @@ def _half_width(spectra: Sequence[SweepSpectrum], orders: Sequence[float], pole:
     reach = max(zeta, 0.02)
     blur = _blur_hz(spectra, orders, f * (1.0 - reach), f * (1.0 + reach))
     shortest = min(one.length_s for one in spectra)
-    return float(max(NUMBERS.widths * zeta * f, NUMBERS.blurs * blur, NUMBERS.fewest_bins / shortest))
+    wide = min(NUMBERS.widths * zeta, NUMBERS.widest_share) * f
+    return float(max(wide, NUMBERS.blurs * blur, NUMBERS.fewest_bins / shortest))
 
 
 def _groups(
@@ -511,46 +331,67 @@ def _groups(
         else:
             made.append([pole])
         reached = max(reached, pole[0] + 0.5 * half) if len(made[-1]) > 1 else pole[0] + 0.5 * half
-    return made
+    return [part for group in made for part in _parted(group)]
+
+
+def _parted(group: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
+    """``group`` (by frequency), parted where its poles lie furthest apart until few enough are left in each."""
+    if len(group) <= NUMBERS.most_together:
+        return [group]
+    at = 1 + int(np.argmax(np.diff(np.log([pole[0] for pole in group]))))
+    return [*_parted(group[:at]), *_parted(group[at:])]
 
 
 def _refined(
     spectra: Sequence[SweepSpectrum],
     orders: Sequence[float],
     group: Sequence[tuple[float, float]],
+    found: Sequence[tuple[float, float]],
     *,
     most_damping: float,
 ) -> GroupFit | None:
-    """The poles of a ``group`` fitted in a window of their own, with what the degree of the smooth part moves."""
+    """The poles of a ``group`` fitted in a window of their own, with what the degree of the smooth part moves.
+
+    Others of those ``found`` that lie in the window take part, but are told in a group of their own.
+    """
     halves = [_half_width(spectra, orders, pole) for pole in group]
     low = min(pole[0] - half for pole, half in zip(group, halves, strict=True))
     high = max(pole[0] + half for pole, half in zip(group, halves, strict=True))
+    held = [one for one in spectra if _windows([one], orders, low, high, max(NUMBERS.degrees))]
     fits: list[LocalFit] = []
-    natural, damping = np.array(group).T
+    beside = [pole for pole in found if low < pole[0] < high and pole not in group]
+    natural, damping = np.array([*group, *beside]).T
     for degree in NUMBERS.degrees:
-        windows = _windows(spectra, orders, low, high, degree)
+        windows = _windows(held, orders, low, high, degree)
         if not windows:
             return None
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
-    moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1).ravel()
-    model = np.stack(
-        [NUMBERS.frequency_model_share * more.damping, np.full(len(group), NUMBERS.damping_model_share)], 1
-    )
-    covariance = more.covariance() + np.diag(np.square(moved) + np.square(model.ravel()))
-    made = []
-    for number in range(len(group)):
-        at = slice(2 * number, 2 * number + 2)
-        pole = _pole(more, number, covariance[at, at])
-        lost = np.sqrt(covariance[at, at][0, 0]) > more.damping[number]
-        is_line = pole.damping < 2.0 * LIGHTEST or (
-            pole.damping < 10.0 * LIGHTEST and pole.damping_error > NUMBERS.known_share * pole.damping
-        )
-        sure = len(pole.orders) > 1 or (covariance[at, at][0, 0] < 1e-5 and covariance[at, at][1, 1] < 0.01)
-        if pole.orders and sure and not lost and not is_line and pole.damping <= most_damping:
-            made.append(pole)
-    return GroupFit(more, less, covariance, tuple(made))
+    covariance = _covariance(less, more)
+    shown = [
+        _pole(more, number, covariance[2 * number : 2 * number + 2, 2 * number : 2 * number + 2])
+        for number in range(len(group))
+    ]
+    return GroupFit(more, less, covariance, tuple(pole for pole in shown if _is_sure(pole, most_damping)))
+
+
+def _covariance(less: LocalFit, more: LocalFit) -> Array:
+    """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles of ``more``, with what one degree ``less`` moves."""
+    moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
+    widths = np.full(len(more.damping), NUMBERS.damping_model_share)
+    model = np.stack([NUMBERS.frequency_model_share * more.damping, widths], axis=1)
+    return np.asarray(more.covariance() + np.diag((np.square(moved) + np.square(model)).ravel()))
+
+
+def _is_sure(pole: SweepPole, most_damping: float) -> bool:
+    """Whether a ``pole`` is proven to be one of a mode, of ``most_damping`` at most: no line, and known well enough."""
+    by_f, by_zeta = np.sqrt(np.diag(pole.covariance))
+    vague = pole.damping < 10.0 * LIGHTEST and pole.damping_error > NUMBERS.known_share * pole.damping
+    if not pole.orders or by_f > pole.damping or pole.damping < 2.0 * LIGHTEST or vague:
+        return False
+    known = by_f < NUMBERS.alone_frequency_share and by_zeta < NUMBERS.alone_damping_share
+    return bool((len(pole.orders) > 1 or known) and pole.damping <= most_damping)
 
 
 def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
@@ -560,7 +401,7 @@ def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
     f, zeta = float(fit.natural_hz[number]), float(fit.damping[number])
     orders, channels, ends = set[float](), dict[str, None](), list[float]()
     for one in fit.solved:
-        shares, spread = _shares(one, number), _variance(one, number)
+        shares, spread = shares_of(one, number), _variance(one, number)
         ratio = np.square(np.abs(one.residue(number))) / np.maximum(spread, 1e-300)
         dof = 2.0 * max(len(one.left) - len(one.scale), 1)
         shown = (fdtrc(2.0, dof, ratio) <= NUMBERS.proof_chance) & (shares >= NUMBERS.felt_share)

@@ -93,7 +93,7 @@ def _with_order(item: xr.Dataset, place: int, group: GroupFit, one: Solved, less
     if not near.any():
         return item
     value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
-    peak = _peak(group, one, less, order, item["time"].values[near], np.abs(value).max(axis=1))
+    peak = _peak(one, order, item["time"].values[near], np.abs(value).max(axis=1))
     if peak is not None:
         item, at = _with_row(item, peak, one)
         near = np.insert(near, at, True)
@@ -114,24 +114,20 @@ def _values(
     group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, angle_rev: Array
 ) -> tuple[Complex, Array]:
     """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part."""
-    value, variance = one.envelope(order, time_s, angle_rev, group.covariance)
-    other, _ = less.envelope(order, time_s, angle_rev, group.covariance)
+    window, sweep = one.window, one.window.sweep
+    turn = window.turn(order, time_s, angle_rev)
+    value, variance = one.envelope(order, turn, group.covariance)
+    other, _ = less.envelope(order, turn, None)
     # where a row stands is known as well as its speed is: on a flank the phase turns in no time
-    sweep = one.window.sweep
     at = np.clip(((time_s - sweep.start_s) * sweep.rate_hz).astype(np.int64), 0, len(sweep.speed_rpm) - 1)
     off = NUMBERS.speed_error_share * sweep.speed_rpm[at] / np.maximum(sweep.rate_rpm_per_s[at], 1e-9)
-    off = np.minimum(off, NUMBERS.most_off_share / max(float(one.damping.min(initial=1.0)) * one.window.high_hz, 1e-9))
-    sampled = sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz
-    beside = [
-        one.envelope(order, time_s + way * off, np.interp(time_s + way * off, sampled, sweep.angle_rev), None)[0]
-        for way in (-1.0, 1.0)
-    ]
+    off = np.minimum(off, NUMBERS.most_off_share / max(float(one.damping.min(initial=1.0)) * window.high_hz, 1e-9))
+    moved = one.envelope_rate(order, turn, value, sweep.speed_rpm[at] / 60.0) * off[:, None]
     error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(NUMBERS.least_error_share * np.abs(value))
-    error = error + 0.25 * np.square(np.abs(beside[1] - beside[0]))
-    return value, np.asarray(np.sqrt(error))
+    return value, np.asarray(np.sqrt(error + np.square(np.abs(moved))))
 
 
-def _peak(group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, size: Array) -> float | None:
+def _peak(one: Solved, order: float, time_s: Array, size: Array) -> float | None:
     """Time between the rows ``time_s`` at which ``order`` is clearly larger than their largest ``size``; or None."""
     best = int(np.argmax(size))
     low, high = time_s[max(best - 1, 0)], time_s[min(best + 1, len(time_s) - 1)]
@@ -140,7 +136,7 @@ def _peak(group: GroupFit, one: Solved, less: Solved, order: float, time_s: Arra
     fine = np.linspace(low, high, NUMBERS.between)
     sweep = one.window.sweep
     angle = np.interp(fine, sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz, sweep.angle_rev)
-    found = np.abs(one.envelope(order, fine, angle, group.covariance)[0]).max(axis=1)
+    found = np.abs(one.envelope(order, one.window.turn(order, fine, angle), None)[0]).max(axis=1)
     top = int(np.argmax(found))
     return float(fine[top]) if found[top] > NUMBERS.higher_ratio * size[best] else None
 

@@ -42,6 +42,9 @@ leaves in the window from there is smooth."""
 TAPERED = 0.8
 """Share of a window's half width from which its ends are tapered where an envelope is made of it."""
 
+TURNED = 64
+"""Bins whose turns are made at once."""
+
 LEAST_NORM = 1e-12
 """Share of a column's square that is added to it: amplitudes of columns that others make are kept small."""
 
@@ -226,6 +229,19 @@ class Window:
         place = np.abs(2.0 * self.frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
         return np.asarray(np.cos(0.5 * np.pi * np.clip((place - TAPERED) / (1.0 - TAPERED), 0.0, 1.0)) ** 2)
 
+    def turn(self, order: float, time_s: Array, angle_rev: Array) -> Complex:
+        """What makes the amplitude (T,) of ``order`` at ``time_s`` (T,) out of the window's bins: (T, B).
+
+        ``angle_rev`` (T,) is that of the shaft there. The order must lie well within the window then: its ends are
+        tapered. The bins lie evenly, so that a coarse and a fine turn make each.
+        """
+        since, step, bins = time_s - self.sweep.start_s, self.sweep.rate_hz / len(self.sweep.angle_rev), len(self.taper)
+        fine = np.exp(2j * np.pi * np.outer(since, step * np.arange(TURNED)))
+        first = self.frequency_hz[0] + step * TURNED * np.arange(-(-bins // TURNED))
+        coarse = np.exp(2j * np.pi * (np.outer(since, first) - order * angle_rev[:, None]))
+        every = (coarse[:, :, None] * fine[:, None, :]).reshape(len(since), -1)[:, :bins]
+        return np.asarray(every * (self.taper * (2.0 / len(self.sweep.angle_rev))))
+
     def with_order(self, order: float) -> Window:
         """The window with one ``order`` more."""
         return replace(self, orders=tuple(sorted({*self.orders, order})))
@@ -335,45 +351,56 @@ class Solved:
             made[..., place] += rung[:, place, None] * self.rung(number)
         return made
 
-    def envelope(
-        self, order: float, time_s: Array, angle_rev: Array, covariance: Array | None
-    ) -> tuple[Complex, Array]:
-        """Complex amplitude (T, C) of ``order`` at ``time_s`` (T,), with its variance (T, C) by noise and poles.
+    def envelope(self, order: float, turn: Complex, covariance: Array | None) -> tuple[Complex, Array]:
+        """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
 
-        ``angle_rev`` (T,) is that of the shaft there, ``covariance`` (2 M, 2 M) that of (ln f, ln ζ) of the modes,
-        None where nobody asks for the variance. The order must lie well within the window then: its ends are tapered.
+        ``covariance`` (2 M, 2 M) is that of (ln f, ln ζ) of the modes, None where nobody asks for the variance.
         """
-        window = self.window
-        width = window.order_columns(len(self.natural_hz))
-        own = window.orders.index(order) * width + np.arange(width)
-        columns = self.columns[:, own] * self.scale[own] * window.shape[:, None]
-        turn = np.exp(
-            2j * np.pi * (np.outer(time_s - window.sweep.start_s, window.frequency_hz) - order * angle_rev[:, None])
-        )
-        turn *= window.taper * (2.0 / len(window.sweep.angle_rev))
-        seen = turn @ columns
+        own = self._columns_of(order)
+        seen = turn @ self._unscaled(own)
         value: Complex = np.asarray(seen @ self.amplitude[own])
         if covariance is None:
             return value, np.zeros(value.shape)
         power = np.sum(np.abs(self.left) ** 2, axis=0) / max(len(self.left) - len(self.scale), 1)
         spread = np.sum(np.abs(seen @ (self.inverse[own] / self.scale[own, None])) ** 2, axis=1)
-        variance = spread[:, None] * power * np.square(window.level)
+        variance = spread[:, None] * power * np.square(self.window.level)
         if len(self.natural_hz):
-            answered, _ = self._answers_bent
-            force = window.force(order)[0]
-            bent = np.stack(
-                [
-                    answered[:, at, None] * force[:, None] * self.residue(at // 2)[window.orders.index(order)]
-                    for at in range(answered.shape[1])
-                ],
-                axis=2,
-            )
-            full = (self._bent / window.shape[:, None, None]).reshape(len(self.left), -1)
-            taken = self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ full))
-            taken = (taken / self.scale[:, None])[own].reshape(width, *bent.shape[1:])
-            slope = np.einsum("tb,bcp->tcp", turn, bent) - np.einsum("tw,wcp->tcp", seen, taken)
-            variance = variance + 2.0 * np.einsum("tcp,pq,tcq->tc", slope, covariance, slope.conj()).real
+            slope = self._slope_of_envelope(order, turn, seen)
+            variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
         return value, np.asarray(variance)
+
+    def envelope_rate(self, order: float, turn: Complex, value: Complex, rev_per_s: Array) -> Complex:
+        """Derivative (T, C), per second, of the amplitude ``value`` (T, C) of ``order`` where ``turn`` (T, B) says.
+
+        ``rev_per_s`` (T,) is the speed there.
+        """
+        own = self._columns_of(order)
+        risen = turn @ (self.window.frequency_hz[:, None] * (self._unscaled(own) @ self.amplitude[own]))
+        return np.asarray(2j * np.pi * (risen - order * rev_per_s[:, None] * value))
+
+    def _columns_of(self, order: float) -> NDArray[np.intp]:
+        """Numbers of the columns of ``order``."""
+        width = self.window.order_columns(len(self.natural_hz))
+        return self.window.orders.index(order) * width + np.arange(width)
+
+    def _unscaled(self, own: NDArray[np.intp]) -> Complex:
+        """The columns (B, own) in the unit of the transform."""
+        return np.asarray(self.columns[:, own] * self.scale[own] * self.window.shape[:, None])
+
+    def _slope_of_envelope(self, order: float, turn: Complex, seen: Complex) -> Complex:
+        """Derivatives (T, C, 2 M) of the amplitude of ``order`` by ln f and ln ζ of each mode.
+
+        ``turn`` (T, B) says where, ``seen`` (T, K) are its columns there.
+        """
+        window, own = self.window, self._columns_of(order)
+        answered, _ = self._answers_bent
+        force, place = window.force(order)[0], window.orders.index(order)
+        residues = np.stack([self.residue(at // 2)[place] for at in range(answered.shape[1])], axis=1)  # (C, 2 M)
+        direct = (turn @ (answered * force[:, None]))[:, None, :] * residues
+        full = (self._bent / window.shape[:, None, None]).reshape(len(self.left), -1)
+        taken = self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ full))
+        taken = (taken / self.scale[:, None])[own]
+        return np.asarray(direct - (seen @ taken).reshape(direct.shape))
 
     def slopes_of_bends(self, orders: Sequence[float]) -> Complex:
         """Derivatives (B, C, orders) of what is left by the bend of each of ``orders``; 0 of those elsewhere."""

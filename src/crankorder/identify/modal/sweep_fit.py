@@ -1,0 +1,209 @@
+"""All recordings at one place of frequency behind common poles: how these are moved to where they fit best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crankorder.identify.modal.sweep_window import BEND_SPREAD, Solved, Window
+from crankorder.identify.resonance import resonance
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_fit"):
+    smoothed_share: float
+    least_noise_share: float
+
+
+NUMBERS = _Numbers.load()
+
+LIGHTEST, HEAVIEST = 1e-4, 0.5
+"""Damping ratios that a fit may come to."""
+
+LARGEST_STEP = 0.4
+"""Largest step of a fit: of a frequency as a share of its half width, of the logarithm of a damping, of a bend."""
+
+SETTLED = 0.1
+"""Misfit that a step must save to be followed by another."""
+LAGS = 3
+"""Bins beside one another whose errors may go together."""
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFit:
+    """``windows`` of all recordings at one place of frequency behind common poles ``natural_hz``, ``damping`` (M,)."""
+
+    windows: tuple[Window, ...]
+    natural_hz: Array
+    damping: Array
+
+    @cached_property
+    def solved(self) -> tuple[Solved, ...]:
+        """Each window with its amplitudes."""
+        return tuple(window.solved(self.natural_hz, self.damping) for window in self.windows)
+
+    @cached_property
+    def orders(self) -> tuple[float, ...]:
+        """Orders that pass any of the windows."""
+        return tuple(sorted({order for window in self.windows for order in window.orders}))
+
+    @cached_property
+    def bends(self) -> Complex:
+        """Bend of the force of each of the orders."""
+        every = {order: bend for window in self.windows for order, bend in window.bends.items()}
+        return np.array([every.get(order, 0j) for order in self.orders], dtype=np.complex128)
+
+    @cached_property
+    def misfit(self) -> float:
+        """Squares that are left, and those by which the forces differ from what is usual."""
+        left = sum(one.misfit for one in self.solved)
+        return float(left + np.sum(np.abs(self.bends) ** 2) / (2.0 * BEND_SPREAD**2))
+
+    @cached_property
+    def freedom(self) -> int:
+        """Complex numbers beyond the amplitudes."""
+        return sum(one.freedom for one in self.solved)
+
+    def normal(self) -> tuple[Array, Array, list[Array]]:
+        """Normal matrix (P, P), right side (P,) and scores by bin (B, P) of poles, then bends (real, imaginary)."""
+        orders = self.orders
+        size = 2 * len(self.natural_hz) + 2 * len(orders)
+        matrix, side = np.zeros((size, size)), np.zeros(size)
+        scores = []
+        for one in self.solved:
+            bent = one.slopes_of_bends(orders)
+            both = np.stack([bent, 1j * bent], axis=3).reshape(*bent.shape[:2], -1)
+            rows = np.concatenate([one.slopes(), both], axis=2)
+            flat, left = rows.reshape(-1, size), one.left.ravel()
+            matrix += (flat.conj().T @ flat).real
+            side += (flat.conj().T @ left).real
+            scores.append(np.einsum("bcp,bc->bp", rows.conj(), one.left).real)
+        place = np.arange(2 * len(self.natural_hz), size)
+        matrix[place, place] += 1.0 / (2.0 * BEND_SPREAD**2)
+        side[place] -= np.stack([self.bends.real, self.bends.imag], axis=1).ravel() / (2.0 * BEND_SPREAD**2)
+        return matrix, side, scores
+
+    def moved(self, step: Array) -> LocalFit:
+        """The fit after ``step`` (P,) of the poles and bends."""
+        count = 2 * len(self.natural_hz)
+        by_f = np.clip(step[:count:2], -LARGEST_STEP * self.damping, LARGEST_STEP * self.damping)
+        by_zeta = np.clip(step[1:count:2], -LARGEST_STEP, LARGEST_STEP)
+        turned = np.clip(step[count:], -LARGEST_STEP, LARGEST_STEP).reshape(-1, 2)
+        bends = dict(zip(self.orders, (self.bends + turned[:, 0] + 1j * turned[:, 1]).tolist(), strict=True))
+        windows = tuple(replace(window, bends=bends) for window in self.windows)
+        damping = np.clip(self.damping * np.exp(by_zeta), LIGHTEST, HEAVIEST)
+        return LocalFit(windows, self.natural_hz * np.exp(by_f), damping)
+
+    def settled(self, *, rounds: int, steps: int) -> LocalFit:
+        """Where the misfit is smallest near by (Levenberg and Marquardt).
+
+        The noise is told anew ``rounds`` times, with ``steps`` between at most.
+        """
+        fit = self.with_noise()
+        for _ in range(rounds if len(self.natural_hz) else 1):
+            fit = fit.descended(steps).with_noise()
+        return fit
+
+    def descended(self, steps: int) -> LocalFit:
+        """After ``steps`` downhill at most, the noise being as it is."""
+        fit, damped = self, 1e-3
+        for _ in range(steps if len(self.natural_hz) else 0):
+            matrix, side, _ = fit.normal()
+            diagonal = np.diag(np.diag(matrix) + 1e-12)
+            better = None
+            for _ in range(5):
+                trial = fit.moved(np.asarray(np.linalg.solve(matrix + damped * diagonal, side), dtype=np.float64))
+                if trial.misfit < fit.misfit:
+                    better = trial
+                    break
+                damped *= 10.0
+            if better is None:
+                break
+            saved, fit, damped = fit.misfit - better.misfit, better, max(0.1 * damped, 1e-6)
+            if saved < SETTLED:
+                break
+        return fit
+
+    def with_noise(self) -> LocalFit:
+        """With shape and level of the noise as what is left has them."""
+        windows = []
+        for one in self.solved:
+            window = one.window
+            left = np.square(np.abs(one.left)) * np.square(window.shape)[:, None]
+            left *= len(left) / max(len(left) - len(one.scale), 1)
+            level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300)) * window.level
+            shape = np.sqrt(_smoothed((left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)))
+            windows.append(replace(window, shape=shape, level=level))
+        return LocalFit(tuple(windows), self.natural_hz, self.damping)
+
+    def with_pole(self, natural_hz: float, damping: float) -> LocalFit:
+        """With one pole more, of ``natural_hz`` and ``damping``."""
+        return LocalFit(self.windows, np.append(self.natural_hz, natural_hz), np.append(self.damping, damping))
+
+    def without(self, number: int) -> LocalFit:
+        """Without the pole ``number``, the noise being as it is."""
+        kept = np.arange(len(self.natural_hz)) != number
+        return LocalFit(self.windows, self.natural_hz[kept], self.damping[kept])
+
+    def covariance(self) -> Array:
+        """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles: what the scores of the bins really scatter by.
+
+        Channels share what excites the structure beside the orders, and neighbouring bins what no model knows.
+        """
+        matrix, _, scores = self.normal()
+        scatter = np.zeros_like(matrix)
+        for score in scores:
+            scatter += score.T @ score
+            for lag in range(1, LAGS + 1):
+                beside = score[lag:].T @ score[:-lag]
+                scatter += (1.0 - lag / (LAGS + 1.0)) * (beside + beside.T)
+        inverse = np.linalg.pinv(matrix, hermitian=True)
+        robust = inverse @ scatter @ inverse
+        plain = 0.5 * inverse * max(1.0, sum(one.misfit for one in self.solved) / max(self.freedom, 1))
+        count = 2 * len(self.natural_hz)
+        # the larger of both: few bins scatter by chance less than they may
+        wide = np.sqrt(np.maximum(np.diag(robust), np.diag(plain)) / np.maximum(np.diag(robust), 1e-300))
+        return np.asarray((robust * wide * wide[:, None])[:count, :count])
+
+    def gain(self, number: int) -> float:
+        """What the pole ``number`` saves of twice the negative log likelihood, the others staying where they are."""
+        return 2.0 * (self.without(number).misfit - self.misfit)
+
+    def share(self, number: int) -> float:
+        """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""
+        return max((float(part.max()) for one in self.solved if (part := shares_of(one, number)).size), default=0.0)
+
+
+def _smoothed(power: Array) -> Array:
+    """``power`` (B,) over the bins, smoothed; no less anywhere than a share of its mean."""
+    half = int(np.clip(NUMBERS.smoothed_share * len(power), 12, len(power) - 1))
+    window = np.hanning(2 * half + 3)[1:-1]
+    padded = np.pad(power, half, mode="reflect" if half < len(power) - 1 else "edge")
+    smooth = np.convolve(padded, window / window.sum(), mode="valid")
+    return np.asarray(np.maximum(smooth, NUMBERS.least_noise_share * power.mean()))
+
+
+def shares_of(one: Solved, number: int) -> Array:
+    """Part (orders, C) of each order's amplitude in ``one`` window that pole ``number`` makes at its peak.
+
+    It is 0 of those that miss it.
+    """
+    window = one.window
+    peak = one.natural_hz[number]
+    place = np.array([(2.0 * peak - window.low_hz - window.high_hz) / (window.high_hz - window.low_hz)])
+    smooth = np.polynomial.legendre.legvander(place, window.degree)
+    answers = resonance(np.array([peak]), one.natural_hz, one.damping)
+    basis, width = np.concatenate([smooth, answers], axis=1)[0], window.order_columns(len(one.natural_hz))
+    made = np.zeros((len(window.orders), one.left.shape[1]))
+    for row, order in enumerate(window.orders):
+        if window.sweep.passing(order, (1.0 - one.damping[number]) * peak, (1.0 + one.damping[number]) * peak).any():
+            parts = basis[:, None] * one.amplitude[row * width : (row + 1) * width]
+            own = parts[window.degree + 1 + number]
+            made[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)
+    return made

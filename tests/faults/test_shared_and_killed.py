@@ -1,0 +1,153 @@
+"""Runs that are killed at random moments, and runs that share a folder: nothing lost, nothing mixed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from crankorder.batch.frame_store import STORE
+from crankorder.batch.run_log import LOGS
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="processes are found by /proc, which Linux has"),
+]
+
+JOBS = 2
+RECORDINGS = 4
+KILLS = 17
+ROUNDS = 50
+
+
+def command(*folders: Path, out: Path, jobs: int = JOBS) -> list[str]:
+    program = [sys.executable, "-m", "crankorder", "run", *map(str, folders)]
+    return [*program, "--recipe", "maps", "-q", "--log-json", "--jobs", str(jobs), "--out", str(out)]
+
+
+def results_in(out: Path) -> dict[Path, bytes]:
+    """What two runs must give the same bytes."""
+    return {
+        path.relative_to(out): path.read_bytes()
+        for path in out.rglob("*")
+        if path.is_file() and path.name != "timings.json" and path.suffix != ".part" and LOGS not in path.parts
+    }
+
+
+def events(out: Path) -> list[dict[str, object]]:
+    """Whole lines of the log of the last run."""
+    lines = sorted((out / LOGS).iterdir())[-1].read_bytes().splitlines(keepends=True)
+    return [json.loads(line) for line in lines if line.endswith(b"\n")]
+
+
+def children(pid: int) -> list[int]:
+    """Processes that ``pid`` started and that are there, in the order in which they were started."""
+    try:
+        found = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    except OSError:
+        return []
+    return [int(child) for child in found]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A test of a few recordings of two revolutions, which differ in their noise."""
+    place: Path = tmp_path_factory.mktemp("scene") / "test"
+    made = [sys.executable, "-m", "crankorder", "synth", "hard-two-revolutions", "--quick", "-q", "--out", str(place)]
+    subprocess.run(made, check=True)
+    (first,) = place.glob("*.h5")
+    for number in range(1, RECORDINGS):
+        other = place / f"rpm_{300 + number:04d}.h5"
+        shutil.copy(first, other)
+        with h5py.File(other, "r+") as file:
+            for name, item in file.items():
+                if name.startswith("acc"):
+                    item[...] += 0.01 * np.random.default_rng(number).standard_normal(item.shape).astype(item.dtype)
+    return place
+
+
+@pytest.fixture(scope="module")
+def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """Results of a run that nobody disturbed, and the seconds that one took."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    subprocess.run(command(folder, out=out / "warm"), check=True)
+    begun = time.monotonic()
+    subprocess.run(command(folder, out=out / "whole"), check=True)
+    return out / "whole", time.monotonic() - begun
+
+
+def kill(process: subprocess.Popen[bytes], which: str, at_s: float) -> bool:
+    """Kill one process of the run at that moment, or as soon as there is one; False where the run ended before."""
+    time.sleep(at_s)
+    while process.poll() is None:
+        of_run = children(process.pid)
+        victims = {"main": [process.pid], "reporting": of_run[:1], "recording": of_run[1:]}[which]
+        if victims:
+            os.kill(victims[-1], signal.SIGKILL)
+            return True
+        time.sleep(0.002)
+    return False
+
+
+@pytest.mark.parametrize("which", ["main", "reporting", "recording"])
+@pytest.mark.parametrize("number", range(KILLS))
+def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes(
+    folder: Path, undisturbed: tuple[Path, float], tmp_path: Path, which: str, number: int
+) -> None:
+    whole, seconds = undisturbed
+    random = np.random.default_rng([number, len(which)])
+    out = tmp_path / "out"
+    with subprocess.Popen(command(folder, out=out), stderr=subprocess.PIPE) as process:
+        struck = kill(process, which, float(random.uniform(0.1, 0.9)) * seconds)
+        said = process.communicate()[1].decode()
+    assert process.returncode in ((-signal.SIGKILL, 0) if which == "main" else (0, 3)), said
+    assert "Traceback" not in said
+    test = out / "two-revolutions"
+    if test.exists():
+        assert (test / "done.json").exists()
+    kept = {path.name for path in (out / STORE).rglob("*.frames")}
+    told = sum(event["event"] == "recording computed" for event in events(out)) if (out / LOGS).exists() else 0
+    assert told <= len(kept)
+    subprocess.run(command(folder, out=out), check=True)
+    again = sum(event["event"] == "recording computed" for event in events(out))
+    assert again <= RECORDINGS - len(kept)
+    assert again <= RECORDINGS - told
+    found = results_in(out)
+    assert {name: data for name, data in found.items() if name.suffix != ".lock"} == results_in(whole)
+    print(f"{which} {number}: struck {struck}, status {process.returncode}, kept {len(kept)}, computed again {again}")
+
+
+@pytest.mark.parametrize("processes", [2, 4])
+def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_rounds(
+    folder: Path, tmp_path: Path, processes: int
+) -> None:
+    """Each analyses two tests, in an order of its own: no false failure, every index entry, the bytes of one alone."""
+    two = [tmp_path / "data" / name for name in ("a", "b")]
+    for place in two:
+        place.mkdir(parents=True)
+        shutil.copy(folder / "rpm_0300.h5", place)
+        text = (folder / "run.toml").read_text(encoding="utf-8").replace('"two revolutions"', f'"{place.name}"')
+        (place / "run.toml").write_text(text, encoding="utf-8")
+    subprocess.run(command(*two, out=tmp_path / "alone", jobs=1), check=True)
+    alone = results_in(tmp_path / "alone")
+    for number in range(ROUNDS):
+        out = tmp_path / f"out-{number}"
+        running = [
+            subprocess.Popen(command(*two[:: (-1) ** turn], out=out, jobs=1), stderr=subprocess.PIPE)
+            for turn in range(processes)
+        ]
+        for process in running:
+            said = process.communicate()[1]
+            assert process.returncode == 0, said
+        assert results_in(out) == alone, number
+        assert [test["name"] for test in json.loads((out / "batch.json").read_bytes())["tests"]] == ["a", "b"]
+        shutil.rmtree(out)
