@@ -300,3 +300,23 @@ def test_causes_decide_which_share_a_line_is_in():
     unknown = shares(made, orders, (False,))
     assert known["unexplained_energy_fraction"] == 0.0 and unknown["unexplained_energy_fraction"] == 1.0
     assert dataclasses.asdict(Cause("tone", "narrow")) and not Cause("tone", "narrow").known
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lines_closer_than_a_bin_have_the_energy_of_their_amplitudes(seed):
+    """Parseval: three lines within a bin are told a² / 2 each, whichever of them is known and wherever cells lie."""
+    rng = np.random.default_rng([seed, 6])
+    sizes, speeds = rng.uniform(0.2, 1.0, 3), SPEEDS[:1]
+    places = 2.0 + 0.01 * np.array([0.0, *np.cumsum(rng.uniform(0.5, 2.0, 2))])
+    step, n = 0.5, 4000
+    psd = campbell(speeds=speeds)
+    time_s, signal = np.arange(n * 40) / (n * step), np.zeros(n * 40)
+    for place, size in zip(places, sizes, strict=True):
+        signal += size * np.cos(2.0 * np.pi * (place * speeds[0] / 60.0 * time_s + rng.random()))
+    frames = np.lib.stride_tricks.sliding_window_view(signal, n)[:: n // 2] * np.hanning(n)
+    power = np.square(np.abs(np.fft.rfft(frames, axis=1))).mean(axis=0)[: len(FREQUENCY)]
+    psd["psd"][0, 0] += 2.0 * power / (n / step * np.square(np.hanning(n)).sum() * step**2)
+    lines = [seen(float(k), float(a), speeds=speeds) for k, a in zip(places, sizes, strict=True)]
+    told = shares(psd, lines, (True, False, False))
+    wanted = np.square(sizes[1:]).sum() / np.square(sizes).sum()
+    assert told["unexplained_energy_fraction"] == pytest.approx(wanted, rel=0.03)

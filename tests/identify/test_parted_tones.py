@@ -11,10 +11,12 @@ from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
-from crankorder.identify.parted_tones import with_tones_parted
+from crankorder.identify.parted_tones import UNPARTED, with_tones_parted, without_absent_mains
+from crankorder.settings import load_settings
 from made.found_lines import fit
 from made.line_frames import angle_of, frames_of, wave
 
+SETTINGS = load_settings().identify
 RPM = 1777.0
 
 
@@ -61,3 +63,32 @@ def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
 def test_a_tone_of_one_line_stays_as_it_is() -> None:
     modal = told((50.01, 1.0))
     assert with_tones_parted(modal, recorded((50.01, 1.0))).tones == modal.tones
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(seed: int) -> None:
+    """Three lines within two cycles of a recording: no number of them can be told, and none is."""
+    rng = np.random.default_rng([seed, 8])
+    first, size = float(rng.uniform(62.0, 70.0)), np.exp(rng.uniform(np.log(0.5), 0.0, 3))
+    places = first + np.array([0.0, *np.cumsum(rng.uniform(0.035, 0.05, 2))])
+    middle = float(np.average(places, weights=size))
+    held = recorded(*zip(places.tolist(), size.tolist(), strict=True), seed=seed)
+    (tone,) = with_tones_parted(told((middle, float(size.sum()))), held).tones
+    low, high = (middle + side * Z95 * tone.frequency_error_hz for side in (-1, 1))
+    amplitude, error = tone.amplitude["A"]
+    parted = "more than one line" in tone.evidence
+    assert low <= places[0] and places[-1] <= high
+    assert parted or (UNPARTED in tone.evidence and amplitude - Z95 * error <= size.min())
+
+
+def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone() -> None:
+    with_it, without = recorded((349.8, 0.5)), recorded((100.0, 1.0))
+    modal = replace(told((349.8, 0.5)), tones=(Tone(349.8, 0.01, "mains", {"A": (0.5, 0.01)}, "7 times"),))
+    (tone,) = without_absent_mains(modal, [*with_it, *without], settings=SETTINGS).tones
+    assert tone.kind == "tone" and "1 of 2 recordings" in tone.evidence
+    assert without_absent_mains(modal, with_it, settings=SETTINGS).tones == modal.tones
+
+
+def test_what_the_longest_recording_does_not_have_is_not_called_several_lines() -> None:
+    (tone,) = with_tones_parted(told((95.3, 0.5)), recorded((150.0, 1.0))).tones
+    assert UNPARTED not in tone.evidence and tone.amplitude["A"] == (0.5, 0.01)

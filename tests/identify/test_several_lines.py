@@ -80,3 +80,35 @@ def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase() 
         found = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
         hidden += len(found) == 2 and abs(found[1].order - 2.0) < 0.1 and found[1].evidence == "locked to the shaft"
     assert hidden >= 5
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("pulses", [True, False])
+def test_three_lines_far_from_the_mains_that_swell_as_one_are_told_where_pulses_give_the_angle(
+    seed: int, pulses: bool
+) -> None:
+    """By a stated speed they may be one order whose speed wanders, and are left as they stand in the map."""
+    rng, angle = np.random.default_rng([seed, 12]), angle_of(740)
+    places = 3.0 + np.array([0.0, *np.cumsum(rng.uniform(3.0, 6.0, 2))]) / 740.0
+    signal = wave(angle, 1.0, 1.0) + 0.1 * rng.standard_normal(len(angle))
+    for order, size in zip(places, rng.uniform(0.4, 1.0, 3), strict=True):
+        signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
+    frames = frames_of([signal], speed_rpm=1482.0, pulses=pulses)
+    made = order_map([frames], settings=SETTINGS.orders)
+    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
+    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    if pulses:
+        assert [one.order for one in found] == pytest.approx([1.0, *places], abs=3e-4)
+    assert any("solved together" in one.reservation for one in found) is pulses
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_line_whose_size_swings_stays_one(seed: int) -> None:
+    rng, angle = np.random.default_rng([seed, 13]), angle_of(740)
+    swell = 1.0 + 0.4 * np.cos(2.0 * np.pi * angle * rng.uniform(3.0, 6.0) / 740.0 + rng.uniform(0.0, 6.0))
+    signal = swell * wave(angle, 3.0, 1.0) + 0.1 * rng.standard_normal(len(angle))
+    frames = frames_of([signal], speed_rpm=1482.0)
+    made = order_map([frames], settings=SETTINGS.orders)
+    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
+    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    assert [one.order for one in found] == pytest.approx([3.0], abs=3e-4)

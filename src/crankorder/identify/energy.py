@@ -298,16 +298,8 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     energy, expected = share * made.energy[number, rows], share * looked.surface[number, rows]
     n_lines = lines.centre.shape[1]
     of_line = np.zeros(n_lines)
-    stated = lines.stated[number, rows]
     if n_lines:
-        place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]
-        there: Floats = _sums(place, energy[owner >= 0], stated.shape)
-        floor: Floats = _sums(place, expected[owner >= 0], stated.shape)
-        seen = np.isfinite(stated) & _inside(made, lines)[rows]
-        cells = np.maximum(1.0, _sums(place, np.ones(len(place)), stated.shape))
-        more = _more_than_noise(there, floor, np.nan_to_num(stated), cells, made.averages[rows])
-        of_line += np.where(seen, np.clip(np.where(more, there - floor, stated), 0.0, there), 0.0).sum(axis=0)
-        of_line += np.maximum(0.0, np.where(seen, 0.0, there - floor).sum(axis=0))
+        of_line += _energy_of_lines(made, lines, number, (rows, owner, energy, expected))
     known, tone = lines.known[number], lines.is_tone
     parts = {
         "orders": of_line[known & ~tone].sum(),
@@ -317,6 +309,44 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
         "total": energy.sum(),
     }
     return {name: float(part) / max(1, len(rows)) for name, part in parts.items()}
+
+
+def _energy_of_lines(
+    made: EnergyMap, lines: EnergyLines, number: int, cells: tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]
+) -> Floats:
+    """Energy of each line in channel ``number``, summed over the rows.
+
+    ``cells``: the rows, and in them (rows, cells) the owner, the energy and what is expected without lines. Lines whose
+    main lobes meet share what stands in their cells as their amplitudes have it: no cell tells which of them made it.
+    """
+    rows, owner, energy, expected = cells
+    n_lines, stated = lines.centre.shape[1], np.nan_to_num(lines.stated[number, rows])
+    seen = np.isfinite(lines.stated[number, rows]) & _inside(made, lines)[rows]
+    place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]
+    own = [energy[owner >= 0], expected[owner >= 0], np.ones(len(place))]
+    alone = [_sums(place, values, seen.shape) for values in own]
+    group = _groups(lines.centre[rows], ENERGY_MAPS.line_bins * float(made.axis[1] - made.axis[0]))
+
+    def together(values: Floats) -> Floats:
+        return np.asarray(_sums(group.ravel(), values.ravel(), seen.shape).ravel()[group])
+
+    there, floor, count = (together(values) for values in alone)
+    told, members = together(np.where(seen, stated, 0.0)), together(seen.astype(np.float64))
+    more = _more_than_noise(there, floor, told, np.maximum(1.0, count), made.averages[rows])
+    both = np.clip(np.where(more, there - floor, told), 0.0, there)
+    part = np.where(told > 0.0, stated / np.where(told > 0.0, told, 1.0), 1.0 / np.maximum(members, 1.0))
+    unseen = np.where(members > 0.0, 0.0, alone[0] - alone[1]).sum(axis=0)
+    return np.asarray(np.where(seen, part * both, 0.0).sum(axis=0) + np.maximum(0.0, unseen))
+
+
+def _groups(centre: Floats, near: float) -> NDArray[np.int64]:
+    """Place of the group of each line (rows, lines) in an array of that shape; chains of lines ``near`` each other."""
+    rank = np.argsort(centre, axis=1)
+    apart = np.diff(np.take_along_axis(centre, rank, axis=1), axis=1) > near
+    label = np.concatenate([np.zeros((len(centre), 1), dtype=np.int64), np.cumsum(apart, axis=1)], axis=1)
+    made = np.empty(centre.shape, dtype=np.int64)
+    np.put_along_axis(made, rank, label, axis=1)
+    return np.asarray(made + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
 
 
 def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:

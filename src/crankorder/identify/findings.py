@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import SCHEMA_VERSION, Balance, BearingFinding, Channel, Energy, Findings, Level, quality_of
+from crankorder.identify.alike_speeds import with_lines_of_recordings
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
@@ -25,6 +26,7 @@ from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_orders import numbered_as_followed, with_followed, with_track_rows
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
@@ -43,7 +45,7 @@ from crankorder.identify.motors import (
 )
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
-from crankorder.identify.parted_tones import with_tones_parted
+from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
@@ -230,7 +232,11 @@ def _orders_and_modes(
     in_map = _orders_in_map(order_map, frames, settings, followed)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept.poles)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = without_doubles(with_mains_tones(with_tones_parted(modal, held), known, in_map))
+    modal = with_tones_parted(modal, held)
+    if speed_source([*frames, order_map]) == "pulses":
+        in_map, modal = with_lines_of_recordings(in_map, modal, held, order_map, settings=settings.identify)
+    modal = without_absent_mains(modal, held, settings=settings.identify)
+    modal = without_doubles(with_mains_tones(modal, known, in_map))
     return in_map if doubt is None else undecided_orders(in_map), modal
 
 

@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import LOBE_BINS, Held
+from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.lines.several_orders import several_lines
+from crankorder.identify.lines.several_orders import several_lines, unparted_reach
+from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.identify.modal.tones import NEAR_BINS
+from crankorder.settings import IdentifySettings
+
+UNPARTED = "several lines that the recordings are too short to part, or one that swells"
+"""What is said of a tone that is no single steady line."""
 
 
 def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
@@ -18,7 +25,8 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
 
     Lines closer than the main lobe of the map's window are one there; what the fit of the stronger leaves beside it is
     a tone only where the longest of the recordings ``held`` shows a line. Where that shows several within a bin of a
-    tone, its interval holds all of them and its evidence names them.
+    tone, its interval holds all of them and its evidence names them; where it shows that the tone is no single line and
+    does not part it, the intervals of frequency and amplitude are as wide as that leaves open.
     """
     if len(modal.frequency_hz) < 2 or not modal.tones:
         return modal
@@ -36,13 +44,72 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
     for tone in kept:
         near = [f for f in lines[tone.frequency_hz] if abs(f - tone.frequency_hz) <= step]
         own = [f for f in near if min(centres, key=lambda one: abs(one - f)) == tone.frequency_hz]
-        made.append(_holding(tone, own) if len(own) > 1 else tone)
+        held_of_it = _holding(tone, own) if len(own) > 1 else tone
+        made.append(held_of_it if near else _unless_several(held_of_it, centres, longest, NEAR_BINS * step))
     return replace(modal, tones=tuple(made))
+
+
+def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: IdentifySettings) -> ModalFit:
+    """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
+
+    A supply is there at every speed; what stands near one of its many multiples at some speeds is something else.
+    ``settings``: the mains frequencies and how far they wander.
+    """
+    if len(modal.frequency_hz) < 2:
+        return modal
+    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
+    tones = [
+        _unless_absent(tone, held, step) if tone.kind == "mains" and _is_high(tone, settings) else tone
+        for tone in modal.tones
+    ]
+    return replace(modal, tones=tuple(tones))
+
+
+def _is_high(tone: Tone, settings: IdentifySettings) -> bool:
+    """Whether a ``tone`` lies far above the multiples of the mains that may stand alone."""
+    return tone.frequency_hz > MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
+
+
+def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
+    place = tone.frequency_hz
+    inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
+    shown = sum(found_near(one, place - reach_hz, place + reach_hz, []) is not None for one in inside)
+    if not inside or shown == len(inside):
+        return tone
+    return replace(tone, kind="tone", evidence=f"no damping; {shown} of {len(inside)} recordings show it")
 
 
 def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:
     size, more = (max(value for value, _ in one.amplitude.values()) for one in (tone, other))
     return size < more and abs(tone.frequency_hz - other.frequency_hz) < reach_hz
+
+
+def _unless_several(tone: Tone, centres_hz: Sequence[float], held: Held | None, reach_hz: float) -> Tone:
+    """``tone``, or with wide intervals where ``held`` shows several lines there that it does not part.
+
+    ``centres_hz``: all tones, which take part where they are within ``reach_hz``.
+    """
+    if held is None:
+        return tone
+    turn_hz, beyond = held.rpm / 60.0, LOBE_BINS / held.revs
+    low, high = (tone.frequency_hz - reach_hz) / turn_hz, (tone.frequency_hz + reach_hz) / turn_hz
+    if low - beyond <= 0.0 or high + beyond >= held.axis[-1] or several_lines(held, low, high, beyond=beyond):
+        return tone
+    orders = [hertz / turn_hz for hertz in centres_hz if abs(hertz - tone.frequency_hz) <= reach_hz]
+    halves = 0.5 * np.arange(np.ceil(2.0 * low), np.floor(2.0 * high) + 1.0)
+    orders += [half for half in halves.tolist() if _beside(half, orders) * held.span_rev > KNOWN_LINES.apart_cycles]
+    ends = unparted_reach(held, low, high, orders)
+    if ends is None:
+        return tone
+    far = max(abs(end * turn_hz - tone.frequency_hz) for end in ends)
+    words = f"{tone.evidence}; {UNPARTED}"
+    amplitude = {name: (size, max(error, size / Z95)) for name, (size, error) in tone.amplitude.items()}
+    error = max(tone.frequency_error_hz, far / Z95)
+    return replace(tone, frequency_error_hz=error, amplitude=amplitude, evidence=words)
+
+
+def _beside(order: float, orders: Sequence[float]) -> float:
+    return min(abs(order - other) for other in orders)
 
 
 def _lines_near(held: Held | None, hertz: float, reach_hz: float) -> list[float]:

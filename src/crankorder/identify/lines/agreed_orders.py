@@ -167,12 +167,18 @@ def orders_agreed(
 
 
 def _with_close_lines(found: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
-    """``found`` of a test at one speed with all lines about the mains where more of them stand than were told there."""
+    """``found`` of a test at one speed with all close lines where more of them stand than were told there."""
 
     def told(low: float, high: float) -> list[float]:
         return [one.number.order for one in found if low <= one.number.order <= high]
 
-    for close in close_lines(test.recordings, test.order_map, told=told, mains_hz=settings.mains_hz):
+    def doubtful(low: float, high: float) -> bool:
+        near = [one for one in found if low <= one.number.order <= high]
+        swells = any(SWELLS in one.reservation or _may_be_two(one.lines) for one in near)
+        # a speed that wanders unseen makes several lines of one, and those would prove the speed
+        return test.by_pulses and (swells or not near)
+
+    for close in close_lines(test.recordings, test.order_map, told=told, doubtful=doubtful, mains_hz=settings.mains_hz):
         text = f"{len(close.solved)} {SOLVED}"
         added = [
             _Unnamed(_Number(one.order, one.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, text)

@@ -35,6 +35,7 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="several_order
     wander_cycles: float
     smallest_share: float
     unsteady_share: float
+    unparted_share: float
     beside_bins: int
     left_ratio: float
     left_share: float
@@ -154,19 +155,65 @@ def _is_noise(held: Held, bins: NDArray[np.int64], left: Complex, told: Floats) 
 
     Of the channels in which one of them stands out; False where none does.
     """
-    power = np.square(np.abs(held.spectrum)).mean(axis=1)
-    wide = np.arange(
-        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
-    )
-    floor = np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300)
-    largest = np.square(told).max(axis=0)
-    shown = largest > NUMBERS.stands_over_ratio * floor
+    largest, floor = np.square(told).max(axis=0), _floor(held, bins)
+    shown = _shown(held, bins, told)
     over = np.square(np.abs(left)).reshape(len(held.turn), len(bins), -1).mean(axis=0).max(axis=0) / floor
     return bool(shown.any() and (over < NUMBERS.left_ratio + NUMBERS.left_share**2 * largest / floor)[shown].all())
 
 
+def unparted_reach(held: Held, low: float, high: float, orders: Sequence[float]) -> tuple[float, float] | None:
+    """Orders between which lie lines that ``held`` does not part; None where ``orders`` hold most of what is there.
+
+    Lines that beat hardly once within a recording are no set that a fit could tell, nor is what is left beside one of
+    them noise: they are somewhere where a line would take a good part of what the best one takes, between ``low`` and
+    ``high``.
+    """
+    bins = bins_of(held, np.array([low, high]))
+    if not len(bins) or len(held.turn) < 8:
+        return None
+    data = data_of(held, bins)
+    scored = _scores(held, bins, data, low, high)
+    if scored is None:
+        return None
+    trial, score = scored
+    strongest = waves_of(held, bins, [(0.0, float(trial[int(np.argmax(score))]))])
+    size = np.abs(np.linalg.lstsq(strongest, data, rcond=None)[0])
+    if not _shown(held, bins, size).any():
+        return None
+    if orders:
+        waves = waves_of(held, bins, [(0.0, order) for order in orders])
+        left = data - waves @ np.linalg.lstsq(waves, data, rcond=None)[0]
+        lost = np.square(np.abs(left)).sum(axis=0) / np.maximum(np.square(np.abs(data)).sum(axis=0), 1e-300)
+        if lost.min() < NUMBERS.unparted_share:
+            return None
+    near = trial[score >= NUMBERS.unparted_share * score.max()]
+    return float(near.min()), float(near.max())
+
+
+def _floor(held: Held, bins: NDArray[np.int64]) -> Floats:
+    """Median power (channels,) of the bins beside ``bins``."""
+    power = np.square(np.abs(held.spectrum)).mean(axis=1)
+    wide = np.arange(
+        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
+    )
+    return np.asarray(np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300))
+
+
+def _shown(held: Held, bins: NDArray[np.int64], told: Floats) -> NDArray[np.bool_]:
+    """In which channels one of the amplitudes ``told`` (lines, channels) stands out of what is beside the ``bins``."""
+    return np.asarray(np.square(told).max(axis=0) > NUMBERS.stands_over_ratio * _floor(held, bins))
+
+
 def _strongest(held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float) -> float | None:
     """Order between ``low`` and ``high`` at which a line would take most of what is ``left``."""
+    scored = _scores(held, bins, left, low, high)
+    return None if scored is None else float(scored[0][int(np.argmax(scored[1]))])
+
+
+def _scores(
+    held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float
+) -> tuple[Floats, Floats] | None:
+    """Orders (trials,) between ``low`` and ``high``, and the share of what is ``left`` that a line at each takes."""
     hop = float(np.median(np.diff(held.turn)))
     slot = np.rint((held.turn - held.turn[0]) / hop).astype(np.int64)
     n = PADDED * (int(slot[-1]) + 1)
@@ -189,7 +236,7 @@ def _strongest(held: Held, bins: NDArray[np.int64], left: Complex, low: float, h
         gain += shape**2
     power = np.square(np.abs(total)) / np.maximum(gain, 1e-12)[:, None]
     score = (power / np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-300)).sum(axis=1)
-    return float(trial[int(np.argmax(score))])
+    return trial, np.asarray(score)
 
 
 def _joined(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, fit: _Fit, order: float) -> _Fit:
@@ -283,14 +330,15 @@ def close_lines(
     order_map: xr.Dataset,
     *,
     told: Callable[[float, float], Sequence[float]],
+    doubtful: Callable[[float, float], bool],
     mains_hz: Sequence[float],
 ) -> list[CloseLines]:
-    """Neighbourhoods of the mains in the OrderMap ``order_map`` of one speed that hold more lines than were told there.
+    """Neighbourhoods in the OrderMap ``order_map`` of one speed that hold more lines than were told there.
 
-    Where the mains or their double meet an order of a motor, sidebands stand about both; elsewhere a line beside
-    another is told by its beat, and what swells in a third way is a line that changes. ``recordings`` are those of the
-    test, of which the longest is looked at; ``told`` gives the orders that were told between two; ``mains_hz``: the
-    frequencies of supplies.
+    Those of the mains, for where the mains or their double meet an order of a motor, sidebands stand about both; and
+    those that are ``doubtful``, where nothing is told or what is told swells and fades, as three lines or more do.
+    ``recordings`` are those of the test, of which the longest is looked at; ``told`` gives the orders that were told
+    between two; ``mains_hz``: the frequencies of supplies.
     """
     if order_map.sizes["speed"] != 1 or order_map.attrs.get("window", "hann") != "hann":
         return []
@@ -306,7 +354,7 @@ def close_lines(
     ]
     for peak in _peaks(order_map, reach):
         low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
-        if not any(low <= order <= high for order in of_mains):
+        if not doubtful(low, high) and not any(low <= order <= high for order in of_mains):
             continue
         orders = told(low, high)
         if leave_noise(held, low, high, orders):

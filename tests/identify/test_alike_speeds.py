@@ -1,0 +1,111 @@
+"""Lines at speeds that differ by some percent: what stays and what goes with the shaft, each at its size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from crankorder.identify.alike_speeds import with_lines_of_recordings
+from crankorder.identify.found import AgreedOrder, ModalFit, Tone
+from crankorder.identify.intervals import Z95
+from crankorder.identify.known_lines import Held, held_recordings
+from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.settings import load_settings
+from made.found_lines import agreed, fit, line
+from made.line_frames import angle_of, frames_of, wave
+
+SETTINGS = load_settings().identify
+
+
+def recorded(speeds: list[float], fixed: dict[float, float], orders: dict[float, float], *, seed: int) -> list[Held]:
+    """Recordings of 20 s at the ``speeds``, with lines at ``fixed`` Hz and at ``orders``, each with its amplitude."""
+    rng, made = np.random.default_rng([seed, 5]), []
+    for rpm in speeds:
+        angle = angle_of(round(20.0 * rpm / 60.0))
+        signal = 0.1 * rng.standard_normal(len(angle))
+        for hertz, size in fixed.items():
+            signal += wave(angle, 60.0 * hertz / rpm, size, rng.uniform(0.0, 6.0))
+        for order, size in orders.items():
+            signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
+        frames = frames_of([signal], speed_rpm=rpm)
+        made += held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+    return made
+
+
+def told(
+    held: list[Held], tones: list[float], orders: tuple[AgreedOrder, ...] = (), *, turns: int = 1
+) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    """What is made of ``tones`` of the map that are one with others."""
+    made = tuple(Tone(hertz, 0.002, "order", {"A": (0.7, 0.001)}, "lies on an order") for hertz in tones)
+    modal = replace(fit(), tones=made, frequency_hz=np.arange(0.5, 400.0, 0.5))
+    speed = sorted(one.rpm for one in held)
+    order_map = xr.Dataset(coords={"speed": speed, "order": held[0].axis}, attrs={"revs_per_cycle": turns})
+    return with_lines_of_recordings(orders, modal, held, order_map, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_mains_and_the_order_beside_them_have_their_own_size_whichever_is_larger(seed: int) -> None:
+    rng = np.random.default_rng([seed, 9])
+    supply = float(rng.choice([50.0, 60.0])) * float(rng.uniform(0.999, 1.001))
+    slips = np.sort(rng.uniform(0.004, 0.02, 4))
+    slips += np.array([0.0, 0.004, 0.008, 0.012])
+    size, of_order = (float(one) for one in np.exp(rng.uniform(np.log(0.03), np.log(1.0), 2)))
+    held = recorded([60.0 * supply * (1.0 - one) for one in slips], {supply: size}, {1.0: of_order}, seed=seed)
+    orders, modal = told(held, [supply - 0.3, supply + 0.05], (agreed(1.012, line(1.012)),))
+    assert [one.order for one in orders] == [1.0] and orders[0].lock == "locked"
+    (row,) = orders[0].lines
+    assert np.abs(row.amplitude - of_order) == pytest.approx(0.0, abs=4.0 * float(row.amplitude_error.max()))
+    (tone,) = modal.tones
+    assert tone.kind == "mains" and abs(tone.frequency_hz - supply) < 0.01
+    mean, error = tone.amplitude["A"]
+    assert abs(mean - size) < 4.0 * error and error < 0.01
+
+
+def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order() -> None:
+    held = recorded([1480.0, 1500.0, 1530.0], {77.3: 0.5}, {3.0: 0.8, 3.06: 0.4}, seed=1)
+    orders, modal = told(held, [74.8, 76.0, 77.0])
+    assert [one.order for one in orders] == pytest.approx([3.0, 3.06], abs=1e-3)
+    assert [one.lock for one in orders] == ["locked", "slips"]
+    (tone,) = modal.tones
+    assert tone.kind == "tone" and tone.frequency_hz == pytest.approx(77.3, abs=0.01)
+
+
+def test_lines_on_two_mains_frequencies_are_both_called_tones() -> None:
+    """No place has two supplies."""
+    held = recorded([985.0, 1003.0, 1017.0], {50.0: 0.5, 60.0: 0.4}, {1.0: 0.6}, seed=4)
+    _, modal = told(held, [49.9, 60.1])
+    assert [tone.frequency_hz for tone in modal.tones] == pytest.approx([50.0, 60.0], abs=0.01)
+    assert [tone.kind for tone in modal.tones] == ["tone", "tone"]
+
+
+def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
+    """A pole-pass sideband moves with the slip: no frequency and no order of its own."""
+    held = [
+        one
+        for rpm, slip in ((2985.0, 0.005), (2970.0, 0.01), (2952.0, 0.016))
+        for one in recorded([rpm], {50.0: 0.5, 50.0 * (1.0 - slip) + 100.0 * slip: 0.4}, {1.0: 1.0}, seed=3)
+    ]
+    before = (agreed(1.0, line(1.0)),)
+    orders, modal = told(held, [49.9], before)
+    assert orders == before and [tone.frequency_hz for tone in modal.tones] == [49.9]
+
+
+@pytest.mark.parametrize("speeds", [[1500.0], [1500.0, 1500.0], [1000.0, 1500.0]])
+def test_one_speed_and_speeds_far_apart_are_left_alone(speeds: list[float]) -> None:
+    held = recorded(speeds, {50.0: 0.5}, {2.0: 1.0}, seed=2)
+    _, modal = told(held, [49.9])
+    assert [tone.frequency_hz for tone in modal.tones] == [49.9]
+
+
+def test_the_interval_of_a_tone_that_stands_alone_holds_it() -> None:
+    off = []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 4])
+        hertz = float(rng.uniform(70.0, 130.0))
+        held = recorded([1480.0, 1500.0, 1530.0], {hertz: 0.3}, {1.0: 1.0}, seed=seed)
+        _, modal = told(held, [hertz - 0.08])
+        off += [abs(tone.frequency_hz - hertz) / (Z95 * tone.frequency_error_hz) for tone in modal.tones]
+    assert len(off) == 12 and np.mean(np.array(off) < 1.0) >= 0.8 and max(off) < 2.5
