@@ -352,7 +352,7 @@ def validation_fault(fault: Any, source: str, place_of: dict[str, int] | None = 
     line = (place_of or {}).get(key)
     unknown = fault["type"] == "extra_forbidden"
     return RequestError(
-        "unknown key" if unknown else fault["msg"],
+        "unknown key" if unknown else str(fault["msg"]).removeprefix("Value error, "),
         file=source if line is None else f"{source}:{line}",
         place=key,
         found="" if unknown or fault["type"] == "missing" else fault["input"],

@@ -153,12 +153,14 @@ class TestFolder:
         outcome = balance("msu-optical-second", "--out", tmp_path / "out", "--json")
         assert outcome.exit_code == 0, outcome.output
         names = {path.name for path in (tmp_path / "out").iterdir()}
-        assert names == {"balance.json", "polar.png", "force.png", "orders.png", "harmonics.png", "balance.nc", DONE}
+        pictures = {"polar.png", "force.png", "orders.png", "harmonics.png", "torque.png", "loads.png"}
+        assert names == {"balance.json", *pictures, "balance.nc", DONE}
         assert json.loads((tmp_path / "out" / "balance.json").read_bytes()) == json.loads(outcome.stdout)
         assert finished_with(tmp_path / "out", json.loads((tmp_path / "out" / DONE).read_bytes())["key"])
         assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in names if name.endswith("png"))
         assert [line.rpartition("/")[2] for line in outcome.stderr.splitlines()] == [
-            "balance.json", "polar.png", "force.png", "orders.png", "harmonics.png", "balance.nc",
+            "balance.json", "polar.png", "force.png", "orders.png", "harmonics.png", "torque.png", "loads.png",
+            "balance.nc",
         ]  # fmt: skip
 
     def test_the_netcdf_holds_forces_harmonics_and_polar_curves(self, tmp_path):

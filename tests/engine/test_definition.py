@@ -88,6 +88,7 @@ def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path: 
         "main_bearings_m",
         "cylinders",
         "gas.crank_angle_deg",
+        "gas.ideal",
         "bearings.0.designation",
     }
 
@@ -135,6 +136,17 @@ def test_a_fault_of_an_entry_is_told_once_and_not_of_its_list(tmp_path: Path) ->
     text = "[[cylinders]]\ncrank_deg = 'x'\n[gas]\ncrank_angle_deg = ['a', 90.0]\ntorque_n_m = [0.0, 1.0]\n"
     told = places_and_problems(tmp_path, GOOD + text)
     assert [place for place, _ in told] == ["cylinders.0.crank_deg", "gas.crank_angle_deg.0"]
+
+
+@pytest.mark.parametrize("pressure", ["-1.0", "'low'", "nan"])
+def test_faults_of_angles_and_surroundings_hide_neither_each_other_nor_a_missing_curve(
+    tmp_path: Path, pressure: str
+) -> None:
+    gas = f"bore_m = 0.08\n[gas]\ncrank_angle_deg = [0.0, 0.0]\nsurroundings_pa = {pressure}\n"
+    told = places_and_problems(tmp_path, GOOD + gas)
+    assert [place for place, _ in told] == ["gas.crank_angle_deg", "gas.ideal", "gas.surroundings_pa"]
+    told = places_and_problems(tmp_path, GOOD + gas + "pressure_pa = [1e5, 2e5]\n")
+    assert [place for place, _ in told] == ["gas.crank_angle_deg", "gas.surroundings_pa"]
 
 
 def test_a_gas_curve_of_one_angle_is_refused(tmp_path: Path) -> None:

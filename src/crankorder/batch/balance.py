@@ -124,7 +124,28 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
         for name, draw in pictures.items()
         if settings.pictures
     }
+    if balance.document["cycle"] is not None:
+        groups["cycle"], of_cycle = _cycle(balance, subject, settings)
+        made |= of_cycle
     return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
+
+
+def _cycle(balance: Balance, subject: BalancedEngine, settings: ReportSettings) -> tuple[xr.Dataset, dict[str, bytes]]:
+    """Torques and loads of an engine over its cycle, and their pictures by file name."""
+    from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
+    from crankorder.report.figures import picture_bytes
+    from crankorder.report.netcdf import as_stored
+
+    assert balance.speeds_rpm is not None
+    cycle, title, kind = balance.document["cycle"], str(balance.document["engine"]), settings.picture_format
+    dataset = cycle_dataset(subject.engine, balance.speeds_rpm)
+    if not settings.pictures:
+        return dataset, {}
+    shown = as_stored({"cycle": dataset})["cycle"]
+    figures = {"torque": torque_figure(shown, cycle["turning"], title=title, settings=settings)}
+    if cycle["loads"] is not None:
+        figures["loads"] = loads_figure(shown, title=title, settings=settings)
+    return dataset, {f"{name}.{kind}": picture_bytes(one, dpi=settings.dpi, kind=kind) for name, one in figures.items()}
 
 
 def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:

@@ -38,6 +38,7 @@ from crankorder.engine.shafts import (
     wheels_force,
 )
 from crankorder.engine.slider_crank import SliderCrank
+from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
 
@@ -156,6 +157,7 @@ class BalanceData(EngineData):
     gears: GearTrain | None = None
     design_orders: tuple[DesignOrder, ...] = Field(default=(1, 2), strict=False)
     design_planes_m: tuple[float, float] | None = Field(default=None, strict=False)
+    tolerances: BalanceTolerances | None = None
 
     @field_validator("design_planes_m")
     @classmethod

@@ -45,6 +45,7 @@ from crankorder.engine.engine_tables import (
     moment_phases,
     moment_sentences,
     phases_by_axis,
+    tolerance_of,
     whole_force,
     whole_moments,
 )
@@ -57,6 +58,7 @@ from crankorder.engine.shafts import (
     parts_unbalance_g_mm,
     shaft_layout,
 )
+from crankorder.engine.tolerance_study import tolerance_sentences
 from crankorder.errors import RequestError
 
 NEARLY_STATIC = 0.01
@@ -83,6 +85,7 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
     said += _of_shafts(sheet["shafts"], speed_rpm, where)
     said += design_sentences(sheet["design"], speed_rpm)
+    said += tolerance_sentences(sheet["tolerance"])
     said += _of_pairs(sheet["shafts"]["pairs"] or [], speed_rpm)
     said += _of_crankshaft(sheet["crankshaft"], speed_rpm)
     said += _of_rod_split(sheet["rod_split"], speed_rpm)
@@ -309,6 +312,7 @@ def balance_sheet(
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
         "cycle": None if engine.cycle == "rotor" else cycle_table(engine, max_order=max_order, speeds=speeds),
+        "tolerance": tolerance_of(subject, max_order, speeds),
         "design": None if single else design_table(subject, max_order),
         "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),

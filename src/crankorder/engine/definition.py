@@ -206,16 +206,15 @@ class GasCurve(EngineData):
             raise ValueError(f"must have one value for each of the {len(angles)} crank angles")
         return value
 
-    @field_validator("surroundings_pa")
+    @field_validator("ideal")
     @classmethod
-    def _one_curve(cls, value: float, info: ValidationInfo) -> float:
-        kinds = ("pressure_pa", "torque_n_m", "ideal")
-        if {*kinds, "crank_angle_deg"} <= info.data.keys():
-            given = [name for name in kinds if info.data[name] is not None]
-            if len(given) != 1:
-                raise ValueError("a gas curve is either pressure_pa or torque_n_m, or else an ideal cycle")
-            if (info.data["crank_angle_deg"] is None) != (given == ["ideal"]):
-                raise ValueError("crank_angle_deg belongs to pressure_pa and torque_n_m, and to them alone")
+    def _one_curve(cls, value: IdealCycle | None, info: ValidationInfo) -> IdealCycle | None:
+        # a faulty curve counts as given: that it is faulty is told already, and nothing else may hide
+        given = {name for name in ("pressure_pa", "torque_n_m") if info.data.get(name, ()) is not None}
+        if len(given) + (value is not None) != 1:
+            raise ValueError("a gas curve is either pressure_pa or torque_n_m, or else an ideal cycle")
+        if (info.data.get("crank_angle_deg", ()) is None) != (value is not None):
+            raise ValueError("crank_angle_deg belongs to pressure_pa and torque_n_m, and to them alone")
         return value
 
     model_config = ConfigDict(validate_default=True)

@@ -22,6 +22,7 @@ from crankorder.engine.shaft_design import (
     roll_height_m,
     throw_counterweights,
 )
+from crankorder.engine.tolerance_study import tolerance_table
 
 Amounts = dict[str, float]
 """Amplitude over ω² by order, orders as texts."""
@@ -115,6 +116,21 @@ def designs_for(subject: BalancedEngine) -> tuple[Design, ...]:
     """Crank webs and shafts for the orders and planes that the engine file of ``subject`` asks for."""
     orders = sorted(set(subject.balance.design_orders))
     return designs(subject.engine, orders=orders, planes_m=_planes_m(subject), max_order=max([1, *orders]))
+
+
+def tolerance_of(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> dict[str, Any] | None:
+    """Study of the tolerances that the file of ``subject`` states: of its own shafts, else of the last design.
+
+    None where it states none. ``max_order``: of the tables. ``speeds``: rpm.
+    """
+    tolerances, engine = subject.balance.tolerances, subject.engine
+    if tolerances is None:
+        return None
+    made = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
+    studied = made[-1].on(engine) if made else engine
+    top = max([max_order, *studied.shafts.every_order])
+    table = tolerance_table(studied, tolerances, max_order=top, speeds=speeds)
+    return {"of": made[-1].name if made else "own" if engine.shafts.every_order else "none", **table}
 
 
 def _planes_m(subject: BalancedEngine) -> tuple[float, float]:

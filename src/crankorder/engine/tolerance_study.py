@@ -1,0 +1,271 @@
+"""What errors of masses, pins and shaft timing leave of a balanced engine, and classes that keep a stated residual."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+
+from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, Positive, SingleShaft, Weight
+from crankorder.engine.forces import Z, crankcase_forces
+from crankorder.engine.harmonics import acceleration_harmonics
+
+Complex = NDArray[np.complex128]
+Floats = NDArray[np.float64]
+Parts = NDArray[np.complex128]
+"""Direct and reverse part by sample and order 1, 2, …: shape (2, sample, order)."""
+
+ONE_RADIAN_PER_S_RPM = 30 / math.pi
+QUANTILES = {"2.5 %": 0.025, "median": 0.5, "95 %": 0.95, "97.5 %": 0.975}
+KEPT_SHARE = 0.95
+"""Share of engines that a class of masses or angles must keep below the stated residual."""
+STEPS = 6
+"""Of the secant that finds an angle: what it adds is nearly in proportion to it."""
+
+
+class BalanceTolerances(EngineData):
+    """Errors of a series of engines, each even between plus and minus what is stated, and what they may leave.
+
+    ``reciprocating_g``: of each cylinder. ``rotating_g_mm``: unbalance added to each throw, any direction, up to this.
+    ``pin_deg``: of each crank pin. ``shaft_percent``: of each weight of a balance shaft. ``gear_deg``: of each shaft's
+    own angle. ``mistiming_deg``: one case beside the series, all shafts late by it. ``allowed_g_mm``: force over ω² of
+    any order that errors may add; or ISO 21940-11's ``grade_mm_s`` of a ``rotor_mass_kg`` at the highest speed asked.
+    """
+
+    reciprocating_g: NonNegative = 0.0
+    rotating_g_mm: NonNegative = 0.0
+    pin_deg: NonNegative = 0.0
+    shaft_percent: NonNegative = 0.0
+    gear_deg: NonNegative = 0.0
+    mistiming_deg: float | None = None
+    allowed_g_mm: Positive | None = None
+    grade_mm_s: Positive | None = None
+    rotor_mass_kg: Positive | None = None
+    samples: Annotated[int, Field(ge=100, le=20_000)] = 2000
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    @field_validator("rotor_mass_kg")
+    @classmethod
+    def _grade_has_a_mass(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if {"grade_mm_s", "allowed_g_mm"} <= info.data.keys():
+            grade, allowed = info.data["grade_mm_s"], info.data["allowed_g_mm"]
+            if (grade is None) != (value is None):
+                raise ValueError("grade_mm_s and rotor_mass_kg belong together")
+            if grade is not None and allowed is not None:
+                raise ValueError("either allowed_g_mm or a grade")
+        return value
+
+    model_config = ConfigDict(validate_default=True)
+
+    def allowed_at(self, speed_rpm: float) -> float | None:
+        """Unbalance (g·mm) that may remain at ``speed_rpm``. Source: ISO 21940-11, U = 1000 · G · M / Ω."""
+        if self.grade_mm_s is None or self.rotor_mass_kg is None:
+            return self.allowed_g_mm
+        return 1000 * self.grade_mm_s * self.rotor_mass_kg / (speed_rpm * math.pi / 30)
+
+
+KINDS = ("reciprocating_g", "rotating_g_mm", "pin_deg", "shaft_percent", "gear_deg")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Errors drawn for a series: each (sample, cylinder) or (sample, shaft) or (sample, weight), between −1 and 1."""
+
+    mass: Floats
+    throw: Complex
+    pin: Floats
+    weight: Floats
+    gear: Floats
+
+
+def with_single_shafts(engine: Engine, max_order: int) -> Engine:
+    """The ``engine`` with each of its pairs as two single shafts that make the same force, orders to ``max_order``."""
+    shafts = engine.shafts
+    bare = engine.model_copy(update={"shafts": BalanceShafts()})
+    paired = engine.model_copy(update={"shafts": shafts.model_copy(update={"single": ()})})
+    made = 1e6 * (
+        crankcase_forces(paired, ONE_RADIAN_PER_S_RPM, max_order=max_order)[Z]
+        - crankcase_forces(bare, ONE_RADIAN_PER_S_RPM, max_order=max_order)[Z]
+    )
+    orders = sorted({*shafts.orders, *(pair.order for pair in shafts.pairs)})
+    single = [
+        SingleShaft(
+            speed_ratio=sense * k,
+            weights=(
+                Weight(
+                    unbalance_g_mm=float(abs(made[k])) / (2 * k**2),
+                    angle_deg=sense * math.degrees(float(np.angle(made[k]))),
+                    position_m=shafts.position_m,
+                ),
+            ),
+        )
+        for k in orders
+        for sense in (1, -1)
+    ]
+    return engine.model_copy(update={"shafts": BalanceShafts(single=(*single, *shafts.single))})
+
+
+def tolerance_table(
+    engine: Engine, tolerances: BalanceTolerances, *, max_order: int, speeds: Sequence[float]
+) -> dict[str, Any]:
+    """Force and couple that a series of engines leaves by order, one stated mistiming, and the classes that keep it.
+
+    ``engine``: balanced, by its webs and shafts. ``tolerances``: of the series. ``max_order``: highest order, ≥ 1 and
+    not below any shaft's. ``speeds``: rpm; the grade is taken at the highest.
+    The residual of an order is the most of a turn: the large half axis of its ellipse.
+    """
+    studied = with_single_shafts(engine, max_order)
+    errors = _draw(studied, tolerances)
+    stated = {kind: float(getattr(tolerances, kind)) for kind in KINDS}
+    force, couple = _left(studied, errors, stated, max_order)
+    late = None
+    if tolerances.mistiming_deg is not None and studied.shafts.single:
+        still = Errors(mass=errors.mass[:1] * 0, throw=errors.throw[:1] * 0, pin=errors.pin[:1] * 0,
+                       weight=errors.weight[:1] * 0, gear=np.full((1, errors.gear.shape[1]), -1.0))  # fmt: skip
+        shift = {**dict.fromkeys(KINDS, 0.0), "gear_deg": tolerances.mistiming_deg}
+        late = {"deg": tolerances.mistiming_deg, "force_g_mm": _sizes(_left(studied, still, shift, max_order)[0])}
+    allowed = tolerances.allowed_at(max(speeds))
+    classes = None if allowed is None else _classes(studied, errors, allowed, max_order)
+    return {
+        "samples": tolerances.samples,
+        "seed": tolerances.seed,
+        "force_g_mm": _quantiles(force),
+        "couple_g_mm2": _quantiles(couple),
+        "mistiming": late,
+        "allowed_g_mm": allowed,
+        "largest_alone": classes,
+    }
+
+
+def _draw(engine: Engine, tolerances: BalanceTolerances) -> Errors:
+    draw = np.random.default_rng(tolerances.seed)
+    n, cylinders, single = tolerances.samples, len(engine.cylinders), engine.shafts.single
+    weights = sum(len(shaft.weights) for shaft in single)
+    return Errors(
+        mass=draw.uniform(-1, 1, (n, cylinders)),
+        throw=np.sqrt(draw.uniform(0, 1, (n, cylinders))) * np.exp(2j * np.pi * draw.uniform(0, 1, (n, cylinders))),
+        pin=draw.uniform(-1, 1, (n, cylinders)),
+        weight=draw.uniform(-1, 1, (n, weights)),
+        gear=draw.uniform(-1, 1, (n, len(single))),
+    )
+
+
+def _left(engine: Engine, errors: Errors, size: dict[str, float], max_order: int) -> tuple[Parts, Parts]:
+    """Force (g·mm) and couple (g·mm²) over ω² of every sample."""
+    parts = np.zeros((2, 2, errors.mass.shape[0], max_order), dtype=np.complex128)  # force and couple
+    _add_cylinders(parts, engine, errors, size)
+    for web in engine.webs:
+        _add(parts, np.asarray(web.unbalance_g_mm * np.exp(1j * np.radians(web.angle_deg))), 0.0, web.position_m, 0)
+    _add_shafts(parts, engine, errors, size)
+    return parts[0], parts[1]
+
+
+def _add(parts: Complex, direct: Complex, reverse: Complex | float, position_m: float, at: int | slice) -> None:
+    for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
+        parts[row, 0, :, at] += lever * direct
+        parts[row, 1, :, at] += lever * reverse
+
+
+def _add_cylinders(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+    max_order = parts.shape[-1]
+    orders = np.arange(1, max_order + 1)
+    for n, one in enumerate(engine.each):
+        where = one.cylinders[0]
+        bank = math.radians(where.bank_deg)
+        turned = np.radians(where.crank_deg) + np.radians(size["pin_deg"]) * errors.pin[:, n]
+        mass_g = 1e3 * one.reciprocating_mass_kg + size["reciprocating_g"] * errors.mass[:, n]
+        harmonics = acceleration_harmonics(one.mechanism, max_order)[1:]
+        line = 0.5e3 * one.crank_radius_m * mass_g[:, None] * harmonics * np.exp(1j * orders * (turned[:, None] - bank))
+        tilt = np.exp(1j * bank)
+        _add(parts, line * tilt, line.conj() * tilt, where.position_m, slice(None))
+        rest = 1e6 * one.rotating_unbalance_kg_m * np.exp(1j * np.radians(one.rotating_unbalance_deg))
+        throw = (rest + size["rotating_g_mm"] * errors.throw[:, n]) * np.exp(1j * turned)
+        _add(parts, throw, 0.0, where.position_m, 0)
+
+
+def _add_shafts(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+    counted = 0
+    for number, shaft in enumerate(engine.shafts.single):
+        ahead, k = math.copysign(1, shaft.speed_ratio), abs(shaft.speed_ratio)
+        for weight in shaft.weights:
+            amount = k**2 * weight.unbalance_g_mm * (1 + size["shaft_percent"] / 100 * errors.weight[:, counted])
+            angle = math.radians(weight.angle_deg) + ahead * np.radians(size["gear_deg"]) * errors.gear[:, number]
+            made = amount * np.exp(1j * angle)
+            direct, reverse = (made, 0.0 * made) if ahead > 0 else (0.0 * made, made)
+            _add(parts, direct, reverse, weight.position_m, k - 1)
+            counted += 1
+
+
+def _most(parts: Parts) -> Floats:
+    """Largest of a turn, (sample, order)."""
+    most: Floats = np.abs(parts[0]) + np.abs(parts[1])
+    return most
+
+
+def _sizes(parts: Parts) -> dict[str, float]:
+    return {str(k): float(size) for k, size in enumerate(_most(parts)[0], start=1)}
+
+
+def _quantiles(parts: Parts) -> dict[str, dict[str, float]]:
+    most = _most(parts)
+    return {
+        str(k): {name: float(np.quantile(most[:, k - 1], share)) for name, share in QUANTILES.items()}
+        for k in range(1, most.shape[1] + 1)
+    }
+
+
+def _classes(engine: Engine, errors: Errors, allowed: float, max_order: int) -> dict[str, float | None]:
+    """Largest error of each kind, alone, whose added force stays below ``allowed`` in 95 % of the series."""
+    zero = dict.fromkeys(KINDS, 0.0)
+    exact = _left(engine, errors, zero, max_order)[0]
+
+    def added(kind: str, size: float) -> float:
+        most = _most(_left(engine, errors, {**zero, kind: size}, max_order)[0] - exact).max(axis=1)
+        return float(np.quantile(most, KEPT_SHARE))
+
+    found: dict[str, float | None] = {}
+    for kind in KINDS:
+        size, per = 1e-3, added(kind, 1e-3) / 1e-3
+        if per == 0:
+            found[kind] = None
+            continue
+        for _ in range(1 if kind in ("reciprocating_g", "rotating_g_mm", "shaft_percent") else STEPS):
+            size = allowed / per
+            per = added(kind, size) / size
+        found[kind] = allowed / per
+    return found
+
+
+def tolerance_sentences(table: dict[str, Any] | None) -> list[str]:
+    """What a series leaves, what one mistiming adds, and the classes that keep it; ``table`` as made above or None."""
+    if table is None:
+        return []
+    spread = table["force_g_mm"]
+    largest = max(spread, key=lambda order: float(spread[order]["95 %"]))
+    widest = max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
+    of_largest = "their largest and the one that errors spread most" if largest == widest else "their largest"
+    said = [
+        f"Of {table['samples']} engines drawn within the tolerances 95 % leave less than "
+        f"{_span(spread[largest])} of order {largest}, {of_largest}."
+    ]
+    if largest != widest:
+        said.append(f"Errors spread order {widest} most: 95 % leave less than {_span(spread[widest])} of it.")
+    if table["mistiming"] is not None:
+        order, size = max(table["mistiming"]["force_g_mm"].items(), key=lambda one: one[1])
+        said.append(f"All shafts late by {table['mistiming']['deg']:g}° leave {size:.4g} g·mm of order {order}.")
+    if table["largest_alone"] is not None:
+        units = dict(
+            zip(KINDS, ("g on a piston", "g·mm on a throw", "° of a pin", "% of a weight", "° of a shaft"), strict=True)
+        )
+        told = [f"{size:.3g} {units[kind]}" for kind, size in table["largest_alone"].items() if size is not None]
+        said.append(f"Each alone, ± {', '.join(told)} add no more than {table['allowed_g_mm']:.4g} g·mm in 95 %.")
+    return said
+
+
+def _span(one: dict[str, float]) -> str:
+    return f"{one['95 %']:.4g} g·mm (the middle 95 % between {one['2.5 %']:.4g} and {one['97.5 %']:.4g} g·mm)"

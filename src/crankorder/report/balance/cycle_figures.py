@@ -1,0 +1,236 @@
+"""Pictures of an engine's cycle: turning moment and its orders, and the loads of pins, walls and main bearings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from crankorder.engine.balance_data import speed_key
+from crankorder.engine.cycle_tables import cycle_curves
+from crankorder.engine.definition import Engine
+from crankorder.report.balance.look import color_key
+from crankorder.report.notation import number_text
+from crankorder.report.style import (
+    FAINT,
+    GRID,
+    INK,
+    LINES,
+    SMALL,
+    axes_at,
+    drawable,
+    house_style,
+    new_figure,
+    quiet_frame,
+    title_lines,
+    write,
+)
+from crankorder.settings import ReportSettings
+
+Floats = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+"""Left, bottom, width, height in inches."""
+
+_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.35, 1.1, 0.62, 0.95  # inches
+_CURVES = 2.6  # inches, height of the loads against crank angle
+_MOST_COLUMNS = 3
+_SHOWN_SHARE = 1e-3
+_MOST_ORDERS = 12
+
+
+def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
+    """Torques of gas and masses, and loads, of ``engine`` over its cycle at each of ``speeds_rpm``.
+
+    Dims speed, crank_angle (degrees), cylinder, bearing, and direction: "along" and "across" the cylinder for pins, "x"
+    and "z" of the engine for main bearings.
+    """
+    every = [cycle_curves(engine, speed) for speed in speeds_rpm]
+    first, turn = every[0], ("speed", "crank_angle")
+    made: dict[str, Any] = {
+        "gas_torque": (turn, np.stack([one.gas_n_m for one in every]), {"units": "N m"}),
+        "inertia_torque": (turn, np.stack([one.inertia_n_m for one in every]), {"units": "N m"}),
+    }
+    coords: dict[str, Any] = {
+        "speed": ("speed", np.asarray(speeds_rpm, dtype=np.float64), {"units": "min-1"}),
+        "crank_angle": ("crank_angle", 360 * first.crank_angle_rev, {"units": "degree"}),
+    }
+    if first.loads:
+        by_cylinder = ("speed", "cylinder", "crank_angle")
+        thrust = np.stack([[load.side_thrust_n for load in one.loads] for one in every])
+        made["wall_load"] = (by_cylinder, thrust, {"units": "N", "long_name": "piston on its wall"})
+        across = ("speed", "cylinder", "direction", "crank_angle")
+        for name, pin in (("piston_pin_load", "piston_pin_n"), ("crank_pin_load", "crank_pin_n")):
+            values = np.stack([[getattr(load, pin) for load in one.loads] for one in every])
+            made[name] = (across, values, {"units": "N", "long_name": "rod on pin"})
+        coords["direction"] = ["along", "across"]
+    if first.bearings_n is not None:
+        values = np.stack([one.bearings_n[:, [0, 2]] for one in every if one.bearings_n is not None])
+        about = {"units": "N", "long_name": "crankshaft on main bearing"}
+        made["main_bearing_load"] = (("speed", "bearing", "axis", "crank_angle"), values, about)
+        coords["axis"] = ["x", "z"]
+        coords["bearing"] = ("bearing", np.asarray(engine.main_bearings_m), {"units": "m"})
+    return xr.Dataset(made, coords=coords)
+
+
+def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Figure:
+    """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
+
+    ``cycle`` as :func:`cycle_dataset` makes it; ``turning`` by speed, of the balance sheet; ``title`` of the engine;
+    ``settings`` of the report.
+    """
+    with house_style():
+        figure = new_figure(settings.width_in, settings.height_in)
+        speed = float(cycle["speed"].values.max())
+        found = turning[speed_key(speed)]
+        height = (settings.height_in - _TOP - _BOTTOM - _GAP) / 2
+        width = settings.width_in - _LEFT - _RIGHT
+        with_gas = bool(np.any(cycle["gas_torque"].sel(speed=speed).values))
+        _torque_curves(figure, (_LEFT, _BOTTOM + height + _GAP, width, height), cycle.sel(speed=speed), found, with_gas)
+        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), found["by_order"], with_gas=with_gas)
+        said = f"Torque on the crank at {speed_key(speed)} rpm, {number_text(found['least_n_m'])} to "
+        said += f"{number_text(found['peak_n_m'])} N·m"
+        said += "" if found["power_w"] is None else f"; mean {number_text(found['mean_n_m'])} N·m (dashed)"
+        swing = found["speed_fluctuation"]
+        said += "." if swing is None else f"; the speed swings by {number_text(100 * swing)} %."
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", said)
+        return figure
+
+
+def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, found: Mapping[str, Any], with_gas: bool) -> None:
+    axes = axes_at(figure, *box)
+    quiet_frame(axes)
+    gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
+    entries = [("masses", LINES[0], masses)]
+    if with_gas:
+        entries = [("gas", LINES[1], gas), *entries, ("together", INK, gas + masses)]
+    for name, color, values in entries:
+        axes.plot(shown["crank_angle"].values, values, color=color, linewidth=2 if name == "together" else 1.3)
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    if found["power_w"] is not None:
+        axes.axhline(found["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    _cycle_axis(axes, shown)
+    axes.set_ylabel("N·m")
+    color_key(figure, box, [(name, color) for name, color, _ in entries])
+
+
+def _order_bars(axes: Axes, by_order: Mapping[str, Any], *, with_gas: bool) -> None:
+    quiet_frame(axes)
+    axes.grid(False, axis="x")
+    sizes = {order: max(one["gas_n_m"], one["inertia_n_m"]) for order, one in by_order.items()}
+    largest = max(sizes.values(), default=0.0)
+    orders = [order for order in by_order if sizes[order] > _SHOWN_SHARE * largest][:_MOST_ORDERS]
+    places = np.arange(len(orders))
+    kinds = [("gas_n_m", LINES[1]), ("inertia_n_m", LINES[0])] if with_gas else [("inertia_n_m", LINES[0])]
+    for number, (key, color) in enumerate(kinds):
+        values = [by_order[order][key] for order in orders]
+        beside = places + (number - (len(kinds) - 1) / 2) * 0.36
+        axes.bar(beside, values, 0.33, color=color, gid=f"bars-{key}")
+        for place, value in zip(beside, values, strict=True):
+            if value > _SHOWN_SHARE * largest:
+                axes.text(place, value, number_text(value), ha="center", va="bottom", fontsize=SMALL)
+    axes.set_ylim(0, 1.15 * largest or 1.0)
+    axes.set_xticks(places, orders)
+    axes.set_xlabel("order, cycles per crank revolution")
+    axes.set_ylabel("N·m, amplitude")
+
+
+def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Figure:
+    """Loads at the highest speed: the first cylinder's against crank angle, and every main bearing's as polar diagrams.
+
+    ``cycle`` as :func:`cycle_dataset` makes it, with loads; ``title`` of the engine; ``settings`` of the report.
+    """
+    with house_style():
+        speed = float(cycle["speed"].values.max())
+        shown = cycle.sel(speed=speed)
+        polar = _polar_loads(shown)
+        columns = min(_MOST_COLUMNS, len(polar))
+        width = settings.width_in - _LEFT - _RIGHT
+        step = width / columns
+        side = min(step - 0.3, 3.2)
+        row, rows = side + 0.75, -(-len(polar) // columns)
+        figure = new_figure(settings.width_in, _TOP + _CURVES + _GAP + rows * row + 0.2)
+        base = float(figure.get_size_inches()[1]) - _TOP - _CURVES
+        _curves(figure, (_LEFT, base, width, _CURVES), shown)
+        bearings = 1.1 * max((one.peak_n for one in polar[1:]), default=0.0) or 1.0
+        frames = [1.1 * polar[0].peak_n or 1.0] + [bearings] * (len(polar) - 1)
+        for number, (one, frame) in enumerate(zip(polar, frames, strict=True)):
+            corner = (_LEFT + number % columns * step, base - _GAP - (number // columns + 1) * row + 0.45)
+            _polar(figure, (*corner, side, side), one, frame, LINES[number % len(LINES)])
+        said = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
+        said += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", said)
+        return figure
+
+
+@dataclass(frozen=True)
+class _PolarLoad:
+    """One closed curve of a load over the cycle, N: its part ``up`` and to the ``right``, and how those are called."""
+
+    name: str
+    up: Floats
+    right: Floats
+    ways: str
+
+    @property
+    def peak_n(self) -> float:
+        return float(np.hypot(self.up, self.right).max())
+
+
+def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
+    """Of the first crank pin, then of every main bearing."""
+    pin = shown["crank_pin_load"].isel(cylinder=0).values
+    found = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
+    if "main_bearing_load" in shown:
+        for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
+            at = number_text(1e3 * float(place))
+            found.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
+    return found
+
+
+def _polar(figure: Figure, box: Box, one: _PolarLoad, frame: float, color: str) -> None:
+    axes = axes_at(figure, *box)
+    axes.set_xlim(-frame, frame)
+    axes.set_ylim(-frame, frame)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color(GRID)
+    axes.axhline(0, color=GRID, linewidth=0.8)
+    axes.axvline(0, color=GRID, linewidth=0.8)
+    axes.plot([*one.right, one.right[0]], [*one.up, one.up[0]], color=color, linewidth=1.4)
+    axes.plot(one.right[0], one.up[0], "o", color=color, markersize=4)
+    left, bottom, side, _ = box
+    middle, top = left + side / 2, bottom + side
+    write(figure, middle, top + 0.2, one.name, ha="center", fontsize=SMALL + 0.5, fontweight="bold")
+    text = f"up to {number_text(one.peak_n)} N; {one.ways}"
+    write(figure, middle, top + 0.06, text, ha="center", fontsize=SMALL, color=FAINT)
+
+
+def _curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
+    axes = axes_at(figure, *box)
+    quiet_frame(axes)
+    angle = shown["crank_angle"].values
+    pins = [
+        ("crank pin", np.hypot(*shown["crank_pin_load"].isel(cylinder=0).values)),
+        ("piston pin", np.hypot(*shown["piston_pin_load"].isel(cylinder=0).values)),
+        ("wall, in the crank's way", shown["wall_load"].isel(cylinder=0).values),
+    ]
+    for number, (_, values) in enumerate(pins):
+        axes.plot(angle, values, color=LINES[number], linewidth=1.4)
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    _cycle_axis(axes, shown)
+    axes.set_ylabel("N, cylinder 0")
+    color_key(figure, box, [(name, LINES[number]) for number, (name, _) in enumerate(pins)])
+
+
+def _cycle_axis(axes: Axes, shown: xr.Dataset) -> None:
+    last = 360 * round(shown.sizes["crank_angle"] / 720)
+    axes.set_xlim(0, last)
+    axes.set_xticks(range(0, last + 1, 90))
+    axes.set_xlabel("crank angle, °")

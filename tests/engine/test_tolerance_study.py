@@ -1,0 +1,71 @@
+"""What errors leave of a balanced engine, against closed forms of the same chances."""
+
+import math
+
+import numpy as np
+import pytest
+
+from crankorder.engine.definition import BalanceShafts, Engine, load_engine
+from crankorder.engine.forces import Z, crankcase_forces
+from crankorder.engine.shaft_design import designs
+from crankorder.engine.tolerance_study import (
+    BalanceTolerances,
+    tolerance_sentences,
+    tolerance_table,
+    with_single_shafts,
+)
+
+RPM = 30 / math.pi
+SINGLE = Engine(crank_radius_m=0.04, rod_length_m=0.14, reciprocating_mass_kg=0.5)
+
+
+def test_classes_keep_the_stated_residual_in_95_percent() -> None:
+    tolerances = BalanceTolerances(allowed_g_mm=50.0, samples=20_000)
+    alone = tolerance_table(SINGLE, tolerances, max_order=2, speeds=[3000.0])["largest_alone"]
+    assert alone["rotating_g_mm"] == pytest.approx(50 / math.sqrt(0.95), rel=0.01)  # even over a disc
+    assert alone["reciprocating_g"] == pytest.approx(50 / (0.95 * 40), rel=0.01)  # even between plus and minus
+    assert alone["gear_deg"] is alone["shaft_percent"] is None
+
+
+def test_shafts_that_are_all_late_leave_their_chord() -> None:
+    engine = load_engine("inline-4-firing")
+    bare = engine.model_copy(update={"shafts": BalanceShafts()})
+    second = 1e6 * abs(crankcase_forces(bare, RPM, max_order=2)[Z, 2])
+    table = tolerance_table(engine, BalanceTolerances(mistiming_deg=10.0), max_order=4, speeds=[3000.0])
+    left = table["mistiming"]["force_g_mm"]
+    assert left["2"] == pytest.approx(2 * second * math.sin(math.radians(5)), rel=1e-12)
+    assert left["4"] == pytest.approx(1e6 * abs(crankcase_forces(bare, RPM, max_order=4)[Z, 4]), rel=1e-12)
+
+
+def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
+    engine = load_engine("v8-cross")
+    balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2), max_order=1)[-1].on(engine)
+    table = tolerance_table(balanced, BalanceTolerances(samples=100), max_order=4, speeds=[3000.0])
+    assert table["couple_g_mm2"]["1"]["97.5 %"] < 1e-12 * 1.6e7
+    spread = table["force_g_mm"]["4"]
+    assert spread["2.5 %"] == spread["97.5 %"] == pytest.approx(939.19, rel=1e-4)
+
+
+def test_pairs_as_single_shafts_make_the_same_force() -> None:
+    engine = load_engine("msu-optical-second")
+    single = with_single_shafts(engine, 4)
+    apart = crankcase_forces(engine, RPM, max_order=4) - crankcase_forces(single, RPM, max_order=4)
+    assert np.abs(apart).max() < 1e-13
+
+
+def test_an_engine_without_shafts_is_told_of_no_mistiming() -> None:
+    table = tolerance_table(SINGLE, BalanceTolerances(mistiming_deg=10.0, samples=100), max_order=2, speeds=[3000.0])
+    assert table["mistiming"] is None
+    assert "late" not in " ".join(tolerance_sentences(table))
+
+
+def test_the_grade_is_that_of_the_standard_and_the_same_seed_gives_the_same_numbers() -> None:
+    graded = BalanceTolerances(grade_mm_s=6.3, rotor_mass_kg=10.0)
+    assert graded.allowed_at(3000.0) == pytest.approx(9549.3 * 6.3 * 10 / 3000, rel=1e-5)
+    drawn = [
+        tolerance_table(SINGLE, BalanceTolerances(pin_deg=1.0, seed=seed), max_order=2, speeds=[1000.0])
+        for seed in (1, 1, 2)
+    ]
+    assert drawn[0] == drawn[1] != drawn[2]
+    with pytest.raises(ValueError, match="belong together"):
+        BalanceTolerances(grade_mm_s=6.3)
