@@ -282,7 +282,7 @@ def manifest_cells(name: str, field: FieldInfo) -> Row:
     """Key, meaning, kind of its values, unit, default and example of a key of a manifest."""
     unit = next((unit for suffix, unit in MANIFEST_UNITS if name.endswith(suffix)), "") or unit_of(name)
     example = f"`{toml_of(field.examples[0])}`" if field.examples else ""
-    kind = re.sub(r"length ≥ 1(, length ≤ \d+)?", "", kind_of(field)).replace("text ", "text").strip()
+    kind = re.sub(r" ?length ≥ 1(, length ≤ \d+)?", "", kind_of(field)).strip()
     return f"`{name}`", field.description or "", kind, unit, default_of(field), example
 
 
