@@ -19,6 +19,7 @@ from crankorder.errors import SchemaError
 from crankorder.flow import StagePlan
 from crankorder.quantities import (
     FrequencyFrames,
+    LevelFrames,
     OrderFrames,
     RecordingEnvelope,
     RecordingLevels,
@@ -123,10 +124,11 @@ def test_a_recording_gives_only_the_frames_that_are_needed():
 
     assert wanted("order_map") == {OrderFrames}
     assert wanted("campbell_map") == {FrequencyFrames}
-    # findings are handed what was followed through sweeps
+    # findings are handed what was followed through sweeps, and the levels that limits are held against
     assert wanted("findings") == {
         OrderFrames,
         FrequencyFrames,
+        LevelFrames,
         RecordingEnvelope,
         RecordingLevels,
         RecordingTracks,
