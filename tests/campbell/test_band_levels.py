@@ -113,6 +113,18 @@ def test_a_line_is_in_its_own_octave_alone_and_names_are_nominal() -> None:
     assert float(np.delete(thirds["rms"].values, own).max()) < 2e-3
 
 
+@pytest.mark.parametrize("seed", range(100, 112))
+def test_no_octave_that_holds_nothing_is_surely_told_beside_a_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hertz, at = 10.0 ** rng.uniform(1.2, 3.4), at_times(rng.uniform(4.0, 25.0))
+    made = levels(recorded(np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0))), bands=(*WIDE, *third_octaves()))
+    thirds = made.isel(level=slice(2, None))
+    empty = (thirds["low_frequency"].values > 1.3 * hertz) | (thirds["high_frequency"].values < hertz / 1.3)
+    assert not (thirds["rms_ci95"].values[empty, 0] > 0.0).any()
+    # a line between two octaves is shared by both
+    assert thirds["rms_ci95"].values[int(np.nanargmax(thirds["rms"].values)), 0] > 0.49
+
+
 def true_rms(rate_hz: float, band: tuple[float, float], slope: int) -> float:
     """Of white noise of unit variance in a rectangular band, times frequency to the power of ``slope``."""
     hertz = np.linspace(*band, 200_001)

@@ -89,6 +89,14 @@ def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone() -> None
     assert without_absent_mains(modal, with_it, settings=SETTINGS).tones == modal.tones
 
 
+@pytest.mark.parametrize(("hertz", "kind"), [(250.2, "mains"), (250.3, "tone")])
+def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hertz: float, kind: str) -> None:
+    tones = told((50.04, 1.0), (hertz, 0.5))
+    mains = tuple(replace(tone, kind="mains") for tone in tones.tones)
+    _, high = without_absent_mains(replace(tones, tones=mains), recorded((50.04, 1.0)), settings=SETTINGS).tones
+    assert high.kind == kind
+
+
 def test_what_the_longest_recording_does_not_have_is_not_called_several_lines() -> None:
     (tone,) = with_tones_parted(told((95.3, 0.5)), recorded((150.0, 1.0))).tones
     assert UNPARTED not in tone.evidence and tone.amplitude["A"] == (0.5, 0.01)

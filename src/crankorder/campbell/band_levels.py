@@ -57,6 +57,7 @@ class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels"):
     like_pieces_chance: float
     least_shared: float
     most_shared: float
+    leak_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -349,7 +350,8 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
     root of the mean of all mean squares, ``peak`` and ``crest_factor`` are the means of those of the pieces,
     ``largest_peak`` is the largest of all. The intervals come from the scatter of the pieces (that of the mean square
     by Student's t on its logarithm, wider where neighbours go together); where recordings at like speed differ by
-    more than their pieces, from the scatter of the recordings. One piece alone has no interval.
+    more than their pieces, from the scatter of the recordings. One piece alone has no interval. Of one-third octaves
+    the lower end allows for what the strongest leaks into the others.
     """
     keys = _level_keys(items)
     owner = np.concatenate([np.full(item.sizes["frame"], number) for number, item in enumerate(items)]).astype(np.int64)
@@ -363,6 +365,7 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
     for column, group in enumerate(groups):
         for row in range(len(keys)):
             _tell(made, row, column, square[row, group], peak[row, group], owner[group])
+        _allow_leaks(made, column, keys)
     mean_rpm = np.array([rpm[group].mean() if np.isfinite(rpm[group]).all() else np.nan for group in groups])
     result = _levels_dataset(items, keys, made, mean_rpm)
     frames = [float(item.attrs["frame_s"]) for item in items if math.isfinite(float(item.attrs["frame_s"]))]
@@ -438,6 +441,16 @@ def _tell(made: dict[str, Floats], row: int, column: int, square: Floats, peak: 
         if freedom:
             half = _t(freedom) * error
             made[f"{name}_ci95"][row, column] = [max(0.0, values.mean() - half), values.mean() + half]
+
+
+def _allow_leaks(made: dict[str, Floats], column: int, keys: list[_Key]) -> None:
+    """Lower the lower ends of one-third octaves by what the strongest of their channel may leave in them."""
+    third = np.array([key[3] != "broad band" for key in keys])
+    for name in {key[0] for key in keys}:
+        rows = np.flatnonzero(third & np.array([key[0] == name for key in keys]))
+        strongest = float(np.nanmax(made["rms"][rows, column], initial=0.0))
+        low = made["rms_ci95"][rows, column, 0]
+        made["rms_ci95"][rows, column, 0] = np.maximum(low - NUMBERS.leak_share * strongest, 0.0)
 
 
 def _error_of_mean(values: Floats, owner: Ints) -> tuple[float, int]:

@@ -52,22 +52,30 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
 def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: IdentifySettings) -> ModalFit:
     """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
 
-    A supply is there at every speed; what stands near one of its many multiples at some speeds is something else.
+    A supply is there at every speed; what stands near one of its many multiples at some speeds is something else, but
+    where it is the exact multiple of a supply that the test shows: a weak one is not seen in every recording.
     ``settings``: the mains frequencies and how far they wander.
     """
     if len(modal.frequency_hz) < 2:
         return modal
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    tones = [
-        _unless_absent(tone, held, step) if tone.kind == "mains" and _is_high(tone, settings) else tone
-        for tone in modal.tones
-    ]
+    mains = [tone for tone in modal.tones if tone.kind == "mains"]
+    supplies = [tone for tone in mains if not _is_high(tone, settings)]
+    doubted = [tone for tone in mains if tone not in supplies and not any(_is_multiple(tone, one) for one in supplies)]
+    tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
 
 
 def _is_high(tone: Tone, settings: IdentifySettings) -> bool:
     """Whether a ``tone`` lies far above the multiples of the mains that may stand alone."""
     return tone.frequency_hz > MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
+
+
+def _is_multiple(tone: Tone, supply: Tone) -> bool:
+    """Whether ``tone`` is, within the errors of both, a whole multiple of ``supply``."""
+    times = round(tone.frequency_hz / supply.frequency_hz)
+    error = np.hypot(tone.frequency_error_hz, times * supply.frequency_error_hz)
+    return bool(abs(tone.frequency_hz - times * supply.frequency_hz) <= Z95 * error)
 
 
 def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
