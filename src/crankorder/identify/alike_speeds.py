@@ -14,7 +14,7 @@ from crankorder.identify.known_lines import LOBE_BINS, Held
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SolvedLine, several_lines
-from crankorder.identify.mains import nearest_multiple as nearest_mains
+from crankorder.identify.mains import multiples_near
 from crankorder.identify.modal.tones import NEAR_BINS, with_one_mains
 from crankorder.identify.motors import NUMBERS as MOTORS
 from crankorder.settings import IdentifySettings
@@ -175,10 +175,8 @@ def _tone(one: _Parted, settings: IdentifySettings) -> Tone:
 
 
 def _kind(hertz: float, error_hz: float, settings: IdentifySettings) -> tuple[ToneKind, str]:
-    for mains in settings.mains_hz:
-        multiple, reach = nearest_mains(hertz, mains, settings=settings)
-        if abs(hertz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz:
-            return "mains", f"no damping, {float(multiple):.0f} times the mains frequency of {mains:g} Hz"
+    for multiple, mains in multiples_near(hertz, error_hz, settings=settings):
+        return "mains", f"no damping, {multiple} times the mains frequency of {mains:g} Hz"
     return "tone", "no damping"
 
 

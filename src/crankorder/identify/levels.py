@@ -37,17 +37,17 @@ def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
 def _record(name: str, levels: list[xr.Dataset]) -> Level:
     rms = np.array([float(one["rms"]) for one in levels])
     share = np.array([float(one["share_above"]) for one in levels])
-    known = np.isfinite(rms) & np.isfinite(share)
-    energy = rms[known] ** 2
+    finite = np.isfinite(rms) & np.isfinite(share)
+    energy = rms[finite] ** 2
     ends = [one.attrs["band_hz"] for one in levels if math.isfinite(one.attrs["band_hz"])]
     strongest = max(levels, key=lambda one: float(one["peak_above"]))
     amplitude = float(strongest["peak_above"])
     return Level(
         channel=name,
         unit=str(levels[0]["unit"].item()),
-        rms_max=float(rms[known].max()) if known.any() else None,
+        rms_max=float(rms[finite].max()) if finite.any() else None,
         band_hz=max(ends) if ends else None,
-        share_above=float(energy @ share[known] / energy.sum()) if energy.sum() > 0.0 else None,
+        share_above=float(energy @ share[finite] / energy.sum()) if energy.sum() > 0.0 else None,
         amplitude_above=amplitude if amplitude > 0.0 else None,
         frequency_hz_above=_told(strongest["peak_frequency"]),
         band_hz_there=_told(strongest["peak_band"]),

@@ -41,19 +41,26 @@ def multiple_in(text: str) -> int | None:
     return int(number) if number.isdigit() and rest == "x mains" else None
 
 
-def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> tuple[int, float] | None:
-    """Multiple and mains frequency in Hz of a line at ``frequency_hz`` that may be mains by itself; None: none may.
+def multiples_near(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> list[tuple[int, float]]:
+    """Multiple and mains frequency in Hz, of each mains, that a line at ``frequency_hz`` may be.
 
     ``error_hz``: its standard error; ``settings``: the mains frequencies and how far they wander.
     """
+    made = []
     for mains in settings.mains_hz:
         multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
-        if (
-            multiple <= NUMBERS.alone_multiples
-            and abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz
-        ):
-            return int(multiple), mains
-    return None
+        if abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz:
+            made.append((int(multiple), mains))
+    return made
+
+
+def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> tuple[int, float] | None:
+    """The first of the ``multiples_near`` so low that a line may be mains by itself; None: none may.
+
+    ``frequency_hz``, ``error_hz`` and ``settings`` as there.
+    """
+    near = multiples_near(frequency_hz, error_hz, settings=settings)
+    return next((one for one in near if one[0] <= NUMBERS.alone_multiples), None)
 
 
 _OF_THE_FIELD = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")

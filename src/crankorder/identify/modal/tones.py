@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
-from crankorder.identify.mains import multiple_on, nearest_multiple
+from crankorder.identify.mains import multiple_on, multiples_near, nearest_multiple
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import dispersion
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
@@ -223,13 +223,8 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
         alone = multiple_on(frequency_hz, error_hz, settings=settings)
         also = f"; it is {alone[0]} x {alone[1]:g} Hz as well" if alone else ""
         return "order", known + also
-    for mains in settings.mains_hz:
-        multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
-        if abs(frequency_hz - multiple * mains) <= reach + 2.0 * error_hz:
-            return (
-                "mains",
-                f"no damping, {multiple:.0f} times the mains frequency of {mains:g} Hz{_same_at(floor)}",
-            )
+    for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
+        return "mains", f"no damping, {multiple} times the mains frequency of {mains:g} Hz{_same_at(floor)}"
     rows = _rows_that_show(frequency_hz, floor)
     if (
         rows.any()
