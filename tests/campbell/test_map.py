@@ -34,6 +34,18 @@ def test_a_tone_reads_its_peak_wherever_it_lies(offset_bins, near_hz, rate_hz):
     assert abs(20 * np.log10(peak / 0.3)) < 0.01
 
 
+@pytest.mark.parametrize("rate_hz", [2000.0, 4096.0 / 3.0, 5000.0 / 3.0, 3333.3])
+@pytest.mark.parametrize("hertz", [351.0, 351.2, 120.33])
+def test_a_tone_stands_where_it_is_also_where_the_rate_is_no_multiple_of_the_resolution(hertz, rate_hz):
+    made = map_of(lambda t, _: np.cos(2 * np.pi * hertz * t), rate_hz=rate_hz).isel(channel=0, speed=0)
+    size, at = np.sqrt(made["psd"].values), int(np.argmax(made["psd"].values))
+    side = 1 if size[at + 1] > size[at - 1] else -1
+    ratio = size[at + side] / size[at]
+    # of a Hann window's line, from the two largest bins (Rife and Vincent 1970)
+    place = made["frequency"].values[at] + side * (2.0 * ratio - 1.0) / (1.0 + ratio) * made.attrs["resolution_hz"]
+    assert place == pytest.approx(hertz, abs=1e-3)
+
+
 def test_order_lines_have_no_stripes_from_speed_to_speed():
     # order 1 of 300, 350, … rpm lies on a bin at some speeds and half-way between two at others
     peaks = [map_of(line(1.0, 1.0), speed_rpm=rpm)["amplitude"].max().item() for rpm in range(300, 2050, 50)]

@@ -118,6 +118,13 @@ def test_the_kept_rate_carries_the_band_with_room_for_the_resampling_kernel(rate
         assert factor == 1 or rate_hz / factor >= 2.5 * band_hz
 
 
+@pytest.mark.parametrize("band_hz", [120.0, 403.0, 500.0, 610.0, 733.0, 950.0])
+@pytest.mark.parametrize("rate_hz", [2048.0, 2560.0, 4096.0, 5000.0, 12_800.0, 44_100.0, 65_536.0])
+def test_the_bins_of_usual_rates_fall_on_the_grid(rate_hz, band_hz):
+    steps = rate_hz / decimation_factor(rate_hz, band_hz, grid_hz=0.5) / 0.5
+    assert steps == pytest.approx(round(steps), abs=1e-9)
+
+
 def test_nothing_is_decimated_without_need():
     signals = tone(100.0)[None].astype(np.float32) + np.float32(5.0)
     made, rate_hz, start_s = decimate(signals, rate_hz=RATE_HZ, band_hz=24_000.0, factor=1)

@@ -22,6 +22,7 @@ class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="map"):
     beside_bins: int
     same_bins_parts: float
     least_left_share: float
+    own_grid_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -149,7 +150,7 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     """
     frames = [item for item in frames if item.sizes["frame"]] or frames[:1]
     first = frames[0]
-    grid_hz = float(first.attrs["grid_hz"])
+    grid_hz = _grid_hz(frames)
     n_shown = [math.floor(float(item.attrs["highest_hz"]) / grid_hz * (1 + 1e-9)) + 1 for item in frames]
     frequency = np.arange(min(n_shown), dtype=np.float64) * grid_hz
     speed = np.concatenate([item["speed"].values for item in frames])
@@ -186,6 +187,16 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     }
     flags = [flag for item in frames for flag in flags_of(item)]
     return with_flags(result, flags + _cut_flags(frames, n_shown, grid_hz))
+
+
+def _grid_hz(frames: list[xr.Dataset]) -> float:
+    """Step of the map's frequencies: that of the bins of all ``frames`` where they share it near the one asked for.
+
+    Lines between bins of another step are drawn out by interpolation, which would move them.
+    """
+    asked, own = float(frames[0].attrs["grid_hz"]), {float(item.attrs["resolution_hz"]) for item in frames}
+    step = own.pop()
+    return asked if own or abs(step / asked - 1.0) > NUMBERS.own_grid_share else step
 
 
 def _count(result: xr.Dataset, lengths: Ints, used: Ints) -> None:

@@ -22,8 +22,9 @@ LARGEST_STAGE = 8
 SPARE_BAND = 1.25
 """The rate kept is at least 2 x 1.25 x the band: room for the filter's skirt and for the angle resampling kernel."""
 
-ON_GRID_SHARE = 0.7
-"""A factor so much below the largest is taken where it makes the rate a multiple of the frequency resolution."""
+ON_GRID_SHARE = 0.5
+"""A factor so much below the largest is taken where it makes the rate a multiple of the frequency resolution: lines
+between bins off that grid would be interpolated, and moved. With half, a rate of 2^n finds one always."""
 
 SAMPLE_COST = {2: 12.0, 3: 14.0, 4: 6.0, 5: 8.0, 6: 14.0, 7: 14.0, 8: 14.0}
 """Cost of moving a sample into its phase, in multiplications, by factor (measured: 2…5 G samples/s, 24 G taps/s)."""
@@ -66,7 +67,7 @@ class DecimationStage:
 def decimation_factor(rate_hz: float, band_hz: float, *, grid_hz: float | None = None) -> int:
     """Largest factor that leaves 2.5 times ``band_hz`` of the rate ``rate_hz`` and splits into stages of at most 8.
 
-    A factor down to 0.7 of it is preferred where the rate left is then a multiple of ``grid_hz``, so that the bins of
+    A factor down to half of it is preferred where the rate left is then a multiple of ``grid_hz``, so that the bins of
     a transform fall on that grid.
     """
     most = max(1, int(rate_hz / (2.0 * SPARE_BAND * band_hz)))
