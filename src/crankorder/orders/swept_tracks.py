@@ -37,6 +37,9 @@ KNOTS = 8
 MOST_VALUES = 1 << 22
 """Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
 
+SPEED_SHARE = 1e-3
+"""Share of the speed to which that of a row is told, however few pulses pass in a reciprocal bandwidth."""
+
 MEMORY = 4.0
 """Reciprocal bandwidths after which the filter has all but forgotten."""
 
@@ -312,10 +315,22 @@ def _usual_rate(course: SpeedCourse) -> float:
     return float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
 
 
+def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> Floats:
+    """Speed [rpm] at ``time_s`` (rows,) over ``stretch_s`` (rows,), or so long as its pulses need to tell it.
+
+    N pulses over a length of L revolutions, each off by e, tell the slope of their parabola to e √(12/N) / L.
+    """
+    near = smoothed_speed(shaft, time_s, stretch_s)
+    of_one = errors_along(shaft, time_s, np.ones(len(time_s))).mean
+    revs = np.cbrt(12.0 * np.square(of_one / SPEED_SHARE))
+    needed = revs * 60.0 / np.maximum(near, 1e-9)
+    return smoothed_speed(shaft, time_s, np.maximum(stretch_s, needed)) if (needed > stretch_s).any() else near
+
+
 def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: Floats) -> None:
     """Put time, speed and crank angle of each row into ``found``, and the bandwidths (orders, rows) that made them."""
     empty = not len(time_s)
-    speed = np.empty(0) if empty else smoothed_speed(shaft, time_s, 1.0 / width_hz.max(axis=0))
+    speed = np.empty(0) if empty else _speed_of_rows(shaft, time_s, 1.0 / width_hz.max(axis=0))
     angle = np.empty(0) if empty else angle_at(time_s, **knots_of(shaft))
     for name, given, units, said in (
         ("time", time_s, "s", "time of the row"),

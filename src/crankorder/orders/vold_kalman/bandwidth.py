@@ -34,6 +34,10 @@ LOWER = 0.75
 """Share of the bins, from below, whose mean tells the level: a line that nobody tracked is above."""
 
 FEWEST_BINS = 6
+"""Bins that tell a level, wherever the most is left."""
+
+LEAST_LEFT = 0.3
+"""Share of the noise's power that the filters must leave in a bin, beside so many: what is taken is known less well."""
 
 INDEPENDENT = 0.55
 """Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
@@ -133,8 +137,9 @@ def local_level(
     held = sliding_window_view(known * 1.0, length)[starts] @ window**2
     bins = _flanks(length, sums_per_bandwidth)
     spectrum = np.fft.fft(sliding_window_view(turned, length, axis=1)[:, starts] * window, axis=2)[:, :, bins]
-    power = np.abs(spectrum) ** 2 / _shape(bins / length, sums_per_bandwidth, poles, correlation)
-    free = _free_of_others(bins / length, others, starts, length, 1.0 / sums_per_bandwidth)
+    left = _left_by_filters(bins / length, others, starts, length, sums_per_bandwidth, poles)
+    power = np.abs(spectrum) ** 2 / (_spread(bins / length, correlation) * left)
+    free = left >= np.minimum(LEAST_LEFT, np.sort(left, axis=1)[:, -min(FEWEST_BINS, len(bins)), None])
     usable = held > 0.5 * held.max()
     level = _level(power[:, usable], free[usable]) / held[usable]
     return starts[usable] + 0.5 * (length - 1), level
@@ -149,23 +154,26 @@ def _flanks(length: int, sums_per_bandwidth: float) -> Ints:
     return np.concatenate([-one, one])
 
 
-def _shape(offset: Floats, sums_per_bandwidth: float, poles: int, correlation: Floats) -> Floats:
-    """Power of white noise in the sums at each offset [cycles per place], where the filter has taken its share."""
-    gain = 1.0 / (1.0 + HALF_POWER * (2.0 * offset * sums_per_bandwidth) ** (2 * poles))
+def _spread(offset: Floats, correlation: Floats) -> Floats:
+    """Power of white noise in the sums at each offset [cycles per place], by the ``correlation`` of neighbours."""
     lags = np.arange(1, len(correlation))
-    spread = correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(offset, lags)) @ correlation[1:]
-    return np.asarray(spread * (1.0 - gain) ** 2)
+    return np.asarray(correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(offset, lags)) @ correlation[1:])
 
 
-def _free_of_others(offset: Floats, others: Floats, starts: Ints, length: int, bandwidth: float) -> Bools:
-    """Which bins (frames, bins) hold no other tracked order, whose filter has taken the noise there."""
-    free = np.ones((len(starts), len(offset)), dtype=bool)
-    for other in others:
-        framed = sliding_window_view(other, length)[starts]
-        low, high = framed.min(axis=1)[:, None] - bandwidth, framed.max(axis=1)[:, None] + bandwidth
-        free &= (offset < low) | (offset > high)
-    free[free.sum(axis=1) < FEWEST_BINS] = True
-    return free
+def _left_by_filters(
+    offset: Floats, others: Floats, starts: Ints, length: int, sums_per_bandwidth: float, poles: int
+) -> Floats:
+    """Share (frames, bins) of the noise's power at each offset that the filters of all orders leave in the residual.
+
+    A filter takes s / (1 + s) of what stands alone before it, s = 1 / (g x^(2n)); several take it together, and leave
+    1 / (1 + sum of s). That is so at the begin, the middle and the end of a frame, and in the mean of these.
+    """
+    found = np.zeros((len(starts), len(offset)))
+    for at in (0, length // 2, length - 1):
+        apart = offset - np.concatenate([np.zeros((1, len(starts))), others[:, starts + at]])[..., None]
+        raised = HALF_POWER * (2.0 * np.abs(apart) * sums_per_bandwidth) ** (2 * poles)
+        found += np.square(1.0 / (1.0 + np.sum(1.0 / np.maximum(raised, 1e-12), axis=0))) / 3.0
+    return found
 
 
 def _level(power: Floats, free: Bools) -> Floats:
