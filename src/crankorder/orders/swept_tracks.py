@@ -12,6 +12,7 @@ from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.averages import POLES
 from crankorder.orders.least_squares import beyond_remark, not_tracked_flags, put_track_values
+from crankorder.orders.steady_lines import steady_flag, without_steady_lines
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, impulse_response, level_dof, student_factor
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
@@ -86,6 +87,7 @@ def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -
     """
     named = np.asarray(sorted(orders), dtype=np.float64)
     course = speed_course(shaft)
+    band, lines = without_steady_lines(band, course, named)
     width = bandwidths_hz(named, course)
     first, last = _covered(band, shaft)
     made: list[tuple[_Plan, Complexes, Floats]] = []
@@ -99,7 +101,8 @@ def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -
                 made.append((plan, *_followed(band, shaft, plan)))
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
-    return _dataset(band, shaft, named, course, made, notes)
+    found = _dataset(band, shaft, named, course, made, notes)
+    return with_flags(found, [*flags_of(found), steady_flag(str(band.attrs["recording"]), lines)]) if lines else found
 
 
 def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:

@@ -22,6 +22,11 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows"):
     most_off_share: float
     between: int
     higher_ratio: float
+    begun_share: float
+    witness_share: float
+    witness_sigmas: float
+    witness_widths: float
+    witness_memory: float
 
 
 NUMBERS = _Numbers.load()
@@ -100,6 +105,7 @@ def _with_order(item: xr.Dataset, place: int, group: GroupFit, one: Solved, less
         value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
     else:
         item = item.copy(deep=True)
+    value, error = _with_witness(item, place, near, value, error, rung=_rung(item, place, near, one))
     usable = np.isfinite(item["amplitude"].values[:, place][:, near].real).any(axis=1)
     rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
     for name, given in (("amplitude", value), ("standard_error", error)):
@@ -110,6 +116,45 @@ def _with_order(item: xr.Dataset, place: int, group: GroupFit, one: Solved, less
     return item
 
 
+def _with_witness(
+    item: xr.Dataset, place: int, near: NDArray[np.bool_], value: Complex, error: Array, *, rung: NDArray[np.bool_]
+) -> tuple[Complex, Array]:
+    """``value`` (T, C) of a fit and its ``error`` beside what the filter of ``item`` took in the rows ``near``.
+
+    Where the filter takes little off and says surely something else, the model of the fit is off there by as much: the
+    error grows by that, and the two are averaged by their errors (DerSimonian and Laird 1986). Not where what is
+    ``rung`` (T,) reaches into the filter.
+    """
+    taken = item["smoothing"].values[:, place][:, near].T
+    seen = item["amplitude"].values[:, place][:, near].T + taken
+    own = np.hypot(item["standard_error"].values[:, place][:, near].T, np.abs(taken))
+    apart = np.square(np.abs(value - seen))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        knows = (own < NUMBERS.witness_share * np.abs(seen)) & (own > 0.0) & ~rung[:, None]
+        doubted = knows & (apart > NUMBERS.witness_sigmas**2 * (np.square(error) + np.square(own)))
+        spread = np.maximum(0.5 * apart - np.square(own), np.square(error))
+        weight = np.square(own) / (np.square(own) + spread)
+        mixed = weight * value + (1.0 - weight) * seen
+        mixed_error = np.sqrt(spread * np.square(own) / (np.square(own) + spread))
+    return np.where(doubted, mixed, value), np.where(doubted, mixed_error, error)
+
+
+def _rung(item: xr.Dataset, place: int, near: NDArray[np.bool_], one: Solved) -> NDArray[np.bool_]:
+    """In which rows (T,), of those ``near``, a mode that another order has passed still rings in the filter."""
+    order, sweep = float(item["order"].values[place]), one.window.sweep
+    time, width = item["time"].values[near], item["bandwidth_hz"].values[place, near]
+    hz = order * item["speed"].values[near] / 60.0
+    rung = np.zeros(len(time), dtype=bool)
+    for f, zeta in zip(one.natural_hz.tolist(), one.damping.tolist(), strict=True):
+        inside = np.abs(hz - f) < NUMBERS.witness_widths * width
+        for other in one.window.orders if inside.any() else ():
+            over = other * sweep.speed_rpm > 60.0 * f
+            passed = sweep.start_s + np.flatnonzero(over[1:] != over[:-1]) / sweep.rate_hz
+            since = 2.0 * np.pi * zeta * f * (time[:, None] - passed)
+            rung |= inside & (other != order) & ((since > 0.0) & (since < NUMBERS.witness_memory)).any(axis=1)
+    return rung
+
+
 def _values(
     group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, angle_rev: Array
 ) -> tuple[Complex, Array]:
@@ -118,12 +163,15 @@ def _values(
     turn = window.turn(order, time_s, angle_rev)
     value, variance = one.envelope(order, turn, group.covariance)
     other, _ = less.envelope(order, turn, None)
+    begun = one.as_started(order, time_s, angle_rev)
+    value, other = value + begun, other + less.as_started(order, time_s, angle_rev)
     # where a row stands is known as well as its speed is: on a flank the phase turns in no time
     at = np.clip(((time_s - sweep.start_s) * sweep.rate_hz).astype(np.int64), 0, len(sweep.speed_rpm) - 1)
     off = NUMBERS.speed_error_share * sweep.speed_rpm[at] / np.maximum(sweep.rate_rpm_per_s[at], 1e-9)
     off = np.minimum(off, NUMBERS.most_off_share / max(float(one.damping.min(initial=1.0)) * window.high_hz, 1e-9))
     moved = one.envelope_rate(order, turn, value, sweep.speed_rpm[at] / 60.0) * off[:, None]
     error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(NUMBERS.least_error_share * np.abs(value))
+    error += np.square(NUMBERS.begun_share * np.abs(begun))
     return value, np.asarray(np.sqrt(error + np.square(np.abs(moved))))
 
 
@@ -136,7 +184,8 @@ def _peak(one: Solved, order: float, time_s: Array, size: Array) -> float | None
     fine = np.linspace(low, high, NUMBERS.between)
     sweep = one.window.sweep
     angle = np.interp(fine, sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz, sweep.angle_rev)
-    found = np.abs(one.envelope(order, one.window.turn(order, fine, angle), None)[0]).max(axis=1)
+    found = one.envelope(order, one.window.turn(order, fine, angle), None)[0] + one.as_started(order, fine, angle)
+    found = np.abs(found).max(axis=1)
     top = int(np.argmax(found))
     return float(fine[top]) if found[top] > NUMBERS.higher_ratio * size[best] else None
 

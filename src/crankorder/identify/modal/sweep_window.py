@@ -42,6 +42,9 @@ leaves in the window from there is smooth."""
 TAPERED = 0.8
 """Share of a window's half width from which its ends are tapered where an envelope is made of it."""
 
+FORGOTTEN = 12.0
+"""Time constants of a mode after which nothing rings of it."""
+
 TURNED = 64
 """Bins whose turns are made at once."""
 
@@ -251,9 +254,7 @@ class Window:
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
-        natural = 2.0 * np.pi * natural_hz
-        pole = natural * (-damping + 1j * np.sqrt(1.0 - damping**2))
-        turn = np.exp((pole - 2j * np.pi * self.frequency_hz[:, None]) / self.sweep.rate_hz)
+        turn = np.exp((_pole(natural_hz, damping) - 2j * np.pi * self.frequency_hz[:, None]) / self.sweep.rate_hz)
         return np.asarray(1.0 / (1.0 - turn))
 
     def design(self, natural_hz: Array, damping: Array) -> Complex:
@@ -281,6 +282,11 @@ class Window:
         amplitude = inverse @ (inverse.conj().T @ (columns.conj().T @ wanted))
         left = (wanted - columns @ amplitude) / self.level
         return Solved(self, natural_hz, damping, amplitude / scale[:, None], left, columns, inverse, scale)
+
+
+def _pole(natural_hz: Array, damping: Array) -> Complex:
+    """Poles (M,) [rad/s] in the upper half plane of modes ``natural_hz``, ``damping`` (M,)."""
+    return np.asarray(2.0 * np.pi * natural_hz * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,6 +374,28 @@ class Solved:
             slope = self._slope_of_envelope(order, turn, seen)
             variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
         return value, np.asarray(variance)
+
+    def as_started(self, order: float, time_s: Array, angle_rev: Array) -> Complex:
+        """What its amplitude (T, C) lacks at ``time_s`` (T,) of an ``order`` that ran before the recording began.
+
+        ``angle_rev`` (T,) is that of the shaft there. The transform goes round: as if the force began with the
+        recording, and what its end rings came before that. The modes answered it steadily then, and decay to that.
+        """
+        window, sweep = self.window, self.window.sweep
+        if not len(self.natural_hz):
+            return np.zeros((len(time_s), self.left.shape[1]), dtype=np.complex128)
+        logarithm, carrier = window._carrier(order)
+        force = carrier * np.exp((FORCE_EXPONENT + window.bends.get(order, 0j)) * logarithm)
+        pole, step = _pole(self.natural_hz, self.damping), window.thinned / sweep.rate_hz
+        before = force[0] / (2j * np.pi * order * sweep.speed_rpm[0] / 60.0 - pole)
+        back = step * (np.arange(len(force))[::-1] + 0.5)
+        back = back[back < FORGOTTEN / float((-pole.real).min())]
+        rung = (np.exp(np.outer(back, pole)).T @ force[len(force) - len(back) :]) * step
+        lacking = pole**2 / (2j * pole.imag) * (before - rung)
+        decay = np.exp(np.outer(time_s - sweep.start_s, pole) - 2j * np.pi * order * angle_rev[:, None])
+        place = window.orders.index(order)
+        residues = np.stack([self.residue(number)[place] for number in range(len(pole))])
+        return np.asarray((decay * lacking) @ residues)
 
     def envelope_rate(self, order: float, turn: Complex, value: Complex, rev_per_s: Array) -> Complex:
         """Derivative (T, C), per second, of the amplitude ``value`` (T, C) of ``order`` where ``turn`` (T, B) says.
