@@ -229,9 +229,11 @@ def _phase(machine: Machine, takes: tuple[Take, ...], record: dict[str, Any], tr
     channel, at = machine.channels.index(record["channel"]), float(record["speed_rpm_at_max"])
     values = [complex(machine.steady_response(true, at)[channel, 0])]
     for take in takes:
-        near = np.argmin(np.abs(take.speed_rpm - at))
-        if abs(take.speed_rpm[near] - at) <= max(3.0, 0.005 * at):
-            values.append(complex(take.envelopes[true][channel, near]))
+        # a sweep through zero, or with a step, passes a speed more than once
+        off = np.abs(take.speed_rpm - at)
+        beside = np.concatenate([[np.inf], off, [np.inf]])
+        passed = (off <= beside[:-2]) & (off < beside[2:]) & (off <= max(3.0, 0.005 * at))
+        values += [complex(take.envelopes[true][channel, near]) for near in np.flatnonzero(passed)]
     # which of the two revolutions of a cycle comes first, no index tells
     turn = 360.0 if order.order.is_integer() else 180.0
     middle, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])

@@ -178,10 +178,8 @@ def _speeds(
 
 
 def _rows_of_sweeps(followed: Sequence[xr.Dataset], modal: ModalFit, swept: SweepFits) -> Sequence[xr.Dataset]:
-    """``followed`` without what modes ring into the filters; near modes as the signals tell them, as before."""
-    swung = {swing.recording for swing in modal.swings}
-    less = without_swings(followed, modal.swings)
-    return [with_rows_of_fits([item], swept)[0] if item.attrs.get("recording") in swung else item for item in less]
+    """``followed`` without what modes ring into the filters; near modes as the signals tell them."""
+    return with_rows_of_fits(without_swings(followed, modal.swings), swept)
 
 
 def _with_rows(

@@ -43,7 +43,7 @@ PIECES, FEWEST_PIECES = 12, 4
 """Pieces of a recording in each of which a line must stand alike, and those of them that must be clear of orders."""
 
 STEADY_SHARE = 0.3
-"""Of its amplitude, by which a steady line may differ from piece to piece beside noise: what rings does by all of it."""
+"""Of its amplitude, by which a steady line may change from piece to piece beside noise; what rings changes by all."""
 
 PADDED = 8
 """Points of the spectrum of a line between its bins."""
@@ -139,7 +139,9 @@ class _Seen:
         ranges = [(hz - 2.0 / self.length_s, hz + 2.0 / self.length_s) for hz in peaks]
         return [*ranges, *((hz * (1.0 - MAINS_SHARE), hz * (1.0 + MAINS_SHARE)) for hz in mains if hz < top)]
 
-    def line(self, low_hz: float, high_hz: float, speed_rpm: Floats, rates: Floats, orders: Floats) -> SteadyLine | None:
+    def line(
+        self, low_hz: float, high_hz: float, speed_rpm: Floats, rates: Floats, orders: Floats
+    ) -> SteadyLine | None:
         """The steady line between ``low_hz`` and ``high_hz``; None where none stands out, or it is not steady.
 
         ``speed_rpm`` and ``rates`` [rpm/s] (points,) are those of the shaft, ``orders`` (orders,) what moves with it.
@@ -166,7 +168,9 @@ class _Seen:
 
         if 2.0 * total[best] < chdtri(2.0 * len(seen), CHANCE / max(1, int(allowed.sum()))):
             return None
-        return _told(narrow, window, clear, middle, float(_finer(total, best) * (offset[1] - offset[0])), dt, offset[best])
+        return _told(
+            narrow, window, clear, middle, float(_finer(total, best) * (offset[1] - offset[0])), dt, offset[best]
+        )
 
     def _narrow(self, middle_hz: float) -> Complexes:
         """The signal (channels, points) within the rate of the narrow band about ``middle_hz``, turned back by that."""

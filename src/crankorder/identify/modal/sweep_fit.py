@@ -28,6 +28,9 @@ LARGEST_STEP = 0.4
 
 SETTLED = 0.1
 """Misfit that a step must save to be followed by another."""
+NOISE_ROUNDS = 4
+"""Rounds in which the shape of the noise settles."""
+
 LAGS = 3
 """Bins beside one another whose errors may go together."""
 
@@ -138,7 +141,8 @@ class LocalFit:
             left = np.square(np.abs(one.left)) * np.square(window.shape)[:, None]
             left *= len(left) / max(len(left) - len(one.scale), 1)
             level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300)) * window.level
-            shape = np.sqrt(_smoothed((left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)))
+            power = (left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)
+            shape = np.sqrt(_noise_power(power, window.frequency_hz, self.natural_hz, self.damping))
             windows.append(replace(window, shape=shape, level=level))
         return LocalFit(tuple(windows), self.natural_hz, self.damping)
 
@@ -178,6 +182,26 @@ class LocalFit:
     def share(self, number: int) -> float:
         """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""
         return max((float(part.max()) for one in self.solved if (part := shares_of(one, number)).size), default=0.0)
+
+
+def _noise_power(power: Array, frequency_hz: Array, natural_hz: Array, damping: Array) -> Array:
+    """Power (B,) of the noise at ``frequency_hz`` (B,), of which ``power`` (B,) is a sample.
+
+    What excites the modes beside the orders peaks where they answer, in fewer bins than smoothing leaves apart.
+    ``natural_hz`` and ``damping`` (M,): of the modes.
+    """
+    if not len(natural_hz):
+        return _smoothed(power)
+    from scipy.optimize import nnls
+
+    place = np.linspace(0.0, 1.0, len(power))[:, None]
+    answers = np.square(np.abs(resonance(frequency_hz, natural_hz, damping)))
+    basis = np.concatenate([place, 1.0 - place, answers / np.maximum(answers.max(axis=0), 1e-300)], axis=1)
+    peaked = np.full(len(power), power.mean())
+    for _ in range(NOISE_ROUNDS):
+        # a power scatters by itself
+        peaked = np.maximum(basis @ nnls(basis / peaked[:, None], power / peaked)[0], 1e-3 * power.mean())
+    return np.asarray(_smoothed(power / peaked) * peaked)
 
 
 def _smoothed(power: Array) -> Array:

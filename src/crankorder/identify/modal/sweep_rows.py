@@ -82,13 +82,20 @@ def _with_group(item: xr.Dataset, group: GroupFit, one: Solved, less: Solved) ->
     proven = {order for pole in group.poles for order in pole.orders}
     numbers = item["order"].values.tolist()
     for order in one.window.orders:
-        if order in proven and order in numbers and order in less.window.orders:
-            item = _with_order(item, numbers.index(order), group, one, less)
+        if order in numbers and order in less.window.orders:
+            item = _with_order(item, numbers.index(order), group, (one, less), alone=order not in proven)
     return item
 
 
-def _with_order(item: xr.Dataset, place: int, group: GroupFit, one: Solved, less: Solved) -> xr.Dataset:
-    """``item`` with the rows of its order number ``place`` from the window ``one``, and one at its peak."""
+def _with_order(
+    item: xr.Dataset, place: int, group: GroupFit, solved: tuple[Solved, Solved], *, alone: bool
+) -> xr.Dataset:
+    """``item`` with the rows of its order number ``place`` from a window ``solved`` twice, and one at its peak.
+
+    Of an order that stands ``alone``, as no mode is proved by it, only those that others ring into the filter of, or
+    that the fit knows better.
+    """
+    one, less = solved
     window, order = one.window, float(item["order"].values[place])
     half = 0.5 * NUMBERS.inner_share * (window.high_hz - window.low_hz)
     middle = 0.5 * (window.high_hz + window.low_hz)
@@ -98,7 +105,15 @@ def _with_order(item: xr.Dataset, place: int, group: GroupFit, one: Solved, less
     if not near.any():
         return item
     value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
-    peak = _peak(one, order, item["time"].values[near], np.abs(value).max(axis=1))
+    if alone:
+        own = np.hypot(
+            item["standard_error"].values[:, place][:, near], np.abs(item["smoothing"].values[:, place][:, near])
+        )
+        better = _rung(item, place, near, one) | (error < own.T).all(axis=1)
+        near[near], value, error = better, value[better], error[better]
+        if not better.any():
+            return item
+    peak = None if alone else _peak(one, order, item["time"].values[near], np.abs(value).max(axis=1))
     if peak is not None:
         item, at = _with_row(item, peak, one)
         near = np.insert(near, at, True)
