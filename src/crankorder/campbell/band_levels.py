@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy import fft
 
 from crankorder.campbell.frames import frame_speeds
@@ -285,7 +287,21 @@ def _too_narrow(levels: list[_Level], span_s: float) -> Bools:
     return np.asarray(width * span_s < NUMBERS.fewest_bandwidths)
 
 
-def _filtered(spectrum: Any, whole: int, step_hz: float, level: _Level) -> Any:
+@lru_cache(maxsize=256)
+def _gain(first: int, last: int, step_hz: float, level: _Level, single: bool) -> NDArray[Any]:
+    """Gain (bins,) of the band of ``level`` at the bins ``first`` to ``last``, ``step_hz`` apart.
+
+    It is complex where the level is an integral or a derivative, in ``single`` precision for such spectra.
+    """
+    frequency: Floats = np.arange(first, last + 1, dtype=np.float64) * step_hz
+    gain = band_gain(frequency, *level.ends_hz, half_octaves=NUMBERS.edge_octaves) * level.factor
+    if level.times:
+        turned = gain * derivative_gain(frequency, level.times)
+        return turned.astype(np.complex64) if single else turned
+    return gain.astype(np.float32) if single else gain
+
+
+def _filtered(spectrum: NDArray[np.complexfloating], whole: int, step_hz: float, level: _Level) -> NDArray[Any]:
     """The signal in the band of ``level`` at a lower rate, from the ``spectrum`` of its ``whole`` samples.
 
     In a broad band it is real; of a one-third octave it is the complex envelope over the root of two.
@@ -293,30 +309,30 @@ def _filtered(spectrum: Any, whole: int, step_hz: float, level: _Level) -> Any:
     half, (low_hz, high_hz) = NUMBERS.edge_octaves, level.ends_hz
     low = max(1, math.floor(low_hz * 2.0**-half / step_hz))
     high = min(len(spectrum) - 1, math.ceil(high_hz * 2.0**half / step_hz))
-    frequency = np.arange(low, high + 1) * step_hz
-    gain = band_gain(frequency, low_hz, high_hz, half_octaves=half) * level.factor
-    inside = spectrum[low : high + 1] * gain
-    if level.times:
-        inside = inside * derivative_gain(frequency, level.times)
+    alike = replace(level, channel=0)
+    inside = spectrum[low : high + 1] * _gain(low, high, step_hz, alike, spectrum.dtype == np.complex64)
     if level.is_broad:
         n_out = fft.next_fast_len(max(2 * (high + 1), math.ceil(NUMBERS.oversampling * high)), real=True)
-        made = np.zeros(n_out // 2 + 1, dtype=np.complex128)
+        made = np.zeros(n_out // 2 + 1, dtype=inside.dtype)
         made[low : high + 1] = inside
-        return fft.irfft(made, n_out) * (n_out / whole)
+        return np.asarray(fft.irfft(made, n_out, overwrite_x=True) * (n_out / whole))
     wide = level.high_hz - level.band.low_hz > _WIDE_HZ
     n_out = fft.next_fast_len((1 if wide else 2) * (high - low + 1))
-    baseband = np.zeros(n_out, dtype=inside.dtype)
-    baseband[: high - low + 1] = inside
-    return fft.ifft(baseband) * (math.sqrt(2.0) * n_out / whole)
+    return np.asarray(fft.ifft(inside, n_out, overwrite_x=True) * (math.sqrt(2.0) * n_out / whole))
 
 
-def _mean_squares(made: Any, edges: Floats) -> Floats:
+def _mean_squares(made: NDArray[Any], edges: Floats) -> Floats:
     """Mean square of ``made`` between the fractional ``edges`` (frames, 2)."""
-    power = made.real**2 + made.imag**2 if np.iscomplexobj(made) else made**2
-    sums = np.concatenate([[0.0], np.cumsum(power, dtype=np.float64)])
-    at = np.clip(edges, 0.0, len(power))
-    whole = np.interp(at, np.arange(len(sums)), sums)
-    return np.asarray((whole[:, 1] - whole[:, 0]) / (at[:, 1] - at[:, 0]))
+    power = np.zeros(len(made) + 2, dtype=made.real.dtype)
+    np.multiply(made.real, made.real, out=power[: len(made)])
+    if np.iscomplexobj(made):
+        power[: len(made)] += made.imag * made.imag
+    at = np.clip(edges, 0.0, len(made))
+    whole = at.astype(np.int64)
+    sums = np.add.reduceat(power, whole.ravel(), dtype=np.float64)[::2]
+    sums = np.where(whole[:, 1] > whole[:, 0], sums, 0.0)
+    parts = (at - whole) * power[whole]
+    return np.asarray((sums + parts[:, 1] - parts[:, 0]) / (at[:, 1] - at[:, 0]))
 
 
 def _peaks(made: Any, edges: Floats) -> Floats:
