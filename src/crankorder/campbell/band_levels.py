@@ -54,13 +54,6 @@ class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels"):
     rate_over_band: float
     oversampling: float
     swept_share: float
-    sweep_windows: int
-    window_pieces: int
-    windows_beside: int
-    like_pieces_chance: float
-    least_shared: float
-    most_shared: float
-    leak_share: float
 
 
 NUMBERS = _Numbers.load()

@@ -14,11 +14,25 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from crankorder.campbell.band_levels import LEVEL_TEXTS, NUMBERS, SI
+from crankorder.campbell.band_levels import LEVEL_TEXTS, SI
 from crankorder.quantities import Floats, Ints, flags_of, with_flags
+from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import held_speeds
 
 CONFIDENCE = 0.95
+
+
+class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels_of_test"):
+    sweep_windows: int
+    window_pieces: int
+    windows_beside: int
+    like_pieces_chance: float
+    least_shared: float
+    most_shared: float
+    leak_share: float
+
+
+NUMBERS = _Numbers.load()
 
 
 class _Group(NamedTuple):
