@@ -63,6 +63,12 @@ def printable(value: object, limit: int = 200) -> str:
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
+def plain_number(value: float) -> str:
+    """``value`` to four significant digits as a sentence has it: no power of ten from 1e-4 to 1e6, a true minus."""
+    text = f"{value:.4g}"
+    return (f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text).replace("-", "−")
+
+
 class RequestError(CrankorderError, ValueError):
     """The request or the manifest is wrong: nothing is written (exit status 2)."""
 

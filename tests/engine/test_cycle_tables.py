@@ -29,6 +29,12 @@ DATA: dict[str, Any] = {
 }
 
 
+def test_an_engine_without_gas_is_told_of_no_gas() -> None:
+    for name, fires in (("inline-4", False), ("inline-4-firing", True)):
+        said = " ".join(balance_sheet(load_balanced_engine(name))["sentences"])
+        assert ("gas" in said) == fires and "turning moment" in said
+
+
 def engine(**differences: Any) -> Engine:
     return Engine.model_validate({**DATA, **differences})
 

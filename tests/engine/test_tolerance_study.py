@@ -37,6 +37,22 @@ def test_shafts_that_are_all_late_leave_their_chord() -> None:
     assert left["4"] == pytest.approx(1e6 * abs(crankcase_forces(bare, RPM, max_order=4)[Z, 4]), rel=1e-12)
 
 
+@pytest.mark.parametrize("late_deg", [3.0, 12.0])
+def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(late_deg: float) -> None:
+    engine = load_engine("inline-3")
+    places = [one.position_m for one in engine.cylinders]
+    balanced = designs(engine, orders=(1,), planes_m=(min(places), max(places)), max_order=1)[-1].on(engine)
+    (shaft,) = balanced.shafts.single
+    arm = sum(
+        1e3 * one.position_m * one.unbalance_g_mm * np.exp(1j * math.radians(one.angle_deg)) for one in shaft.weights
+    )
+    table = tolerance_table(balanced, BalanceTolerances(mistiming_deg=late_deg), max_order=2, speeds=[3000.0])
+    left = table["mistiming"]["couple_g_mm2"]["1"]
+    assert left == pytest.approx(2 * abs(arm) * math.sin(math.radians(late_deg / 2)), rel=1e-9)
+    newton_metres = 1e-9 * left * (3000.0 * math.pi / 30) ** 2
+    assert f"a couple of {newton_metres:.4g} N·m of order 1 at 3000 rpm" in " ".join(tolerance_sentences(table, 3000.0))
+
+
 def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
     engine = load_engine("v8-cross")
     balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2), max_order=1)[-1].on(engine)
@@ -56,7 +72,7 @@ def test_pairs_as_single_shafts_make_the_same_force() -> None:
 def test_an_engine_without_shafts_is_told_of_no_mistiming() -> None:
     table = tolerance_table(SINGLE, BalanceTolerances(mistiming_deg=10.0, samples=100), max_order=2, speeds=[3000.0])
     assert table["mistiming"] is None
-    assert "late" not in " ".join(tolerance_sentences(table))
+    assert "late" not in " ".join(tolerance_sentences(table, 3000.0))
 
 
 def test_the_grade_is_that_of_the_standard_and_the_same_seed_gives_the_same_numbers() -> None:

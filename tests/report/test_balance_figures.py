@@ -7,18 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, reduced_masses
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.balancing import frame_force, unbalance_force_n
+from crankorder.engine.definition import Engine
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.report.balance.bars_figure import order_bars_figure
+from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure
 from crankorder.report.balance.dataset import balance_dataset
 from crankorder.report.balance.figures import force_figure
 from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
-from crankorder.report.balance.look import alike, called
+from crankorder.report.balance.look import alike, called, frame_around, system_color
 from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
 from crankorder.report.figures import picture_bytes
 from crankorder.settings import shipped, toml_table
@@ -205,6 +209,35 @@ def test_bars_are_the_amplitudes_of_the_sheet(task5: Any, settings: Any) -> None
     heights = sorted({round(bar.get_height(), 6) for axes in figure.axes for bar in axes.patches if bar.get_height()})
     grams = [19250.0, 11250.0, 8000.0, 4000.0, 2032.200338455802, 32.78488937623422]
     assert heights == sorted(round(float(unbalance_force_n(value, SPEED)), 6) for value in grams)
+
+
+@pytest.mark.parametrize("name", CRANK_ENGINES)
+def test_no_two_systems_of_an_engine_have_one_colour(name: str) -> None:
+    subject = load_balanced_engine(name)
+    names = [str(system) for system in _dataset(subject)["system"].values]
+    colors = [system_color(system) for system in names]
+    assert len(set(colors)) == len(names)
+
+
+@given(largest=st.floats(1e-6, 1e9))
+def test_a_frame_is_a_round_number_a_little_larger_than_its_curve(largest: float) -> None:
+    frame = frame_around(largest)
+    assert 1.05 * largest < frame < 1.7 * largest
+    assert frame == pytest.approx(float(f"{frame:.1e}"), rel=1e-12)  # two digits say it
+
+
+def test_loads_that_coincide_are_one_curve_with_both_names(settings: Any) -> None:
+    with_rod = load_balanced_engine("inline-4-firing").engine
+
+    def drawn(engine: Engine) -> tuple[int, str]:
+        figure = loads_figure(cycle_dataset(engine, [SPEED]), title="", settings=settings)
+        curves = [line for line in figure.axes[0].lines if len(line.get_xydata()) > 2]
+        return len(curves), " ".join(text.get_text() for text in figure.texts)
+
+    count, words = drawn(with_rod.model_copy(update={"rod": None}))  # what is left of the rod is at the piston
+    assert count == 2 and "crank pin and piston pin alike" in words
+    count, words = drawn(with_rod)
+    assert count == 3 and "alike" not in words
 
 
 def test_systems_that_leave_the_same_are_named_together(task5: Any) -> None:

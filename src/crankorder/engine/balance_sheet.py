@@ -59,12 +59,13 @@ from crankorder.engine.shafts import (
     shaft_layout,
 )
 from crankorder.engine.tolerance_study import tolerance_sentences
-from crankorder.errors import RequestError
+from crankorder.errors import RequestError, plain_number
 
 NEARLY_STATIC = 0.01
 """Static unbalance below this share of a crankshaft's largest counterweight is named as balance."""
 
 
+_NO_FORCE = "no force"
 CYLINDER = {"x": "along the cylinder", "y": "across the cylinder"}
 FRAME = {"x": "along Z", "y": "along X"}
 """Words for the two directions, for one cylinder and for several; Z points from the crankshaft to the middle bank."""
@@ -78,14 +79,15 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     """
     where = CYLINDER if sheet["strategies"] else FRAME
     state = plain_state(sheet)
-    said = [f"{state[0].upper()}{state[1:]} the engine shakes with "]
-    said[0] += f"{_amounts(sheet['force_g_mm'], speed_rpm, where=where)}."
+    made = _amounts(sheet["force_g_mm"], speed_rpm, where=where)
+    shakes = "no force shakes the engine" if made == _NO_FORCE else f"the engine shakes with {made}"
+    said = [f"{state[0].upper()}{state[1:]} {shakes}."]
     said += moment_sentences(sheet["moment_g_mm2"], speed_rpm)
     said += cycle_sentences(sheet["cycle"], speed_rpm)
     said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
     said += _of_shafts(sheet["shafts"], speed_rpm, where)
     said += design_sentences(sheet["design"], speed_rpm)
-    said += tolerance_sentences(sheet["tolerance"])
+    said += tolerance_sentences(sheet["tolerance"], speed_rpm)
     said += _of_pairs(sheet["shafts"]["pairs"] or [], speed_rpm)
     said += _of_crankshaft(sheet["crankshaft"], speed_rpm)
     said += _of_rod_split(sheet["rod_split"], speed_rpm)
@@ -105,7 +107,7 @@ def plain_state(sheet: Mapping[str, Any]) -> str:
 
 def _one(amount_g_mm: float, speed_rpm: float) -> str:
     force = float(unbalance_force_n(abs(amount_g_mm), speed_rpm))
-    return f"{abs(amount_g_mm):.5g} g·mm ({force:.4g} N at {speed_key(speed_rpm)} rpm)"
+    return f"{abs(amount_g_mm):.5g} g·mm ({plain_number(force)} N at {speed_key(speed_rpm)} rpm)"
 
 
 def _amounts(
@@ -116,7 +118,7 @@ def _amounts(
     for axis, direction in where.items():
         orders = list((axes[axis] or {}).items())[:most]
         phrases += [f"{_one(amount, speed_rpm)} of order {order} {direction}" for order, amount in orders]
-    return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else (phrases or ["no force"])[0]
+    return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else (phrases or [_NO_FORCE])[0]
 
 
 def _of_strategies(strategies: dict[str, Any], speed_rpm: float) -> list[str]:
@@ -128,7 +130,8 @@ def _of_strategies(strategies: dict[str, Any], speed_rpm: float) -> list[str]:
         if name == "d":
             couple, adds = "", "takes off" if found["total_g"] < 0 else "adds"
             if found["couple_g_mm2"] is not None:
-                couple = f" of up to {1e-3 * float(unbalance_force_n(found['couple_g_mm2'], speed_rpm)):.4g} N·m"
+                newton_metres = 1e-3 * float(unbalance_force_n(found["couple_g_mm2"], speed_rpm))
+                couple = f" of up to {plain_number(newton_metres)} N·m"
             said.append(
                 f"Strategy d {adds} {abs(found['total_g']):.5g} g and leaves no force of any order; a couple{couple} "
                 f"at {speed_key(speed_rpm)} rpm remains."
@@ -202,20 +205,20 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
     largest = max(abs(complex(plane["has_kg_mm"]["x"], plane["has_kg_mm"]["y"])) for plane in table["planes"])
     state = "is in static balance within" if static < NEARLY_STATIC * largest else "has a static unbalance of"
     couple = table["couple_Nm_at_rpm"][speed_key(speed_rpm)]
-    needs = " and ".join(
-        f"{abs(complex(plane['correction_kg_mm']['x'], plane['correction_kg_mm']['y'])):.4g} kg·mm in {plane['name']}"
-        for plane in table["planes"]
-    )
+    corrections = [(plane["name"], plane["correction_kg_mm"]) for plane in table["planes"]]
+    needs = " and ".join(f"{plain_number(abs(complex(by['x'], by['y'])))} kg·mm in {name}" for name, by in corrections)
     said = [
         f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
-        f"({couple:.4g} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would end."
+        f"({plain_number(couple)} N·m at {speed_key(speed_rpm)} rpm) turns with it, which corrections of {needs} would "
+        "end."
     ]
     if table["overbalance_met"] is not None:
         least, most = table["overbalance_kg_mm"]
         by = table["overbalanced_by_kg_mm"]
         said.append(
-            f"Its counterweights have {abs(by):.4g} kg·mm too {'much' if by >= 0 else 'little'}; {least:g} to {most:g} "
-            f"too much are wanted for the balancing machine: {'met' if table['overbalance_met'] else 'not met'}."
+            f"Its counterweights have {plain_number(abs(by))} kg·mm too {'much' if by >= 0 else 'little'}; "
+            f"{least:g} to {most:g} too much are wanted for the balancing machine: "
+            f"{'met' if table['overbalance_met'] else 'not met'}."
         )
     return said
 
@@ -261,7 +264,8 @@ def _of_reverse_cranks(table: dict[str, Any] | None, speed_rpm: float) -> list[s
     if table["couple_g_mm2"] > 0:
         couple = 1e-3 * float(unbalance_force_n(table["couple_g_mm2"], speed_rpm))
         said.append(
-            f"Their wheels stand unevenly and leave a couple of {couple:.4g} N·m at {speed_key(speed_rpm)} rpm."
+            f"Their wheels stand unevenly and leave a couple of {plain_number(couple)} N·m at "
+            f"{speed_key(speed_rpm)} rpm."
         )
     if table["tolerances"] is not None:
         across = table["tolerances"]["across_g_mm"]["1"]["95 %"]

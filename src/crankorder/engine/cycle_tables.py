@@ -17,7 +17,7 @@ from crankorder.engine.forces import CylinderLoads, cylinder_loads, inertia_torq
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.harmonics import last_order_above_round_off
 from crankorder.engine.in_cycle import TORQUE_ORDERS, lag_from_torque
-from crankorder.errors import RequestError
+from crankorder.errors import RequestError, plain_number
 
 Floats = NDArray[np.float64]
 
@@ -244,7 +244,7 @@ def cycle_sentences(cycle: Mapping[str, Any] | None, speed_rpm: float) -> list[s
     key, said = speed_key(speed_rpm), []
     firing, turning = cycle["firing"], cycle["turning"][key]
     if firing is not None and len(firing["interval_deg"]) > 1:
-        intervals = [f"{interval:.4g}°" for interval in firing["interval_deg"]]
+        intervals = [f"{plain_number(interval)}°" for interval in firing["interval_deg"]]
         said.append(
             f"It fires evenly, every {intervals[0]}."
             if firing["even"]
@@ -252,8 +252,8 @@ def cycle_sentences(cycle: Mapping[str, Any] | None, speed_rpm: float) -> list[s
         )
     if cycle["gas"] is not None:
         said.append(
-            f"The gas turns the crank with {turning['mean_n_m']:.4g} N·m in the mean, "
-            f"{turning['power_w'] / 1e3:.4g} kW at {key} rpm without friction."
+            f"The gas turns the crank with {plain_number(turning['mean_n_m'])} N·m in the mean, "
+            f"{plain_number(turning['power_w'] / 1e3)} kW at {key} rpm without friction."
         )
     if turning["by_order"]:
         said.append(_turns(turning, key))
@@ -266,12 +266,13 @@ def _turns(turning: Mapping[str, Any], key: str) -> str:
     most = sorted(turning["by_order"].items(), key=lambda one: -max(one[1]["gas_n_m"], one[1]["inertia_n_m"]))[:2]
     told = []
     for order, one in sorted(most, key=lambda entry: float(entry[0])):
-        sizes = f"order {order}: gas {one['gas_n_m']:.4g}, masses {one['inertia_n_m']:.4g} N·m"
+        of_gas = f"gas {plain_number(one['gas_n_m'])}, " if turning["power_w"] is not None else ""  # None without gas
+        sizes = f"order {order}: {of_gas}masses {plain_number(one['inertia_n_m'])} N·m"
         alike = one["alike_at_rpm"]
-        told.append(sizes if alike is None else f"{sizes} (alike at {alike:.4g} rpm)")
+        told.append(sizes if alike is None else f"{sizes} (alike at {plain_number(alike)} rpm)")
     return (
-        f"The turning moment swings between {turning['least_n_m']:.4g} and {turning['peak_n_m']:.4g} N·m at {key} rpm; "
-        f"{'; '.join(told)}."
+        f"The turning moment swings between {plain_number(turning['least_n_m'])} and "
+        f"{plain_number(turning['peak_n_m'])} N·m at {key} rpm; {'; '.join(told)}."
     )
 
 
@@ -281,12 +282,14 @@ def _of_loads(loads: Mapping[str, Any] | None, key: str) -> list[str]:
     found = loads[key]
     wall, pin = (max(one[name]["peak_n"] for one in found["cylinders"]) for name in ("wall", "crank_pin"))
     text = (
-        f"At {key} rpm a piston presses on its wall with up to {wall:.4g} N and a rod on its crank pin with {pin:.4g} N"
+        f"At {key} rpm a piston presses on its wall with up to {plain_number(wall)} N and a rod on its crank pin with "
+        f"{plain_number(pin)} N"
     )
     if found["main_bearings"] is None:
         return [f"{text}."]
     top = max(found["main_bearings"], key=lambda one: one["peak_n"])
     return [
-        f"{text}; the main bearing at {top['position_mm']:.4g} mm carries the most, up to {top['peak_n']:.4g} N at "
-        f"{top['peak_deg']:.4g}° and {top['mean_n']:.4g} N in the mean."
+        f"{text}; the main bearing at {plain_number(top['position_mm'])} mm carries the most, up to "
+        f"{plain_number(top['peak_n'])} N at {plain_number(top['peak_deg'])}° and {plain_number(top['mean_n'])} N "
+        "in the mean."
     ]

@@ -23,6 +23,7 @@ from crankorder.engine.shaft_design import (
     throw_counterweights,
 )
 from crankorder.engine.tolerance_study import tolerance_table
+from crankorder.errors import plain_number
 
 Amounts = dict[str, float]
 """Amplitude over ω² by order, orders as texts."""
@@ -181,13 +182,13 @@ def design_sentences(design: Mapping[str, Any] | None, speed_rpm: float) -> list
     said = []
     for kind, share in design["primary_share"].items():
         if share is not None:
-            said.append(f"Crank webs can take {100 * share:.4g} % of the primary {kind} of the pistons.")
+            said.append(f"Crank webs can take {plain_number(100 * share)} % of the primary {kind} of the pistons.")
     for name, layout in design["layouts"].items():
         left = _left(layout, speed_rpm)
         if name == "webs":
             said.append(f"Counterweights on the crank webs alone leave {left}.")
             continue
-        shafts = listed([f"at {shaft['speed_ratio']:+d} times crank speed" for shaft in layout["shafts"]])
+        shafts = listed([f"at {_signed(shaft['speed_ratio'])} times crank speed" for shaft in layout["shafts"]])
         webs = "with those counterweights " if layout["webs"] else ""
         number = "one shaft" if len(layout["shafts"]) == 1 else "shafts"
         text = f"{webs}{number} {shafts} leave{'s' if number == 'one shaft' else ''} {left}."
@@ -196,18 +197,18 @@ def design_sentences(design: Mapping[str, Any] | None, speed_rpm: float) -> list
     if height is not None and abs(height) > 1e-9:
         where = "above" if height > 0 else "below"
         said.append(
-            f"Where the second-order shaft that turns with the crank sits {abs(height):.4g} mm {where} the other, "
-            "the pair takes the second-order roll moment of the masses too."
+            f"Where the second-order shaft that turns with the crank sits {plain_number(abs(height))} mm {where} the "
+            "other, the pair takes the second-order roll moment of the masses too."
         )
     return said
 
 
 def _left(layout: Mapping[str, Any], speed_rpm: float) -> str:
     """The largest force and the largest couple that a layout leaves, in words."""
-    parts = []
-    for key, scale, unit, names in (
-        ("residual_g_mm", 1.0, "N", {"x": "along Z", "y": "along X"}),
-        ("residual_moment_g_mm2", 1e-3, "N·m", {"about_y": "about X", "about_x": "about Z"}),
+    parts, at = [], f"at {speed_key(speed_rpm)} rpm"
+    for key, scale, unit, names, nothing in (
+        ("residual_g_mm", 1.0, "N", {"x": "along Z", "y": "along X"}, "no force"),
+        ("residual_moment_g_mm2", 1e-3, "N·m", {"about_y": "about X", "about_x": "about Z"}, "no rocking couple"),
     ):
         every = [
             (size, order, text) for axis, text in names.items() for order, size in (layout[key][axis] or {}).items()
@@ -215,16 +216,20 @@ def _left(layout: Mapping[str, Any], speed_rpm: float) -> str:
         if every:
             size, order, text = max(every)
             amount = scale * float(unbalance_force_n(size, speed_rpm))
-            parts.append(f"{amount:.4g} {unit} of order {order} {text}")
+            parts.append(f"at most {plain_number(amount)} {unit} of order {order} {text} {at}")
         else:
-            parts.append("no force" if unit == "N" else "no rocking couple")
+            parts.append(nothing)
     if parts == ["no force", "no rocking couple"]:
         return "neither force nor rocking couple"
-    return f"{parts[0]} and {parts[1]} as the largest at {speed_key(speed_rpm)} rpm"
+    return " and ".join([parts[0].removesuffix(f" {at}") if parts[1].endswith(at) else parts[0], parts[1]])
+
+
+def _signed(speed_ratio: int) -> str:
+    return f"{speed_ratio:+d}".replace("-", "−")
 
 
 def _n_m(size_g_mm2: float, speed_rpm: float) -> str:
-    return f"{1e-3 * float(unbalance_force_n(size_g_mm2, speed_rpm)):.4g} N·m"
+    return f"{plain_number(1e-3 * float(unbalance_force_n(size_g_mm2, speed_rpm)))} N·m"
 
 
 def _by_order(entry: tuple[str, float]) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balancing import OrderForce
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
-from crankorder.engine.forces import X, Z, crankcase_forces, crankcase_moments
+from crankorder.engine.forces import CANCELLED, X, Z, crankcase_forces, crankcase_moments
 from crankorder.engine.harmonics import acceleration_harmonics
 
 Complex = NDArray[np.complex128]
@@ -125,7 +125,10 @@ def throw_counterweights(engine: Engine) -> tuple[Weight, ...]:
         first = complex(acceleration_harmonics(one.mechanism, 1)[1])
         half = 0.5 * one.reciprocating_mass_kg * one.crank_radius_m * first
         rest = one.rotating_unbalance_kg_m * np.exp(1j * np.radians(one.rotating_unbalance_deg))
-        made.append(_weight(complex(-1e6 * turn * (half + rest)), where.position_m))
+        left = half + rest
+        if abs(left) <= CANCELLED * abs(half):  # its own counterweight takes it already
+            left = 0j
+        made.append(_weight(complex(-1e6 * turn * left), where.position_m))
     return tuple(made)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, Positive, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
 from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.errors import plain_number
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -24,6 +25,8 @@ ONE_RADIAN_PER_S_RPM = 30 / math.pi
 QUANTILES = {"2.5 %": 0.025, "median": 0.5, "95 %": 0.95, "97.5 %": 0.975}
 KEPT_SHARE = 0.95
 """Share of engines that a class of masses or angles must keep below the stated residual."""
+NO_FORCE_G_MM, NO_COUPLE_G_MM2 = 1e-6, 1e-3
+"""What is smaller is rounding: at 10,000 rpm a millionth of a newton, and of a newton metre."""
 STEPS = 6
 """Of the secant that finds an angle: what it adds is nearly in proportion to it."""
 
@@ -128,7 +131,14 @@ def tolerance_table(
         still = Errors(mass=errors.mass[:1] * 0, throw=errors.throw[:1] * 0, pin=errors.pin[:1] * 0,
                        weight=errors.weight[:1] * 0, gear=np.full((1, errors.gear.shape[1]), -1.0))  # fmt: skip
         shift = {**dict.fromkeys(KINDS, 0.0), "gear_deg": tolerances.mistiming_deg}
-        late = {"deg": tolerances.mistiming_deg, "force_g_mm": _sizes(_left(studied, still, shift, max_order)[0])}
+        of_force, of_couple = (_sizes(parts) for parts in _left(studied, still, shift, max_order))
+        turning = sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})
+        late = {
+            "deg": tolerances.mistiming_deg,
+            "orders": [str(order) for order in turning],
+            "force_g_mm": of_force,
+            "couple_g_mm2": of_couple,
+        }
     allowed = tolerances.allowed_at(max(speeds))
     classes = None if allowed is None else _classes(studied, errors, allowed, max_order)
     return {
@@ -241,31 +251,60 @@ def _classes(engine: Engine, errors: Errors, allowed: float, max_order: int) -> 
     return found
 
 
-def tolerance_sentences(table: dict[str, Any] | None) -> list[str]:
-    """What a series leaves, what one mistiming adds, and the classes that keep it; ``table`` as made above or None."""
+def tolerance_sentences(table: Mapping[str, Any] | None, speed_rpm: float) -> list[str]:
+    """What a series leaves, what one mistiming adds, and the classes that keep it.
+
+    ``table``: as :func:`tolerance_table` makes it, or None. ``speed_rpm``: at which couples are named, > 0.
+    """
     if table is None:
         return []
     spread = table["force_g_mm"]
-    largest = max(spread, key=lambda order: float(spread[order]["95 %"]))
-    widest = max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
+    largest, widest = _largest(spread), _widest(spread)
     of_largest = "their largest and the one that errors spread most" if largest == widest else "their largest"
-    said = [
-        f"Of {table['samples']} engines drawn within the tolerances 95 % leave less than "
-        f"{_span(spread[largest])} of order {largest}, {of_largest}."
-    ]
-    if largest != widest:
+    drawn = f"Of {table['samples']} engines drawn within the tolerances"
+    if spread[largest]["95 %"] <= NO_FORCE_G_MM:
+        said = [f"{drawn} 95 % leave no force."]
+    else:
+        said = [f"{drawn} 95 % leave less than {_span(spread[largest])} of order {largest}, {of_largest}."]
+    if largest != widest and spread[widest]["95 %"] > NO_FORCE_G_MM:
         said.append(f"Errors spread order {widest} most: 95 % leave less than {_span(spread[widest])} of it.")
+    newton_metres = 1e-9 * (speed_rpm / ONE_RADIAN_PER_S_RPM) ** 2
+    rocking = table["couple_g_mm2"]
+    worst = _largest(rocking)
+    if rocking[worst]["95 %"] > NO_COUPLE_G_MM2:
+        couples = f"{plain_number(newton_metres * rocking[worst]['95 %'])} N·m of order {worst} at {speed_rpm:g} rpm"
+        said.append(f"95 % rock with a couple of less than {couples}, their largest.")
     if table["mistiming"] is not None:
-        order, size = max(table["mistiming"]["force_g_mm"].items(), key=lambda one: one[1])
-        said.append(f"All shafts late by {table['mistiming']['deg']:g}° leave {size:.4g} g·mm of order {order}.")
+        said.append(_of_mistiming(table["mistiming"], speed_rpm, newton_metres))
     if table["largest_alone"] is not None:
         units = dict(
             zip(KINDS, ("g on a piston", "g·mm on a throw", "° of a pin", "% of a weight", "° of a shaft"), strict=True)
         )
         told = [f"{size:.3g} {units[kind]}" for kind, size in table["largest_alone"].items() if size is not None]
-        said.append(f"Each alone, ± {', '.join(told)} add no more than {table['allowed_g_mm']:.4g} g·mm in 95 %.")
+        allowed = plain_number(table["allowed_g_mm"])
+        said.append(f"Each alone, ± {', '.join(told)} add no more than {allowed} g·mm in 95 %.")
     return said
 
 
-def _span(one: dict[str, float]) -> str:
-    return f"{one['95 %']:.4g} g·mm (the middle 95 % between {one['2.5 %']:.4g} and {one['97.5 %']:.4g} g·mm)"
+def _largest(spread: Mapping[str, Mapping[str, float]]) -> str:
+    """Order that most of a series leave most of."""
+    return max(spread, key=lambda order: float(spread[order]["95 %"]))
+
+
+def _widest(spread: Mapping[str, Mapping[str, float]]) -> str:
+    """Order that differs most from engine to engine."""
+    return max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
+
+
+def _of_mistiming(late: Mapping[str, Any], speed_rpm: float, newton_metres: float) -> str:
+    size, order = max((late["force_g_mm"][order], order) for order in late["orders"])
+    couple, rocking = max((late["couple_g_mm2"][order], order) for order in late["orders"])
+    left = [f"{plain_number(size)} g·mm of order {order}"] if size > NO_FORCE_G_MM else []
+    if couple > NO_COUPLE_G_MM2:
+        left.append(f"a couple of {plain_number(newton_metres * couple)} N·m of order {rocking} at {speed_rpm:g} rpm")
+    return f"All shafts late by {late['deg']:g}° leave {' and '.join(left) or 'nothing of their orders'}."
+
+
+def _span(one: Mapping[str, float]) -> str:
+    least, most = plain_number(one["2.5 %"]), plain_number(one["97.5 %"])
+    return f"{plain_number(one['95 %'])} g·mm (the middle 95 % between {least} and {most} g·mm)"

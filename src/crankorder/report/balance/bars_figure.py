@@ -58,7 +58,7 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         for number, (name, unit, most, values, hues) in enumerate(groups):
             bottom = _BOTTOM + (len(groups) - 1 - number) * (height + _GAP)
             axes = axes_at(figure, _LEFT, bottom, width, height)
-            _bars(axes, orders, values, hues, most=most, settings=settings)
+            _bars(axes, orders, values, hues, kind="force" if unit == "N" else "moment", most=most, settings=settings)
             axes.set_xlim(0.4, last + 0.6)
             axes.set_title(name, fontsize=9)
             axes.set_ylabel(unit)
@@ -73,7 +73,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         if len(entries) > 1:
             color_key(figure, (_LEFT, tall_in - _TOP + 0.2, width, 0.1), entries)
         said = (
-            f"Amplitude at {speed_key(speed)} rpm. Bars below 1/{1 / _share(settings):.0f} of the largest are left out."
+            f"Amplitude at {speed_key(speed)} rpm. "
+            f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
         )
         said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
@@ -115,18 +116,25 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[st
 
 
 def _bars(
-    axes: Axes, orders: Values, values: list[Values], colors: list[str], *, most: float, settings: ReportSettings
+    axes: Axes,
+    orders: Values,
+    values: list[Values],
+    colors: list[str],
+    *,
+    kind: str,
+    most: float,
+    settings: ReportSettings,
 ) -> None:
-    """Bars of every order side by side, the largest with its value above."""
+    """Bars of every order side by side, the largest with its value above; ``kind``: force or moment."""
     quiet_frame(axes)
     axes.grid(False, axis="x")
     floor = most * _share(settings)
     high = np.max(values, axis=0)
     shown = [float(order) for order, value in zip(orders, high, strict=True) if value > floor > 0]
-    axes.set_xticks(shown or [1.0], [order_text(order) for order in shown or [1.0]])
+    axes.set_xticks(shown, [order_text(order) for order in shown])
     log_scale(axes, floor if most else 1e-3, 4 * most if most else 1.0, most_ticks=7)
     if not shown:
-        axes.text(0.5, 0.5, "no force of any order", transform=axes.transAxes, **NOTE)
+        axes.text(0.5, 0.5, f"no {kind} of any order", transform=axes.transAxes, **NOTE)
         return
     width = min(0.84 / len(values), _WIDEST)
     for number, (column, color) in enumerate(zip(values, colors, strict=True)):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
-from crankorder.report.balance.look import color_key
+from crankorder.report.balance.look import color_key, frame_around
 from crankorder.report.notation import number_text
 from crankorder.report.style import (
     FAINT,
@@ -41,7 +41,8 @@ _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.35, 1.1, 0.62, 0.95  # inches
 _CURVES = 2.6  # inches, height of the loads against crank angle
 _MOST_COLUMNS = 3
 _SHOWN_SHARE = 1e-3
-_MOST_ORDERS = 12
+_TOLD_SHARE = 0.01  # of the tallest bar: beside another bar a lower one has no room for its number
+_FEWEST_ORDERS, _MOST_ORDERS = 6, 12  # that the axis has room for
 
 
 def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
@@ -110,7 +111,9 @@ def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, found: Mapping[s
     if with_gas:
         entries = [("gas", LINES[1], gas), *entries, ("together", INK, gas + masses)]
     for name, color, values in entries:
-        axes.plot(shown["crank_angle"].values, values, color=color, linewidth=2 if name == "together" else 1.3)
+        wide = name == "together"  # below the others: where it is alike with one of them both are seen
+        width, above = (3.0, 1.9) if wide else (1.3, 2.0)
+        axes.plot(shown["crank_angle"].values, values, color=color, linewidth=width, zorder=above)
     axes.axhline(0, color=FAINT, linewidth=0.8)
     if found["power_w"] is not None:
         axes.axhline(found["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
@@ -132,9 +135,10 @@ def _order_bars(axes: Axes, by_order: Mapping[str, Any], *, with_gas: bool) -> N
         beside = places + (number - (len(kinds) - 1) / 2) * 0.36
         axes.bar(beside, values, 0.33, color=color, gid=f"bars-{key}")
         for place, value in zip(beside, values, strict=True):
-            if value > _SHOWN_SHARE * largest:
+            if value > (_TOLD_SHARE if with_gas else _SHOWN_SHARE) * largest:
                 axes.text(place, value, number_text(value), ha="center", va="bottom", fontsize=SMALL)
     axes.set_ylim(0, 1.15 * largest or 1.0)
+    axes.set_xlim(-0.6, max(len(orders), _FEWEST_ORDERS) - 0.4)
     axes.set_xticks(places, orders)
     axes.set_xlabel("order, cycles per crank revolution")
     axes.set_ylabel("N·m, amplitude")
@@ -157,8 +161,8 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
         figure = new_figure(settings.width_in, _TOP + _CURVES + _GAP + rows * row + 0.2)
         base = float(figure.get_size_inches()[1]) - _TOP - _CURVES
         _curves(figure, (_LEFT, base, width, _CURVES), shown)
-        bearings = 1.1 * max((one.peak_n for one in polar[1:]), default=0.0) or 1.0
-        frames = [1.1 * polar[0].peak_n or 1.0] + [bearings] * (len(polar) - 1)
+        bearings = frame_around(max((one.peak_n for one in polar[1:]), default=0.0))
+        frames = [frame_around(polar[0].peak_n)] + [bearings] * (len(polar) - 1)
         for number, (one, frame) in enumerate(zip(polar, frames, strict=True)):
             corner = (_LEFT + number % columns * step, base - _GAP - (number // columns + 1) * row + 0.45)
             _polar(figure, (*corner, side, side), one, frame, LINES[number % len(LINES)])
@@ -188,7 +192,7 @@ def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
     found = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
     if "main_bearing_load" in shown:
         for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
-            at = number_text(1e3 * float(place))
+            at = f"{1e3 * float(place):.4g}".replace("-", "−")
             found.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
     return found
 
@@ -221,6 +225,8 @@ def _curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
         ("piston pin", np.hypot(*shown["piston_pin_load"].isel(cylinder=0).values)),
         ("wall, in the crank's way", shown["wall_load"].isel(cylinder=0).values),
     ]
+    if np.allclose(pins[0][1], pins[1][1], rtol=1e-6):  # the file gives the rod no mass of its own
+        pins = [("crank pin and piston pin alike", pins[0][1]), pins[2]]
     for number, (_, values) in enumerate(pins):
         axes.plot(angle, values, color=LINES[number], linewidth=1.4)
     axes.axhline(0, color=FAINT, linewidth=0.8)

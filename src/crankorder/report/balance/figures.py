@@ -118,7 +118,7 @@ def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: floa
     values = per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
     limit = 1.08 * float(np.abs(values).max()) or 1.0
     angle = 360 * balance["crank_angle"].values
-    heads = ("Rocking moments of the inertia forces", "Inertia torque about the crankshaft")
+    heads = ("Rocking moments of the inertia forces", "Roll moment of the masses on the engine block")
     for head, box, members in zip(heads, row, ((0, 1), (2,)), strict=True):
         axes = _angle_axes(figure, box, limit)
         axes.set_title(head, fontsize=9, color=INK, pad=16)
@@ -126,6 +126,9 @@ def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: floa
         entries = []
         for number in members:
             name = str(balance["moment_axis"].values[number])
+            if np.abs(values[number]).max() <= NO_FORCE * limit:
+                entries.append((f"nothing {MOMENT_TEXT[name]}", FAINT))
+                continue
             axes.plot(angle, values[number], color=LINES[number], gid=f"moment-{name}")
             entries.append((MOMENT_TEXT[name], LINES[number]))
         color_key(figure, box, entries)
@@ -136,6 +139,8 @@ def _in_words(balance: xr.Dataset, speed: float) -> str:
     most = np.abs(balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values).max(axis=1)
     newtons = unbalance_force_n(most, speed)
     names = [str(name) for name in balance["system"].values]
+    if not newtons[0]:
+        return "none"
     said = f"up to {number_text(float(newtons[0]))} N" + (" without balancing" if len(names) > 1 else "")
     for kinds in (COUNTERWEIGHTS[1:4], SHAFT_SETS[1:]):
         left = {name: float(newtons[names.index(name)]) for name in kinds if name in names}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -47,9 +49,19 @@ def axis_names(balance: xr.Dataset) -> tuple[str, str]:
 
 
 def system_color(name: str) -> str:
-    """Colour of the system ``name`` in every picture; the plain engine is ink."""
-    others = [system for system in SYSTEMS if system != "none"]
-    return INK if name == "none" else LINES[others.index(name) % len(LINES)]
+    """Colour of the system ``name`` in every picture; the plain engine is ink, and no two of one engine are alike."""
+    if name in ("none", "own"):
+        return INK if name == "none" else LINES[-1]
+    family = DESIGNS if name in DESIGNS else [system for system in SYSTEMS if system not in ("none", "own", *DESIGNS)]
+    return LINES[family.index(name) % (len(LINES) - 1)]
+
+
+def frame_around(largest: float) -> float:
+    """Half the side of a frame around a curve that reaches ``largest``: a round number above it, 1 where that is 0."""
+    if largest == 0:
+        return 1.0
+    decade = 10.0 ** math.floor(math.log10(largest))
+    return next(step * decade for step in (1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12) if step * decade > 1.05 * largest)
 
 
 def alike(curves: xr.DataArray) -> list[list[str]]:

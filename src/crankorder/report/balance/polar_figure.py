@@ -18,6 +18,7 @@ from crankorder.report.balance.look import (
     SHAFT_SETS,
     axis_names,
     color_key,
+    frame_around,
     system_color,
 )
 from crankorder.report.notation import number_text
@@ -27,6 +28,7 @@ from crankorder.report.style import (
     INK,
     LINES,
     NORMAL,
+    NOTE,
     SMALL,
     axes_at,
     drawable,
@@ -68,8 +70,8 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         step = (settings.width_in - _LEFT - _RIGHT) / columns
         side = min(step - 0.16, _WIDEST)
         figure = new_figure(settings.width_in, _TOP + _BOTTOM + len(panels) * (side + _HEAD))
-        limit = 1.15 * max(
-            float(np.abs(curve).max()) for _, row in panels for _, _, curve, _, _, unit in row if unit == "N"
+        limit = frame_around(
+            max(float(np.abs(curve).max()) for _, row in panels for _, _, curve, _, _, unit in row if unit == "N")
         )
         for number, (of_row, row) in enumerate(panels):
             bottom = _BOTTOM + (len(panels) - 1 - number) * (side + _HEAD)
@@ -78,8 +80,8 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
             for place, (head, meaning, curve, color, turns, unit) in enumerate(row):
                 left = _LEFT + place * step
                 axes = axes_at(figure, left + (step - side) / 2, bottom, side, side)
-                scale = limit if unit == "N" else 1.15 * float(np.abs(curve).max())
-                _draw(axes, curve, color, scale or 1.0)
+                scale = limit if unit == "N" else frame_around(float(np.abs(curve).max()))
+                _draw(axes, curve, color, scale)
                 for height, text, look in (
                     (0.5, head, {"fontweight": "bold", "fontsize": NORMAL}),
                     (0.35, meaning, {"fontsize": SMALL + 0.5}),
@@ -124,7 +126,7 @@ def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
         about = 1e-3 * per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
         moment = about[0] + 1j * about[1]
         most = float(np.abs(moment).max())
-        text = f"its axis; the frame is ±{number_text(1.15 * most)} N·m" if most else ""
+        text = f"its axis; the frame is ±{number_text(frame_around(most))} N·m" if most else ""
         rows[-2][1].append(("rocking moment", "", moment, LINES[1], text, "N·m"))
     return [row for row in rows if row[1]]
 
@@ -200,9 +202,13 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
         for number, axis in enumerate(shown):
             box = (0.95 + number * (width + 0.95), 0.62, width, height)
             axes = axes_at(figure, *box)
-            _harmonics(axes, balance, axis, per_omega)
+            _angle_axis(axes)
             axes.set_ylim(-limit, limit)
             axes.set_title(axis_names(balance)["xy".index(axis)], fontsize=9, color=INK, pad=18)
+            if not forces.any():
+                axes.text(0.5, 0.5, "no force of any order", transform=axes.transAxes, **NOTE)
+                continue
+            _harmonics(axes, balance, axis, per_omega)
             entries = [(name, color) for name, (_, color) in _PARTS.items()]
             color_key(figure, box, [*entries, ("all orders", FAINT)])
         said = f"Force of the moving masses at {speed_key(speed)} rpm, no balancing; {_at_dead_centres(forces)}"
@@ -210,21 +216,24 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
         return figure
 
 
-def _harmonics(axes: Axes, balance: xr.Dataset, axis: str, per_omega: float) -> None:
+def _angle_axis(axes: Axes) -> None:
     quiet_frame(axes)
-    angles = balance["crank_angle"].values
-    every = per_omega * balance["curve"].sel(system="none", axis=axis).values
-    axes.plot(360 * angles, every, color=FAINT, linewidth=2.6, alpha=0.5, gid=f"all-{axis}")
-    amplitudes = balance["force"].sel(system="none", axis=axis)
-    for name, (orders, color) in _PARTS.items():
-        chosen = np.where(np.isin(balance["order"].values, orders), amplitudes.values, 0)
-        axes.plot(360 * angles, per_omega * order_sum(chosen, angles), color=color, gid=f"{name}-{axis}",
-                  linewidth=1.8 if name == "both" else 1.3)  # fmt: skip
     axes.set_xlim(0, 360)
     axes.set_xticks(range(0, 361, 45))
     axes.set_xlabel("crank angle from top dead centre, °")
     axes.set_ylabel("N")
     axes.axhline(0, color=FAINT, linewidth=0.8)
+
+
+def _harmonics(axes: Axes, balance: xr.Dataset, axis: str, per_omega: float) -> None:
+    angles = balance["crank_angle"].values
+    every = per_omega * balance["curve"].sel(system="none", axis=axis).values
+    axes.plot(360 * angles, every, color=FAINT, linewidth=5.5, alpha=0.4, zorder=1.8, gid=f"all-{axis}")
+    amplitudes = balance["force"].sel(system="none", axis=axis)
+    for name, (orders, color) in _PARTS.items():
+        chosen = np.where(np.isin(balance["order"].values, orders), amplitudes.values, 0)
+        axes.plot(360 * angles, per_omega * order_sum(chosen, angles), color=color, gid=f"{name}-{axis}",
+                  linewidth=3.0 if name == "both" else 1.3, zorder=1.9 if name == "both" else 2)  # fmt: skip
 
 
 def _at_dead_centres(forces: xr.DataArray) -> str:

@@ -282,7 +282,11 @@ def _designs(sheet: Sheet) -> list[str]:
     heads = ["design", "on", "at mm", "g·mm", "heavy side °"]
     title = "Webs and shafts for force and couple (speed × crank, < 0 against it; heavy side: at crank angle 0 from Z)"
     lines = text_table(title, heads, rows, kept=2)
-    throws = [[str(number), *weight.values()] for number, weight in enumerate(design["throw_counterweights"])]
+    throws = [
+        [str(number), *weight.values()]
+        for number, weight in enumerate(design["throw_counterweights"])
+        if weight["unbalance_g_mm"] > 0
+    ]
     title = "Or a counterweight at each throw, for all of order 1 that turns with the crank"
     lines += text_table(title, ["cylinder", "g·mm", "heavy side °", "at mm"], throws, kept=1)
     return lines + _left_moments(sheet)
