@@ -380,16 +380,14 @@ def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
     statuses: list[int] = []
     for folder in folders:
         # only a right manifest is worth the time of heavy imports
-        found, usable = manifest_faults(folder, manifest), 0
-        if not found:
-            found, usable = _look_at(folder, manifest, jobs)
+        wrong = manifest_faults(folder, manifest)
+        found, usable = (wrong, 0) if wrong else _look_at(folder, manifest, jobs)
         for fault in found:
             click.echo(f"crankorder: {fault}", err=True)
         worst = max((fault.exit_status for fault in found), default=0)
         statuses.append(4 if worst == 3 and not usable else worst)
     # as `run`: 4 only where nothing at all can be used
-    worst = max(statuses)
-    sys.exit(3 if worst == 4 and min(statuses) < 4 else worst)
+    sys.exit(3 if max(statuses) == 4 and min(statuses) < 4 else max(statuses))
 
 
 def _look_at(folder: Path, manifest: Path | None, jobs: int) -> tuple[list[CrankorderError], int]:
