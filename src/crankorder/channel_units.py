@@ -15,6 +15,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.errors import printable
+
+_TYPOGRAPHY = {
+    "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
+    "degree": "°", "1": "", "min-1": "rpm",
+}  # fmt: skip
+
 FORMS = {"see unit": "{}", "see unit, squared": "({})2", "see unit, squared per Hz": "({})2 Hz-1", "rev": "revolution"}
 """What ``units`` are inside, and outside with the unit of the channels in the braces."""
 
@@ -26,6 +33,11 @@ UDUNITS = {
 
 _INSIDE, PART_OF = "units_inside", "part_of"
 """Attributes of a variable outside: its ``units`` inside, and of which variable it is a part."""
+
+
+def unit_text(unit: str) -> str:
+    """Typographic form of a unit of a channel: ``"m/s²"`` for ``unit`` ``"m/s2"``; unknown ones as they are."""
+    return _TYPOGRAPHY.get(unit, printable(unit, 24))
 
 
 def udunits(unit: str) -> str:

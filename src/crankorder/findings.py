@@ -44,6 +44,7 @@ class OrderFinding(Record):
     channel: str = said("name of the channel")
     order: float = said("cycles per crank revolution; all channels agree on it", above=0)
     order_ci95: Interval | None = said(default=None)
+    tracked_order: float | None = said("where its amplitudes were read, and its track stands", default=None)
     lock: Lock | None = said("whether it is an exact multiple of the cycle's frequency", default=None)
     revs_to_decide: float | None = said(
         "revolutions of one recording after which lock could be told, where it is undecided", default=None

@@ -366,7 +366,7 @@ def tracks(
     settings: Settings,
 ) -> OrderTracks:
     """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
-    orders = followed_orders(order_map, findings, settings.orders)
+    orders = followed_orders(findings, settings.orders)
     made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed)
     return OrderTracks(with_followed(made, list(followed)))
 
@@ -378,9 +378,9 @@ def cycles(items: AllRecordingCycles, settings: Settings) -> CycleAverage:
 
 
 @stage
-def shapes(frames: AllOrderFrames, order_map: OrderMap, findings: Findings, settings: Settings) -> OperatingShapes:
-    """Amplitude and phase over channels, of ``frames``, at the orders of ``order_map``, ``findings``, ``settings``."""
-    orders = followed_orders(order_map, findings, settings.orders)
+def shapes(frames: AllOrderFrames, findings: Findings, settings: Settings) -> OperatingShapes:
+    """Amplitude and phase over channels, of ``frames``, at the orders of ``findings`` and ``settings``."""
+    orders = followed_orders(findings, settings.orders)
     return OperatingShapes(operating_shapes(list(frames), orders, settings=settings.orders))
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crankorder.identify.found import ModalFit, Mode, OrderResponse
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.held_peak import held_peak
+from crankorder.identify.lines.followed_orders import track_number
 from crankorder.identify.lines.growth import largest
 from crankorder.orders.track_rows import track_order
 from identify.test_growth import line_of
@@ -35,8 +36,9 @@ def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name: str
     said = Said.read(tmp_path / "out")
     assert said.tracks is not None and said.findings["orders"]
     for record in said.findings["orders"]:
-        off = np.abs(said.tracks["order"].values - record["order"])
-        assert off.min() <= max(1e-6, record["order_ci95"][1] - record["order"])
+        assert abs(record["tracked_order"] - record["order"]) <= max(1e-6, record["order_ci95"][1] - record["order"])
+        off = np.abs(said.tracks["order"].values - record["tracked_order"])
+        assert off.min() < 1e-6
         track = said.tracks.isel(order=int(off.argmin())).sel(channel=record["channel"])
         sure = track["amplitude"].values[track["amplitude_low"].values > 0.0]
         assert record["amplitude"] == pytest.approx(sure.max(), rel=FLOAT32)
@@ -51,6 +53,13 @@ def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found() -
     assert track_order(2.02, (2.01, 2.03), "undecided", revs_per_cycle=2) == 2.02
     assert track_order(2.76, (2.48, 3.04), "undecided", revs_per_cycle=2) == 2.76
     assert track_order(2.001, (1.99, 2.01), "slips", revs_per_cycle=2) == 2.001
+
+
+def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_known_of_the_speed() -> None:
+    slow = AgreedOrder(2.54, 0.033, 1e6, "undecided", None, (), own_error=1e-5)
+    assert track_number(slow, revs_per_cycle=2) == 2.54
+    assert track_number(replace(slow, own_error=0.03), revs_per_cycle=2) == 2.5
+    assert track_number(replace(slow, order=2.50001), revs_per_cycle=2) == 2.5
 
 
 def test_rows_that_share_their_errors_are_fewer_and_make_a_narrower_interval_of_the_largest() -> None:

@@ -122,4 +122,4 @@ def test_the_flags_of_the_map_are_those_of_its_tracks():
 
 def test_an_order_asked_for_twice_is_one_track():
     settings = SETTINGS.model_copy(update={"track_orders": (5.5, 5.5 + 1e-13, 2.0)})
-    assert followed_orders(made_map(), nothing_sought("", reason=""), settings) == [2.0, 5.5]
+    assert followed_orders(nothing_sought("", reason=""), settings) == [2.0, 5.5]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from crankorder.plot.drawing import Drawing, Field
 from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.drawing.drawn import Drawing, Field
 from made.typed import from_dicts
 
 campbell_figure = from_dicts(campbell_figure)

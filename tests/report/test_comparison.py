@@ -7,10 +7,10 @@ import pytest
 
 from crankorder.identify.changes.compared import compared
 from crankorder.identify.changes.datasets import change_datasets
+from crankorder.plot.drawing import Field
 from crankorder.report.comparison.figure import change_colours, map_change_figure, order_change_figure
 from crankorder.report.comparison.page import comparison_page
 from crankorder.report.comparison.sentences import comparison_headline, comparison_story
-from crankorder.report.drawing.drawn import Field
 from crankorder.settings import load_settings
 from made.two_tests import made_test
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.report.drawing.drawn import Drawing, Rings
+from crankorder.plot.drawing import Drawing, Rings
 from crankorder.report.envelope_figure import envelope_figure
 from crankorder.report.figures import picture_bytes
 from crankorder.report.pictures import pictures_of

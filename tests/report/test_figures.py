@@ -14,9 +14,8 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from crankorder.report.drawing.colour_map import level_colours
-from crankorder.report.drawing.drawn import Drawing, Field, Rings
-from crankorder.report.drawing.palette import LIGHT
+from crankorder.plot.drawing import Drawing, Field, Rings
+from crankorder.plot.palette import LIGHT, level_colours
 from crankorder.report.figures import (
     campbell_figure,
     order_spectra_figure,

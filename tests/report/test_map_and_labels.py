@@ -8,12 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.plot.axes import decade_text
-from crankorder.plot.cells import speed_cells
-from crankorder.plot.spreading import spread
-from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
-from crankorder.report.drawing.labels import EdgeLabel, fitted
-from crankorder.report.drawing.ticks import linear_texts, linear_ticks
-from crankorder.report.drawing.typeface import drawable, text_width_in
+from crankorder.plot.cells import gaps_between, pooled, speed_cells, with_gaps
+from crankorder.plot.labels import EdgeLabel, fitted, spread
+from crankorder.plot.panel import linear_texts, linear_ticks
+from crankorder.plot.typeface import drawable, text_width_in
 
 
 def test_stepped_speeds_reach_half_way_to_their_neighbours() -> None:
@@ -31,7 +29,7 @@ def test_a_wide_gap_of_the_run_up_is_left_open_and_regular_steps_leave_none() ->
     assert 2590 < low < 2750
     assert 3850 < high < 4000
     assert gaps_between(speed_cells(np.arange(300.0, 2001, 50))) == []
-    rows, edges = cells_with_gaps(np.ones((len(speeds), 4)), speed_cells(speeds))
+    rows, edges = with_gaps(np.ones((len(speeds), 4)), speed_cells(speeds), empty=-1.0)
     assert len(rows) == len(speeds) + 1 == len(edges) - 1
     assert (rows < 0).all(axis=1).sum() == 1
 
@@ -43,18 +41,18 @@ def test_the_largest_value_of_a_map_is_in_its_pixels_and_no_pixel_makes_one_up(
     rng = np.random.default_rng(seed)
     values = rng.random((2, cells))
     edges = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2, cells))])
-    pooled = pixel_maximum(values, edges, (0.0, float(edges[-1])), n=pixels, axis=1)
-    assert pooled.shape == (2, pixels)
-    assert pooled.max() == values.max()
-    assert np.isin(pooled, values).all()
+    shown = pooled(values, edges, np.linspace(0.0, float(edges[-1]), pixels + 1), axis=1)
+    assert shown.shape == (2, pixels)
+    assert shown.max() == values.max()
+    assert np.isin(shown, values).all()
 
 
 def test_a_line_of_one_bin_in_50_000_survives_700_pixels_at_its_place() -> None:
     values = np.zeros((1, 50_001))
     values[0, 12_345] = 1.0
     edges = np.arange(50_002) - 0.5
-    pooled = pixel_maximum(values, edges, (0.0, 50_000.0), n=700, axis=1)
-    assert np.flatnonzero(pooled[0]).tolist() == [int(12_345 / 50_000 * 700)]
+    shown = pooled(values, edges, np.linspace(0.0, 50_000.0, 700 + 1), axis=1)
+    assert np.flatnonzero(shown[0]).tolist() == [int(12_345 / 50_000 * 700)]
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=25), st.floats(0.05, 0.3))

@@ -20,7 +20,7 @@ from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
 
 if TYPE_CHECKING:
-    from crankorder.report.drawing.drawn import Drawing
+    from crankorder.plot.drawing import Drawing
 
 NAME = "comparison.json"
 MAPS = ("order_map", "campbell_map", "envelope_map", "shaft")

@@ -67,7 +67,8 @@ class AgreedOrder:
     multiple of the cycle's frequency; ``needed_revs`` are the revolutions of one recording after which that could be
     told, where it is undecided. ``lines`` holds one line per channel that shows it. ``reservation`` says, where it is
     not empty, what speaks against the number or against its being one line. ``own_error`` is the standard error but for
-    that of the speed, which shifts all orders by one share; None where it is the whole one.
+    that of the speed, which shifts all orders by one share; None where it is the whole one. ``tracked`` is the number
+    at which its track stands, once that was read.
     """
 
     order: float
@@ -78,6 +79,7 @@ class AgreedOrder:
     lines: tuple[OrderLine, ...]
     reservation: str = ""
     own_error: float | None = None
+    tracked: float | None = None
 
     @property
     def line_error(self) -> float:

@@ -78,6 +78,7 @@ def _order_record(
         channel=line.channel,
         order=agreed.order,
         order_ci95=interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom),
+        tracked_order=agreed.tracked,
         lock=agreed.lock,
         revs_to_decide=agreed.needed_revs,
         half_order=agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),

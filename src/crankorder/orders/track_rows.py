@@ -23,7 +23,6 @@ from crankorder.orders.like_speed import common_frames
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
-from crankorder.records import Interval
 from crankorder.settings import OrderSettings
 
 ON_BIN = 1e-6
@@ -475,20 +474,10 @@ _VARIABLES = (
 )
 
 
-def followed_orders(order_map: xr.Dataset, findings: Findings, settings: OrderSettings) -> list[float]:
-    """Orders to follow: those that ``findings`` name and those that ``settings`` ask for.
-
-    Each found one stands where ``track_order`` of the OrderMap ``order_map`` says.
-    """
-    cycle = int(order_map.attrs["revs_per_cycle"])
-    found = (track_order(one.order, _ends(one.order_ci95), one.lock, revs_per_cycle=cycle) for one in findings.orders)
+def followed_orders(findings: Findings, settings: OrderSettings) -> list[float]:
+    """Orders to follow: those that ``findings`` name, where they were read, and those that ``settings`` ask for."""
+    found = (one.order if one.tracked_order is None else one.tracked_order for one in findings.orders)
     return all_tracked(found, settings)
-
-
-def _ends(interval: Interval | None) -> tuple[float, float]:
-    """Ends of ``interval``; without bound where one is not known."""
-    low, high = interval or (None, None)
-    return -np.inf if low is None else low, np.inf if high is None else high
 
 
 def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_FEW_DECADES = 2.0
+FEW_DECADES = 2.0
+"""A logarithmic axis of less has ticks at 2 and 5 too."""
 _LONGEST_NAME = 60  # characters of a channel in a title
 
 
@@ -59,8 +60,6 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
 def log_scale(axes: Axes, values: Any, *, decades: float = 7.0) -> bool:
     """Logarithmic y axis of ``axes`` for the positive ``values``, at most ``decades``; False where there are none."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     positive = values[np.isfinite(values) & (values > 0)]
     if not len(positive):
         axes.set_ylim(0.0, 1.0)
@@ -68,13 +67,23 @@ def log_scale(axes: Axes, values: Any, *, decades: float = 7.0) -> bool:
         return False
     top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
     low, high = max(quiet / 2, top * 10**-decades), min(2.0 * top, 1e307)
+    log_axis(axes, low, high, most_ticks=9)
+    return True
+
+
+def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
+    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
+
+    ``most_ticks`` labelled at most.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     axes.set_yscale("log")
     axes.set_ylim(low, high)
-    subs = (1.0, 2.0, 5.0) if np.log10(high / low) < _FEW_DECADES else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=9))
+    subs = (1.0, 2.0, 5.0) if np.log10(high / low) < FEW_DECADES else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))
-    return True
 
 
 def whole_ticks(axes: Axes) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 _REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
 _REACH_SHARE = 0.03  # … and more than twice this share of it
+LEAST_RANGE_DB = 20.0
+"""A colour scale spans at least this, so that noise alone looks like noise."""
 
 
 def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -36,15 +40,20 @@ def gaps_before(cells: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.concatenate([[False], apart])
 
 
+def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Ranges [rpm] between neighbouring ``cells`` (speed, 2) that no cell covers."""
+    return [(float(cells[at - 1, 1]), float(cells[at, 0])) for at in np.flatnonzero(gaps_before(cells))]
+
+
 def with_gaps(
-    values: NDArray[np.float64], cells: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rows of a map and their edges, with a row of NaN for every gap.
+    values: NDArray[Any], cells: NDArray[np.float64], *, empty: float = np.nan
+) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Rows of a map and their edges, with a row of ``empty`` for every gap.
 
     ``values`` shape (speed, bins); ``cells`` shape (speed, 2) [rpm] from :func:`speed_cells`.
     """
     gap = np.flatnonzero(gaps_before(cells))
-    rows = np.insert(values, gap, np.nan, axis=0)
+    rows = np.insert(values, gap, empty, axis=0)
     edges = np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
     return rows, edges
 
@@ -57,10 +66,10 @@ def bin_edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
 
-def pooled(
-    values: NDArray[np.float64], edges: NDArray[np.float64], pixels: NDArray[np.float64], *, axis: int
-) -> NDArray[np.float64]:
+def pooled(values: NDArray[Any], edges: NDArray[np.float64], pixels: NDArray[np.float64], *, axis: int) -> NDArray[Any]:
     """Largest value under each pixel: thin lines survive, pixels narrower than a cell repeat it, outside is -inf.
+
+    A cell belongs to the pixels that begin in it, else to the one that it lies in, so that no line grows wider.
 
     ``values`` (none of them NaN) of cells with ascending ``edges`` along ``axis``; ``pixels`` are the edges of the
     pixels in the same unit, ascending or descending.
@@ -70,11 +79,31 @@ def pooled(
     n = values.shape[axis]
     first = np.searchsorted(edges, pixels[:-1], side="right") - 1
     stop = np.searchsorted(edges, pixels[1:], side="left")
-    pad = [(0, 1) if number == axis else (0, 0) for number in range(values.ndim)]
-    padded = np.pad(values, pad, constant_values=-np.inf)
-    begin = np.clip(first, 0, n)
-    pairs = np.stack([begin, np.clip(np.maximum(stop, begin + 1), 0, n)], axis=1).ravel()
-    taken = np.take(np.maximum.reduceat(padded, pairs, axis=axis), np.arange(0, len(pairs), 2), axis=axis)
+    begin = np.clip(first, 0, n - 1)
+    last = int(np.clip(stop[-1], begin[-1] + 1, n))
+    taken = np.maximum.reduceat(np.take(values, np.arange(last), axis=axis), begin, axis=axis)
     outside = (stop <= 0) | (first >= n)
+    if not outside.any():
+        return np.asarray(taken)
     shape = [-1 if number == axis else 1 for number in range(values.ndim)]
     return np.where(outside.reshape(shape), -np.inf, taken)
+
+
+def level_of(values: Any, reference: float) -> Any:
+    """Level [dB] of amplitudes ``values`` over ``reference``; 1e-300 and 1e300 survive."""
+    wide = np.asarray(values, dtype=np.float64)  # 1e-300 is zero in 32 bits
+    return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(reference))
+
+
+def level_limits(amplitude: NDArray[Any], reference: float, *, range_db: float) -> tuple[float, float]:
+    """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
+
+    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` the greatest range.
+    """
+    values = amplitude[amplitude > 0]
+    if not len(values):
+        return 0.0, range_db
+    twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
+    ends = 5 * np.array([np.floor(level_of(twentieth, reference) / 5), np.ceil(level_of(values.max(), reference) / 5)])
+    low = max(float(ends[0]), float(ends[1]) - range_db)
+    return min(low, float(ends[1]) - LEAST_RANGE_DB), float(ends[1])

@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox, IdentityTransform
 
+from crankorder.plot.labels import spread
 from crankorder.plot.palette import FAINT, SMALL
-from crankorder.plot.spreading import spread
 
 TIER_PT = 20.0
 """Height of one row of labels above the axes with its leaders, in points."""

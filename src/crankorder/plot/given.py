@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.channel_units import by_channel
+from crankorder.channel_units import by_channel, unit_text
 from crankorder.errors import RequestError, SchemaError
 from crankorder.findings import Findings
 from crankorder.quantities import check_dataset
@@ -23,11 +23,6 @@ _NOUNS = {
     "envelope_map": "an EnvelopeMap, as crankorder.envelope makes it",
 }
 _TREE: Any = getattr(xr, "DataTree", ())  # older xarray has none
-
-_TYPOGRAPHY = {
-    "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
-    "degree": "°", "1": "", "min-1": "rpm",
-}  # fmt: skip
 
 
 def dataset_of(given: object, noun: str, picture: str) -> xr.Dataset:
@@ -102,8 +97,7 @@ def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> NDArr
 
 def unit_of(dataset: xr.Dataset, channel: int) -> str:
     """Typographic unit of a ``channel`` (its number) of ``dataset``: "m/s²" for "m/s2"."""
-    unit = str(dataset["unit"].values[channel])
-    return _TYPOGRAPHY.get(unit, unit)
+    return unit_text(str(dataset["unit"].values[channel]))
 
 
 def quantity_text(dataset: xr.Dataset, channel: int) -> str:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.image import AxesImage
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 
 from crankorder.plot.cells import pooled
-from crankorder.plot.palette import LEVELS, NOT_MEASURED
+from crankorder.plot.palette import NOT_MEASURED, level_colours
 
 
 class LevelImage(AxesImage):
@@ -27,7 +26,7 @@ class LevelImage(AxesImage):
         limits: tuple[float, float],
     ) -> None:
         x, y = edges
-        colours = matplotlib.colormaps[LEVELS].with_extremes(bad=NOT_MEASURED)
+        colours = ListedColormap(level_colours() / 255).with_extremes(bad=NOT_MEASURED)
         super().__init__(axes, cmap=colours, norm=Normalize(*limits), extent=(x[0], x[-1], y[0], y[-1]))
         self._level = np.where(np.isnan(level), -np.inf, level)
         self._x, self._y = x, y

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, dress, key_below, note, whole_ticks
-from crankorder.plot.cells import bin_edges, speed_cells, with_gaps
+from crankorder.plot.cells import LEAST_RANGE_DB, bin_edges, speed_cells, with_gaps
 from crankorder.plot.given import channel_number, dataset_of, findings_of, number_of, quantity_text, unit_of, values_of
 from crankorder.plot.palette import (
     DOUBT_DASHES,
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from crankorder.plot.edge_labels import EdgeLabel
 
-_LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
 _STRIP_IN, _HEIGHT_IN = 3.2, 5.6  # heights of a figure of one speed, and of several
 _CURVE_POINTS = 200
 _ORDER = "Order (cycles per crank revolution)"
@@ -199,7 +198,7 @@ def _level_limits(amplitude: NDArray[np.float64], depth_db: float) -> tuple[floa
     quiet, loud = _level(np.array([np.partition(values, len(values) // 20)[len(values) // 20], values.max()]))
     top = 5.0 * float(np.ceil(loud / 5))
     low = max(5.0 * float(np.floor(quiet / 5)), top - depth_db)
-    return min(low, top - min(_LEAST_RANGE_DB, depth_db)), top
+    return min(low, top - min(LEAST_RANGE_DB, depth_db)), top
 
 
 def _draw_map(
@@ -247,7 +246,7 @@ def _thin(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], name: str)
 
 
 def _fixed(axes: Axes, line: FixedLine, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    dashes = TONE_DASHES if line.tone else DOUBT_DASHES if line.undecided else MODE_DASHES
+    dashes = (0.0, TONE_DASHES if line.tone else DOUBT_DASHES if line.undecided else MODE_DASHES)
     axes.plot(
         x, y, color=MAINS_ON_MAP if line.tone else MODE_ON_MAP, linewidth=0.9, alpha=0.85 if line.here else 0.45,
         linestyle=dashes, gid=line.text, scalex=False, scaley=False,
@@ -289,9 +288,9 @@ def _keys(found: Found) -> list[Any]:
     made: list[Any] = []
     looks: list[tuple[bool, str, str, Any]] = [
         (bool(found.orders), "order found (bold: strongest)", INK, "-"),
-        (any(not one.tone and not one.undecided for one in found.fixed), "natural frequency", MODE, MODE_DASHES),
-        (any(one.undecided for one in found.fixed), "not decided (?)", MODE, DOUBT_DASHES),
-        (any(one.tone for one in found.fixed), "mains or fixed tone", MAINS, TONE_DASHES),
+        (any(not one.tone and not one.undecided for one in found.fixed), "natural frequency", MODE, (0.0, MODE_DASHES)),
+        (any(one.undecided for one in found.fixed), "not decided (?)", MODE, (0.0, DOUBT_DASHES)),
+        (any(one.tone for one in found.fixed), "mains or fixed tone", MAINS, (0.0, TONE_DASHES)),
     ]
     for there, text, color, dashes in looks:
         if there:

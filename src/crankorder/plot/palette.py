@@ -1,6 +1,12 @@
-"""Colours, type sizes and dashes of the pictures."""
+"""Colours, type sizes and dashes of the pictures; levels from dark to bright, legible without colour vision."""
 
 from __future__ import annotations
+
+import base64
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 INK = "#1f2933"
 FAINT = "#7b8794"
@@ -14,10 +20,41 @@ MODE_ON_MAP = "#7fe3ff"
 MAINS = "#a03c78"
 MAINS_ON_MAP = "#ff9ad5"
 LINES = ("#0b63a5", "#d1495b", "#2a9134", "#8f5bb5", "#c77700", "#00857c", "#8a5a44", "#5c6b7a", "#b5338a", "#6b7d00")
-LEVELS = "inferno"
-"""Colour map of levels, by matplotlib's name: dark to bright in even steps of lightness."""
-SMALL, NORMAL, LARGE = 8.0, 9.0, 11.0
+HALF_ORDER = "#9a5b00"
+"""Labels of orders that only the cycle of a four-stroke engine makes."""
+AVOID = "#c4314b"
+FREE = "#8fc79a"
+NOT_JUDGED = "#9aa5b1"
+SMALL, NORMAL, LARGE = 7.5, 9.0, 12.0
+BAND_FACTOR = 1.959964
+"""Half a 95 % interval in standard errors of a normal estimate."""
 
-MODE_DASHES = (0.0, (5.0, 4.0))
-DOUBT_DASHES = (0.0, (2.0, 5.0))
-TONE_DASHES = (0.0, (1.0, 2.0))
+MODE_DASHES = (5.0, 4.0)
+DOUBT_DASHES = (2.0, 5.0)
+TONE_DASHES = (1.0, 2.0)
+
+
+def rgb_of(color: str) -> tuple[int, int, int]:
+    """Red, green and blue (0…255) of a ``color`` written ``"#rrggbb"``."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+# "inferno" (S. van der Walt, N. Smith 2015, public domain): 256 x red, green, blue
+_INFERNO = (
+    "AAAEAQAFAQEGAQEIAgEKAgIMAgIOAwIQBAMSBAMUBQQXBgQZBwUbCAUdCQYfCgciCwckDAgmDQgpDgkrEAktEQowEgoyFAs0FQs3Fgs5"
+    "GAw8GQw+GwxBHAxDHgxFHwxIIQxKIwxMJAxPJgxRKAtTKQtVKwtXLQtZLwpbMQpcMgpeNApfNglhOAliOQljOwlkPQllPglmQApnQgpo"
+    "RApoRQppRwtqSQtqSgxrTAxrTQ1sTw1sUQ5sUg5tVA9tVQ9tVxBuWRBuWhFuXBJuXRJuXxNuYRNuYhRuZBVuZRVuZxZuaRZuahdubBhu"
+    "bRhubxlucRluchpudBpudRtudxxteBxteh1tfB1tfR5tfx5sgB9sgiBshCBrhSFrhyFriCJqiiJqjCNpjSNpjyRpkCVokiVokyZnlSZn"
+    "lydmmCdmmihlmylknSlknypjoCpjoitioyxhpSxgpi1gqC5fqS5eqy9erTBdrjBcsDFbsTJaszJatDNZtjRYtzVXuTVWujZVvDdUvThT"
+    "vzlSwDpRwTpQwztPxDxOxj1Nxz5MyD9LykBKy0FJzEJIzkNHz0RG0EVF0kZE00dD1EhC1UpB10s/2Ew+2U092k4821A73VE63lI431M3"
+    "4FU24VY14lc041kz5Fox5Vww5l0v514u6GAt6WEr6mMq62Qp62Yo7Gcm7Wkl7mok72wj724h8G8g8XEf8XMd8nQc83Yb83gZ9HkY9XsX"
+    "9X0V9n4U9oAT94IS94QQ+IUP+IcO+IkM+YsL+YwK+Y4J+pAI+pIH+pQH+5YG+5cG+5kG+5sG+50H/J8H/KEI/KMJ/KUK/KYM/KgN/KoP"
+    "/KwR/K4S/LAU/LIW/LQY+7Ya+7gd+7of+7wh+74j+sAm+sIo+sQq+sYt+ccv+cky+cs1+M03+M8699E999NA9tVD9tdG9dlJ9dtM9N1P"
+    "9N9T9OFW8+Na8+Vd8uZh8uhl8upp8ext8e1x8e918fF58vJ98vSC8/WG8/aK9PiO9fmS9vqW+Pua+fyd+v2h/P+k"
+)
+
+
+@cache
+def level_colours() -> NDArray[np.uint8]:
+    """Red, green and blue of 256 levels, shape (256, 3), the quietest first."""
+    return np.frombuffer(base64.b64decode(_INFERNO), dtype=np.uint8).reshape(256, 3)

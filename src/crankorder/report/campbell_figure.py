@@ -10,15 +10,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings, ModeFinding, OrderFinding
-from crankorder.plot.cells import speed_cells
-from crankorder.records import known
-from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
-from crankorder.report.cells import cells_with_gaps, gaps_between, level_limits, level_of, pixel_maximum
-from crankorder.report.drawing.colour_map import level_colours
-from crankorder.report.drawing.drawn import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
-from crankorder.report.drawing.keys import Key, draw_keys
-from crankorder.report.drawing.labels import EdgeLabel, fitted, label_right, label_top
-from crankorder.report.drawing.palette import (
+from crankorder.plot.cells import gaps_between, level_limits, level_of, pooled, speed_cells, with_gaps
+from crankorder.plot.drawing import Drawing, Field, Rings, Words, pixels_of, quality_note, title_lines
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, label_right, label_top
+from crankorder.plot.palette import (
     DOUBT_DASHES,
     FAINT,
     HALF_ORDER,
@@ -32,10 +27,13 @@ from crankorder.report.drawing.palette import (
     NOT_MEASURED,
     SMALL,
     TONE_DASHES,
+    level_colours,
     rgb_of,
 )
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
+from crankorder.records import known
+from crankorder.report.campbell_speeds import STRIP_IN, draw_strip, has_strip, strip_keys
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
     frequency_text,
@@ -140,14 +138,14 @@ def shades(one: _Map, limits: tuple[float, float], rows: int, columns: int) -> N
 
     ``limits`` of level [dB] are the shades 1 and 255. A pixel shows the largest value under it.
     """
-    values, edges = cells_with_gaps(one.amplitude, one.cells)
+    values, edges = with_gaps(one.amplitude, one.cells, empty=-1.0)
     frequency = one.frequency
     half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
-    pooled = pixel_maximum(values, bins, (float(frequency[0]), float(frequency[-1])), n=columns, axis=1)
-    share = (level_of(pooled, one.reference) - limits[0]) / (limits[1] - limits[0])
-    shade = np.where(pooled < 0, 0, 1 + np.clip(255 * share, 0, 254)).astype(np.uint8)
-    return pixel_maximum(shade, edges, (float(edges[0]), float(edges[-1])), n=rows, axis=0)
+    across = pooled(values, bins, np.linspace(float(frequency[0]), float(frequency[-1]), columns + 1), axis=1)
+    share = (level_of(across, one.reference) - limits[0]) / (limits[1] - limits[0])
+    shade = np.where(across < 0, 0, 1 + np.clip(255 * share, 0, 254)).astype(np.uint8)
+    return pooled(shade, edges, np.linspace(float(edges[0]), float(edges[-1]), rows + 1), axis=0)
 
 
 def _draw_map(panel: Panel, one: _Map, *, settings: ReportSettings) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from crankorder.findings import Findings
+from crankorder.plot.drawing import Stroke
+from crankorder.plot.labels import EdgeLabel, Key
+from crankorder.plot.palette import AVOID, FREE, NOT_JUDGED
+from crankorder.plot.panel import Panel
 from crankorder.records import known
-from crankorder.report.drawing.drawn import Stroke
-from crankorder.report.drawing.keys import Key
-from crankorder.report.drawing.labels import EdgeLabel
-from crankorder.report.drawing.palette import AVOID, FREE, NOT_JUDGED
-from crankorder.report.drawing.panel import Panel
 from crankorder.report.sentences.of_speeds import free_bands, not_judged_rpm, open_bands, speeds_together
 
 STRIP_IN = 0.13

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
-from crankorder.report.notation import number_text, unit_text
-from crankorder.report.style import (
+from crankorder.plot.style import (
     FAINT,
     INK,
     LINES,
@@ -33,6 +33,7 @@ from crankorder.report.style import (
     title_lines,
     write,
 )
+from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _RIGHT, _GUTTER, _ROW_GAP = 1.15, 0.66, 1.28, 0.25, 0.72, 0.17  # inches

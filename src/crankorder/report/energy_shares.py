@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import EnergyShares, Findings
-from crankorder.report.notation import frequency_text, is_number, named, number_text, percent_text, unit_text
+from crankorder.report.notation import (
+    frequency_text,
+    is_number,
+    named,
+    number_text,
+    percent_text,
+)
 from crankorder.report.rows import Bar, Table, table_of
 
 PARTS = (

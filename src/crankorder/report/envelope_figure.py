@@ -7,11 +7,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.report.drawing.drawn import Drawing, Rings, Words, quality_note, title_lines
-from crankorder.report.drawing.keys import Key, draw_keys
-from crankorder.report.drawing.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.plot.drawing import Drawing, Rings, Words, quality_note, title_lines
+from crankorder.plot.labels import Key, draw_keys
+from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.notation import is_number, order_name, order_text
 from crankorder.report.spectra_figure import Mark, column_boxes, column_panels, draw_spectra, label_column
 from crankorder.settings import ReportSettings

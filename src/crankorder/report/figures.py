@@ -5,8 +5,8 @@ from __future__ import annotations
 from io import BytesIO
 from typing import TYPE_CHECKING
 
+from crankorder.plot.drawing import Drawing
 from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.drawing.drawn import Drawing
 from crankorder.report.order_spectra_figure import order_spectra_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.spectra_figure import spectra_figure
@@ -26,7 +26,7 @@ def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "
 
     ``figure`` from one of the functions here, or of matplotlib; ``dpi`` pixels per inch; ``kind`` of file.
     """
-    from crankorder.report.style import house_style
+    from crankorder.plot.style import house_style
 
     buffer = BytesIO()
     with house_style():

@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding
-from crankorder.plot.cells import speed_cells
-from crankorder.report.cells import level_limits
-from crankorder.report.drawing.colour_map import level_colours
+from crankorder.plot.cells import level_limits, speed_cells
+from crankorder.plot.palette import level_colours
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
     estimate_text,
@@ -33,7 +33,6 @@ from crankorder.report.notation import (
     order_text,
     scaling_text,
     speeds_text,
-    unit_text,
 )
 from crankorder.report.orders_figure import shown_tracks
 from crankorder.settings import ReportSettings

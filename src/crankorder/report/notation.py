@@ -7,15 +7,12 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeGuard
 
+from crankorder.channel_units import unit_text
 from crankorder.errors import printable
 from crankorder.findings import Findings, ModeFinding
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import ReportSettings
 
-_TYPOGRAPHY = {
-    "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
-    "degree": "°", "1": "", "min-1": "rpm",
-}  # fmt: skip
 _SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
 _SI_PRESSURE = {"Pa": 1.0, "uPa": 1e-6, "mPa": 1e-3, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5}
 
@@ -49,11 +46,6 @@ def named(value: object, *, limit: int) -> str:
     ``value`` any text; ``limit`` the greatest number of characters.
     """
     return printable(value, limit)
-
-
-def unit_text(unit: str) -> str:
-    """Typographic form of a unit of a channel: ``"m/s²"`` for ``unit`` ``"m/s2"``; unknown ones as they are."""
-    return _TYPOGRAPHY.get(unit, printable(unit, 24))
 
 
 def scaling_text(dataset: Any) -> str:

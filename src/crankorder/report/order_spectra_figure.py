@@ -9,9 +9,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.report.drawing.drawn import Drawing, quality_note, title_lines
-from crankorder.report.drawing.palette import LINES
-from crankorder.report.drawing.typeface import drawable
+from crankorder.plot.drawing import Drawing, quality_note, title_lines
+from crankorder.plot.palette import LINES
+from crankorder.plot.typeface import drawable
 from crankorder.report.notation import nominal_order, order_texts
 from crankorder.report.spectra_figure import column_boxes, column_panels, draw_spectra, label_column
 from crankorder.settings import ReportSettings

@@ -8,15 +8,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
-from crankorder.plot.cells import speed_cells
-from crankorder.report.cells import gaps_between
-from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
-from crankorder.report.drawing.labels import EdgeLabel, label_right
-from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
-from crankorder.report.notation import nominal_order, order_texts, unit_text
+from crankorder.plot.cells import gaps_between, speed_cells
+from crankorder.plot.drawing import Box, Drawing, Words, quality_note, title_lines
+from crankorder.plot.labels import EdgeLabel, label_right
+from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
+from crankorder.report.notation import nominal_order, order_texts
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.7, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis

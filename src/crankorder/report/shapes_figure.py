@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Wedge
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
-from crankorder.report.notation import nominal_order, number_text, order_text, unit_text
-from crankorder.report.style import (
+from crankorder.plot.style import (
     FAINT,
     GRID,
     INK,
@@ -31,6 +31,7 @@ from crankorder.report.style import (
     title_lines,
     write,
 )
+from crankorder.report.notation import nominal_order, number_text, order_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _TOP, _BOTTOM, _RIGHT, _HEADER = 1.3, 0.98, 0.42, 0.2, 0.44  # inches

@@ -8,10 +8,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.report.drawing.drawn import Box, Drawing, Words, quality_note, title_lines
-from crankorder.report.drawing.labels import EdgeLabel, fitted, label_top
-from crankorder.report.drawing.palette import (
+from crankorder.plot.drawing import Box, Drawing, Words, quality_note, title_lines
+from crankorder.plot.labels import EdgeLabel, fitted, label_top
+from crankorder.plot.palette import (
     DOUBT_DASHES,
     INK,
     LINES,
@@ -22,8 +23,8 @@ from crankorder.report.drawing.palette import (
     SMALL,
     TONE_DASHES,
 )
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
     frequency_text,
@@ -32,7 +33,6 @@ from crankorder.report.notation import (
     nominal_order,
     order_texts,
     scaling_text,
-    unit_text,
 )
 from crankorder.settings import ReportSettings
 

@@ -7,11 +7,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.report.drawing.drawn import Drawing, quality_note, title_lines
-from crankorder.report.drawing.labels import EdgeLabel, label_right
-from crankorder.report.drawing.palette import FAINT, LIGHT, LINES, SMALL
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.plot.drawing import Drawing, quality_note, title_lines
+from crankorder.plot.labels import EdgeLabel, label_right
+from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _RIGHT, _HEIGHT = 0.95, 0.7, 0.84, 1.6, 3.8  # inches

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import BearingFinding, Findings, Level, VibrationLevel
 from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import (
@@ -14,7 +15,6 @@ from crankorder.report.notation import (
     order_estimate,
     order_text,
     unit_of,
-    unit_text,
     with_interval,
 )
 from crankorder.report.rows import Table, table_of

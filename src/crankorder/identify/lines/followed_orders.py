@@ -137,13 +137,16 @@ def with_track_rows(
         rows = reader.rows(number, [other for other in tracked if other != number])
         n_independent = reader.worth(number)
         lines = tuple(_read(line, rows, names.index(line.channel), n_independent, reader) for line in agreed.lines)
-        made.append(replace(agreed, lines=lines))
+        made.append(replace(agreed, lines=lines, tracked=number))
     return tuple(made)
 
 
 def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
-    """The number at which the track of ``agreed`` stands (``revs_per_cycle`` 1 or 2: what it may be locked to)."""
-    ends = interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom)
+    """The number at which the track of ``agreed`` stands (``revs_per_cycle`` 1 or 2: what it may be locked to).
+
+    What counts is where the line stands at the angle that was recorded: an error of the speed moves both alike.
+    """
+    ends = interval(agreed.order, agreed.line_error, freedom=agreed.degrees_of_freedom)
     return track_order(agreed.order, ends, agreed.lock, revs_per_cycle=revs_per_cycle)
 
 

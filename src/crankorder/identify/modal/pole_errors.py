@@ -128,6 +128,9 @@ POINTS_PER_MODE = 49
 NEAR_BINS = 3
 """Bins on each side that a point of the integral is seen in."""
 
+MOST_VALUES = 1 << 21
+"""Derivatives at points of the integral that are joined over channels at a time."""
+
 
 def free_of(fit: SurfaceFit) -> NDArray[np.bool_]:
     """Which of (ln f_1, ln ζ_1, …) the fit was free to move: not the damping of tones."""
@@ -156,20 +159,22 @@ def score_covariance(problem: Problem, fit: SurfaceFit) -> Array:
     # ∫ kernel² is what one average makes of white noise: it turns averages into time
     lags = np.linspace(-4.0, 4.0, 801) * seen.bin_hz
     squared = float(np.sum(seen.kernel(lags) ** 2) * (lags[1] - lags[0]))
-    total = np.zeros((2 * len(fit.poles),) * 2)
-    phis = []
+    phis = np.empty((len(nodes), len(problem.psd), 2 * len(fit.poles)))
     for channel, of_channel in enumerate(fit.jacobian[: len(problem.psd)]):
         n = problem.averages[channel]
         by_bin = of_channel * np.where(n > 0.0, np.sqrt(n) / fit.model[channel], 0.0)[:, None]
-        phi = np.einsum("vk,vkp->vp", kernel, by_bin[at])
+        phi = (kernel[:, None] @ by_bin[at])[:, 0]
         used = n > 0.0  # what a masked frequency leaks into kept bins was recorded as long as those
         time = np.interp(nodes, problem.frequency_hz[used], n[used]) * squared if used.any() else np.inf
-        phis.append(phi * (power[channel] * np.sqrt(weights / time))[:, None])
-    for c, first in enumerate(phis):
-        for d, second in enumerate(phis):
-            common = np.ones(len(nodes)) if c == d else np.minimum(np.sqrt(shares[c] * shares[d]).sum(axis=0) ** 2, 1.0)
-            total += (first * common[:, None]).T @ second
-    return np.asarray(total)
+        phis[:, channel] = phi * (power[channel] * np.sqrt(weights / time))[:, None]
+    roots = np.sqrt(shares).transpose(2, 0, 1)
+    total = np.zeros((phis.shape[2],) * 2)
+    for at_once in np.array_split(np.arange(len(nodes)), max(1, phis.size // MOST_VALUES)):
+        common = np.minimum((roots[at_once] @ roots[at_once].transpose(0, 2, 1)) ** 2, 1.0)
+        common[:, np.arange(len(problem.psd)), np.arange(len(problem.psd))] = 1.0
+        some = phis[at_once]
+        total += some.reshape(-1, phis.shape[2]).T @ (common @ some).reshape(-1, phis.shape[2])
+    return total
 
 
 def _nodes(problem: Problem, fit: SurfaceFit) -> tuple[Array, Array]:

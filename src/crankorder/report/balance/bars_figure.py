@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
-from crankorder.report.balance.look import alike, axis_names, called, color_key, system_color
-from crankorder.report.notation import number_text, order_text
-from crankorder.report.style import (
+from crankorder.plot.axes import log_axis
+from crankorder.plot.style import (
     NOTE,
     SMALL,
     axes_at,
     drawable,
     house_style,
-    log_scale,
     new_figure,
     quiet_frame,
     title_lines,
 )
+from crankorder.report.balance.look import alike, axis_names, called, color_key, system_color
+from crankorder.report.notation import number_text, order_text
 from crankorder.settings import ReportSettings
 
 Values = NDArray[np.float64]
@@ -132,7 +132,7 @@ def _bars(
     high = np.max(values, axis=0)
     shown = [float(order) for order, value in zip(orders, high, strict=True) if value > floor > 0]
     axes.set_xticks(shown, [order_text(order) for order in shown])
-    log_scale(axes, floor if most else 1e-3, 4 * most if most else 1.0, most_ticks=7)
+    log_axis(axes, floor if most else 1e-3, 4 * most if most else 1.0, most_ticks=7)
     if not shown:
         axes.text(0.5, 0.5, f"no {kind} of any order", transform=axes.transAxes, **NOTE)
         return
@@ -151,7 +151,7 @@ def _second_scale(axes: Axes, per_omega: float, unit: str) -> None:
     """The same scale in amounts over squared crank speed at the right of ``axes``."""
     low, high = axes.get_ylim()
     right = axes.twinx()
-    log_scale(right, low / per_omega, high / per_omega, most_ticks=7)
+    log_axis(right, low / per_omega, high / per_omega, most_ticks=7)
     right.spines[["top", "left", "bottom"]].set_visible(False)
     right.tick_params(length=3)
     right.set_ylabel(f"over ω², {unit}")

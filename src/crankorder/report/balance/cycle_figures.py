@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
-from crankorder.report.balance.look import color_key, frame_around
-from crankorder.report.notation import number_text
-from crankorder.report.style import (
+from crankorder.plot.style import (
     FAINT,
     GRID,
     INK,
@@ -31,6 +29,8 @@ from crankorder.report.style import (
     title_lines,
     write,
 )
+from crankorder.report.balance.look import color_key, frame_around
+from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
 Floats = NDArray[np.float64]

@@ -10,6 +10,19 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
+from crankorder.plot.style import (
+    FAINT,
+    INK,
+    LINES,
+    NOTE,
+    SMALL,
+    axes_at,
+    drawable,
+    house_style,
+    new_figure,
+    quiet_frame,
+    title_lines,
+)
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
 from crankorder.report.balance.look import (
     COUNTERWEIGHTS,
@@ -24,19 +37,6 @@ from crankorder.report.balance.look import (
     system_color,
 )
 from crankorder.report.notation import number_text
-from crankorder.report.style import (
-    FAINT,
-    INK,
-    LINES,
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quiet_frame,
-    title_lines,
-)
 from crankorder.settings import ReportSettings
 
 Values = NDArray[np.float64]

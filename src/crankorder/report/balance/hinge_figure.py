@@ -29,9 +29,7 @@ from crankorder.engine.hinged_crank import (
     potential_torque,
     torque_extrema,
 )
-from crankorder.report.balance.look import Box, color_key
-from crankorder.report.notation import number_text
-from crankorder.report.style import (
+from crankorder.plot.style import (
     FAINT,
     GRID,
     INK,
@@ -46,6 +44,8 @@ from crankorder.report.style import (
     title_lines,
     write,
 )
+from crankorder.report.balance.look import Box, color_key
+from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP_X, _GAP_Y = 0.95, 0.35, 1.1, 0.62, 0.95, 0.97  # inches

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from crankorder.plot.style import INK, LINES, text_width_in, write
 from crankorder.report.balance.dataset import SYSTEMS
 from crankorder.report.notation import listed
-from crankorder.report.style import INK, LINES, text_width_in, write
 
 COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
 DESIGNS = ("webs", *(f"order {order}" for order in range(1, 13)))

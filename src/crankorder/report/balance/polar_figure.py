@@ -10,19 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
-from crankorder.report.balance.dataset import SYSTEMS, order_sum
-from crankorder.report.balance.look import (
-    COUNTERWEIGHTS,
-    MEANING,
-    NO_FORCE,
-    SHAFT_SETS,
-    axis_names,
-    color_key,
-    frame_around,
-    system_color,
-)
-from crankorder.report.notation import number_text
-from crankorder.report.style import (
+from crankorder.plot.style import (
     FAINT,
     GRID,
     INK,
@@ -38,6 +26,18 @@ from crankorder.report.style import (
     title_lines,
     write,
 )
+from crankorder.report.balance.dataset import SYSTEMS, order_sum
+from crankorder.report.balance.look import (
+    COUNTERWEIGHTS,
+    MEANING,
+    NO_FORCE,
+    SHAFT_SETS,
+    axis_names,
+    color_key,
+    frame_around,
+    system_color,
+)
+from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
 Curve = NDArray[np.complex128]

@@ -8,14 +8,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.plot.cells import speed_cells
-from crankorder.report.cells import cells_with_gaps, gaps_between, pixel_maximum
-from crankorder.report.drawing.drawn import Box, Drawing, Field, Words, pixels_of, title_lines
-from crankorder.report.drawing.keys import Key, draw_keys
-from crankorder.report.drawing.labels import EdgeLabel, fitted, label_right, label_top
-from crankorder.report.drawing.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, rgb_of
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.plot.cells import gaps_between, pooled, speed_cells, with_gaps
+from crankorder.plot.drawing import Box, Drawing, Field, Words, pixels_of, title_lines
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, label_right, label_top
+from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, rgb_of
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.notation import order_text
 from crankorder.settings import ReportSettings
 
@@ -221,9 +219,9 @@ def _draw_cells(
     bins = np.concatenate([frequency - half, [frequency[-1] + half]])
     shown = []
     for sign in (1.0, -1.0):
-        with_gaps, edges = cells_with_gaps(np.maximum(sign * values, 0.0), cells)
-        across = pixel_maximum(with_gaps, bins, (float(frequency[0]), float(frequency[-1])), n=columns, axis=1)
-        shown.append(pixel_maximum(across, edges, (float(edges[0]), float(edges[-1])), n=rows, axis=0))
+        rows_of, edges = with_gaps(np.maximum(sign * values, 0.0), cells, empty=-1.0)
+        across = pooled(rows_of, bins, np.linspace(float(frequency[0]), float(frequency[-1]), columns + 1), axis=1)
+        shown.append(pooled(across, edges, np.linspace(float(edges[0]), float(edges[-1]), rows + 1), axis=0))
     rise, fall = (_wider(one) for one in shown)
     share = np.where(rise >= fall, rise, -fall) / limit
     # what is claimed is seen, however small it is

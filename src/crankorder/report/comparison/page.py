@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from markupsafe import Markup
 
+from crankorder.channel_units import unit_text
 from crankorder.report.comparison.sentences import comparison_story
 from crankorder.report.notation import (
     frequency_text,
@@ -13,7 +14,6 @@ from crankorder.report.notation import (
     named,
     number_text,
     order_text,
-    unit_text,
     with_interval,
 )
 from crankorder.report.page import page_policy, page_style, page_template

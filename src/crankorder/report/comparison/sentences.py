@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from crankorder.channel_units import unit_text
 from crankorder.report.notation import (
     frequency_text,
     is_number,
@@ -11,7 +12,6 @@ from crankorder.report.notation import (
     named,
     number_text,
     order_text,
-    unit_text,
     with_interval,
 )
 from crankorder.report.sentences.story import Story

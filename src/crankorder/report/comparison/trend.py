@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.report.drawing.drawn import Drawing, title_lines
-from crankorder.report.drawing.keys import Key, draw_keys
-from crankorder.report.drawing.labels import EdgeLabel, label_right
-from crankorder.report.drawing.palette import FAINT, INK, LIGHT, LINES, SMALL
-from crankorder.report.drawing.panel import Panel
-from crankorder.report.drawing.typeface import drawable, shortened
+from crankorder.plot.drawing import Drawing, title_lines
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
+from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, SMALL
+from crankorder.plot.panel import Panel
+from crankorder.plot.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _BOTTOM, _TOP = 0.85, 2.6, 0.78, 0.85

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, Level, LimitVerdict
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -15,7 +16,6 @@ from crankorder.report.notation import (
     number_text,
     percent_text,
     unit_of,
-    unit_text,
     with_interval,
 )
 

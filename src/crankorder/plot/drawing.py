@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.report.drawing.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL
-from crankorder.report.drawing.typeface import CAP_HEIGHT, shortened, text_width_in
+from crankorder.plot.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL
+from crankorder.plot.typeface import CAP_HEIGHT, shortened, text_width_in
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -47,7 +47,7 @@ class Stroke:
         """The line for ``figure``; a ``square`` one (upright or level) lies on whole pixels."""
         from matplotlib.lines import Line2D
 
-        from crankorder.report.drawing.whole_pixels import PixelLine
+        from crankorder.plot.whole_pixels import PixelLine
 
         dashed = bool(self.dashes[0])
         yield (PixelLine if self.square else Line2D)(
@@ -155,7 +155,7 @@ class Field:
 
     def artists(self, figure: Figure) -> Iterator[Artist]:
         """The image for ``figure``, from whole pixel to whole pixel."""
-        from crankorder.report.drawing.whole_pixels import PixelImage
+        from crankorder.plot.whole_pixels import PixelImage
 
         yield PixelImage(self.rgb, self.box)
 
@@ -187,7 +187,7 @@ class Drawing:
 
     def figure(self) -> Figure:
         """The picture as a figure of matplotlib."""
-        from crankorder.report.style import new_figure
+        from crankorder.plot.style import new_figure
 
         figure = new_figure(self.width_in, self.height_in)
         for number, part in enumerate(self.parts):
@@ -217,11 +217,16 @@ def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> 
         )
 
 
+def quality_text(findings: Findings) -> str:
+    """How many suspect or bad data the ``findings`` carry, in words; empty without any."""
+    doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
+    return f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report" if doubtful else ""
+
+
 def quality_note(drawing: Drawing, findings: Findings) -> None:
     """Note at the foot of ``drawing`` when the ``findings`` carry suspect or bad data."""
-    doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
-    if doubtful:
-        text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
+    text = quality_text(findings)
+    if text:
         drawing.add(Words(drawing.width_in - 0.2, 0.14, text, SMALL + 0.5, MAINS, along="right"))
 
 

@@ -9,21 +9,19 @@ from functools import cache
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from crankorder.findings import Findings
-from crankorder.plot.axes import decade_text
-from crankorder.report.drawing.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
-from crankorder.report.drawing.typeface import drawable, shortened, text_width_in
+from crankorder.plot.drawing import quality_text
+from crankorder.plot.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
+from crankorder.plot.typeface import drawable, shortened, text_width_in
 
 __all__ = [
     "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",
-    "house_style", "log_scale", "new_figure", "quality_note", "quiet_frame", "shortened", "text_width_in",
+    "house_style", "new_figure", "quality_note", "quiet_frame", "shortened", "text_width_in",
     "title_lines", "write",
 ]  # fmt: skip
 
@@ -73,9 +71,8 @@ def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> No
 
 def quality_note(figure: Figure, findings: Findings) -> None:
     """Note at the foot of ``figure`` when the ``findings`` carry suspect or bad data."""
-    doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
-    if doubtful:
-        text = f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report"
+    text = quality_text(findings)
+    if text:
         place = figure.get_size_inches()[0] - 0.2
         write(figure, place, 0.14, text, ha="right", color=MAINS, fontsize=SMALL + 0.5)
 
@@ -104,19 +101,3 @@ def quiet_frame(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
     axes.tick_params(length=3)
-
-
-_FEW_DECADES = 2.0
-
-
-def log_scale(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
-    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
-
-    ``most_ticks`` labelled at most.
-    """
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    subs = (1.0, 2.0, 5.0) if np.log10(high / low) < _FEW_DECADES else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))

@@ -1,4 +1,4 @@
-"""Labels at the edges of a diagram that never overlap, each tied to its place by a leader."""
+"""Labels at the edges of a diagram that never overlap, each tied to its place by a leader, and keys at its foot."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from crankorder.plot.spreading import spread
-from crankorder.report.drawing.drawn import Drawing, Words
-from crankorder.report.drawing.palette import SMALL
-from crankorder.report.drawing.typeface import text_width_in
+from crankorder.plot.drawing import Drawing, Rings, Stroke, Words
+from crankorder.plot.palette import INK, SMALL
+from crankorder.plot.typeface import CAP_HEIGHT, text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
+_KEY_SIZE = SMALL + 0.5
+_SAMPLE_IN, _GAP_IN, _BETWEEN_IN, _BASE_IN = 0.3, 0.08, 0.24, 0.16
+_UP_IN, _DOWN_IN = 0.15, 0.06  # of the first and the second of two rows
 
 
 @dataclass(frozen=True)
@@ -117,3 +120,66 @@ def label_right(
             Words(edge + 0.15, float(place), label.text, size, label.color, label.bold, "left", "centre",
                   name=f"label-{label.key}")
         )  # fmt: skip
+
+
+def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
+    """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
+
+    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all
+    in one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression
+    by pooling adjacent violators (Ayer et al. 1955).
+    """
+    width = np.asarray(widths, dtype=float)
+    if width.sum() >= high - low:
+        shares = np.cumsum(width) - width / 2
+        return np.asarray(low + shares * (high - low) / max(float(width.sum()), 1e-12))
+    offset = np.cumsum(width) - width / 2
+    blocks: list[tuple[float, int]] = []
+    for value in np.asarray(targets, dtype=float) - offset:
+        mean, count = float(value), 1
+        while blocks and blocks[-1][0] > mean:
+            before, n = blocks.pop()
+            mean, count = (before * n + mean * count) / (n + count), n + count
+        blocks.append((mean, count))
+    starts = np.repeat([mean for mean, _ in blocks], [count for _, count in blocks]) if blocks else np.empty(0)
+    return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
+
+
+@dataclass(frozen=True)
+class Key:
+    """A meaning and the line (or ``ring``) that has it."""
+
+    text: str
+    color: str
+    dashes: tuple[float, float] = (0.0, 0.0)
+    ring: bool = False
+    width: float = 1.2
+
+
+def draw_keys(drawing: Drawing, left_in: float, keys: Sequence[Key], *, room_in: float = np.inf) -> None:
+    """Draw ``keys`` side by side at the foot of ``drawing``, from ``left_in`` inches; in two rows if need be.
+
+    ``room_in``: width in inches that a row may take.
+    """
+    widths = [_SAMPLE_IN + _GAP_IN + text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN for key in keys]
+    ends = np.cumsum(widths) - _BETWEEN_IN
+    first = len(keys) if not len(ends) or ends[-1] <= room_in else max(int(np.sum(ends <= room_in)), 1)
+    if first == len(keys):
+        _row(drawing, left_in, keys, _BASE_IN)
+    else:
+        _row(drawing, left_in, keys[:first], _BASE_IN + _UP_IN)
+        _row(drawing, left_in, keys[first:], _BASE_IN - _DOWN_IN)
+
+
+def _row(drawing: Drawing, left_in: float, keys: Sequence[Key], base_in: float) -> None:
+    x, middle = left_in, base_in + CAP_HEIGHT / 2 * _KEY_SIZE / 72
+    for key in keys:
+        if key.ring:
+            place = np.array([[x + _SAMPLE_IN / 2, middle]])
+            drawing.add(Rings(place, 4.0, key.color, width=1.4))
+        else:
+            ends = np.array([[x, middle], [x + _SAMPLE_IN, middle]])
+            drawing.add(Stroke(ends, key.color, key.width, key.dashes, square=True))
+        x += _SAMPLE_IN + _GAP_IN
+        drawing.add(Words(x, base_in, key.text, _KEY_SIZE, INK))
+        x += text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN

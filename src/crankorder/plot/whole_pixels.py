@@ -9,7 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from crankorder.report.drawing.drawn import pixels_of, whole
+from crankorder.plot.drawing import pixels_of, whole
 
 
 class PixelImage(Artist):
