@@ -6,8 +6,10 @@ import numpy as np
 import xarray as xr
 from scipy import signal
 
-from crankorder.campbell.band_levels import LevelBand, level_frames
+from crankorder.campbell.band_levels import LevelBand, level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
+from crankorder.identify.levels import limit_verdicts
+from crankorder.identify.sources import Limit, Sources
 from made.recordings import named, shaft
 
 RATE_HZ = 5120.0
@@ -75,3 +77,31 @@ def test_where_run_ups_differ_the_interval_is_that_between_them() -> None:
         inside = [np.mean((low < way) & (way < high)) for way in ways]
         held += min(inside) > 0.8
     assert held >= 11
+
+
+def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean() -> None:
+    """A level that grows with the cube of speed: what is to be surely within is told at the louder end."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        at = np.arange(int(rng.uniform(6.0, 12.0) * RATE_HZ)) / RATE_HZ
+        rpm = np.linspace(900.0, 3600.0, at.size)
+        turns = np.cumsum(rpm / 60.0) / RATE_HZ
+        line = (rpm / 1500.0) ** 3
+        values = line * np.cos(2 * np.pi * 2.0 * turns) + 0.02 * rng.standard_normal(at.size)
+        attrs = {"recording": "a", "domain": "time", "rate_hz": RATE_HZ}
+        one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
+        one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
+        one["si_per_unit"] = ("channel", np.array([1.0]))
+        knots = slice(None, None, 64)
+        angle = shaft(at[knots], turns[knots], rpm[knots])
+        frames = level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 1000.0), frame_s=0.5)
+        made = vibration_levels([frames], speed_bin_rpm=25.0)
+        last_piece = np.sqrt(float(frames["mean_square"][0, -1]))  # what was there at the end
+        loudest = float(made["rms"].values[0].max())
+        assert last_piece > 1.04 * loudest
+        sources = [Sources(1, limits=(Limit("acceleration", 10.0, 1000.0, one, "x", ()),)) for one in
+                   (1.02 * loudest, 0.99 * last_piece, 1.2 * last_piece)]  # fmt: skip
+        told = [limit_verdicts(made, None, one)[0] for one in sources]
+        assert [one.verdict for one in told] == ["not decided", "not decided", "within"]
+        assert "sweep more slowly" in told[0].evidence
+        assert " rpm" in told[2].evidence

@@ -64,7 +64,8 @@ class LevelBand:
     """A band of frequency in which a level is told, and of which quantity; ``as measured``: that of the channel.
 
     Half of the power passes at either end of a broad band. ``without its ends`` the filter opens inside the band, so
-    that nothing outside counts; ``with its ends`` it opens outside, so that all inside counts whole.
+    that nothing outside counts; ``with its ends`` it opens outside, so that all inside counts whole (of a sweep, at the
+    louder end of each window).
     """
 
     quantity: str

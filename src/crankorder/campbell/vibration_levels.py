@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from crankorder.campbell.band_levels import LEVEL_TEXTS, SI
-from crankorder.quantities import Floats, Ints, flags_of, with_flags
+from crankorder.campbell.band_levels import LEVEL_TEXTS, SI, WITH_ENDS
+from crankorder.quantities import Bools, Floats, Ints, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import held_speeds
 
@@ -67,7 +67,7 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
         for row in range(len(keys)):
             at = group.pieces
             _tell(made, row, column, square[row, at], peak[row, at], group.passage if group.is_swept else owner[at])
-    _tell_sweeps(made, square, groups)
+    _tell_sweeps(made, square, groups, np.array([key[3] == WITH_ENDS for key in keys], dtype=np.bool_))
     for column in range(len(groups)):
         _allow_leaks(made, column, keys)
     mean_rpm = np.array([_mean(rpm[group.pieces]) for group in groups])
@@ -171,10 +171,12 @@ class _Scatter(NamedTuple):
         return self.power / self.freedom * _inflation(self.power, self.beside) if self.freedom else 0.0
 
 
-def _tell_sweeps(made: dict[str, Floats], square: Floats, groups: list[_Group]) -> None:
+def _tell_sweeps(made: dict[str, Floats], square: Floats, groups: list[_Group], is_upper: Bools) -> None:
     """Write the errors of the mean ``square`` (level, piece) in the swept ones of ``groups`` into ``made``.
 
     A few pieces tell their scatter badly, so that of the windows beside one counts too; where its own is larger, that.
+    Of levels that ``is_upper`` (level,) the one at the louder end of the window is told, by which a limit is kept: the
+    end of a straight line has twice the error of its middle.
     """
     columns = [column for column, group in enumerate(groups) if group.is_swept]
     reach = NUMBERS.windows_beside
@@ -188,6 +190,9 @@ def _tell_sweeps(made: dict[str, Floats], square: Floats, groups: list[_Group]) 
             variance = max(pooled.variance, own[place].variance)
             values = square[row, groups[column].pieces] / rms**2
             error, freedom = _error_of_passages(values, groups[column].passage, variance, pooled.freedom)
+            if is_upper[row]:
+                rms *= math.sqrt(_louder_end(values, groups[column].passage))
+                error, made["rms"][row, column] = 2.0 * error, rms
             made["log_error"][row, column], made["degrees_of_freedom"][row, column] = error, freedom
             made["rms_ci95"][row, column] = rms_within(rms, error, freedom, chance=1.0 - CONFIDENCE)
 
@@ -205,6 +210,18 @@ def _off_lines(values: Floats, passage: Ints) -> _Scatter:
         power, beside = power + float(off @ off), beside + float(off[1:] @ off[:-1])
         freedom += len(own) - terms
     return _Scatter(power, beside, freedom)
+
+
+def _louder_end(values: Floats, passage: Ints) -> float:
+    """Largest of the ``values`` (piece,) of a window along the straight line through a ``passage``; 1 at least."""
+    known = np.isfinite(values)
+    ends = [1.0]
+    for number in np.unique(passage[known]):
+        own = values[known & (passage == number)]
+        if len(own) > 3:
+            slope, middle = np.polyfit(np.linspace(-1.0, 1.0, len(own)), own, 1)
+            ends.append(float(middle + abs(slope) * len(own) / (len(own) - 1)))
+    return max(ends)
 
 
 def _error_of_passages(values: Floats, passage: Ints, variance: float, freedom: int) -> tuple[float, int]:

@@ -21,6 +21,10 @@ MOST_SPEEDS = 24
 """Speeds at which a level stands in the findings; of more, the loudest alone: all of them are in the dataset."""
 
 
+_AT_ENDS = 0.2
+"""Of what lies at the ends of a band half passes; where less than that share does, it is a level that changes."""
+
+
 def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
     """Records of all channels from the RecordingLevels ``levels`` of the recordings of a test; none without any.
 
@@ -172,8 +176,11 @@ def _verdict(vibration: xr.Dataset, row: int, limit: Limit) -> LimitVerdict:
     low, high = _surely(least, there, chance)[0], _surely(most, there, chance)[1]
     loudest = int(there[np.argmax(rms[there])]) if len(there) else -1
     cut, reached_hz = float(at["reached_frequency"]) < limit.high_hz, float(at["reached_frequency"])
-    at_ends = bool(np.any((most["rms"].values[there] > value) & (least["rms"].values[there] <= value)))
-    verdict, evidence = _judged(low, high, value, cut=cut, reached_hz=reached_hz, at_ends=at_ends)
+    inner, whole = (one["rms"].values[there] for one in (least, most))
+    doubted = (whole > value) & (inner <= value)
+    at_ends = bool(np.any(doubted & (rms[there] ** 2 - inner**2 > _AT_ENDS * (whole**2 - inner**2))))
+    rpm = at["speed"].values[there]
+    verdict, evidence = _judged(low, high, value, rpm, cut=cut, reached_hz=reached_hz, at_ends=at_ends)
     if verdict == "above":
         over = there[np.nan_to_num(low) > value]
         loudest = int(over[np.argmax(rms[over])])
@@ -208,12 +215,14 @@ def _surely(at: xr.Dataset, there: Ints, chance: float) -> Floats:
 
 
 def _judged(
-    low: Floats, high: Floats, value: float, *, cut: bool, reached_hz: float, at_ends: bool
+    low: Floats, high: Floats, value: float, rpm: Floats, *, cut: bool, reached_hz: float, at_ends: bool
 ) -> tuple[Literal["within", "above", "not decided"], str]:
-    """Verdict and why, from the ends of the intervals at all speeds beside the limit's ``value``."""
+    """Verdict and why, from the ends of the intervals at all speeds ``rpm`` beside the limit's ``value``."""
     if not len(low):
         return "not decided", "no level could be told: the recordings are too short for that band"
     speeds = f"{len(low)} speed{'s' * (len(low) > 1)}"
+    if len(low) > 1 and np.isfinite(rpm).all():
+        speeds += f" from {rpm.min():.0f} to {rpm.max():.0f} rpm"
     over = int(np.sum(np.nan_to_num(low) > value))
     if over:
         return "above", f"surely larger than the limit at {over} of {speeds}"
@@ -225,7 +234,7 @@ def _judged(
         return "within", f"surely smaller than the limit at each of {speeds}"
     if at_ends:
         return "not decided", "what vibrates at an end of the band decides: state a band that has it inside or outside"
-    return "not decided", "the limit lies inside the interval at some speed: record longer there"
+    return "not decided", "the limit lies inside the interval at some speed: record longer there, or sweep more slowly"
 
 
 def graded(balance: Balance | None, sources: Sources, fastest_rpm: float) -> Balance | None:
