@@ -377,19 +377,21 @@ def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
     """Look at manifest, files and a bounded part of their samples; list every fault at once, change nothing."""
     from crankorder.ingest.check import manifest_faults
 
-    faults: list[CrankorderError] = []
+    statuses: list[int] = []
     for folder in folders:
         # only a right manifest is worth the time of heavy imports
-        found = manifest_faults(folder, manifest) or _look_at(folder, manifest, jobs)
+        wrong = manifest_faults(folder, manifest)
+        found, usable = (wrong, 0) if wrong else _look_at(folder, manifest, jobs)
         for fault in found:
             click.echo(f"crankorder: {fault}", err=True)
-        faults += found
-    if faults:
-        sys.exit(max(fault.exit_status for fault in faults))
+        worst = max((fault.exit_status for fault in found), default=0)
+        statuses.append(4 if worst == 3 and not usable else worst)
+    # as `run`: 4 only where nothing at all can be used
+    sys.exit(3 if max(statuses) == 4 and min(statuses) < 4 else max(statuses))
 
 
-def _look_at(folder: Path, manifest: Path | None, jobs: int) -> list[CrankorderError]:
-    """Show what every recording in ``folder`` is, and return the faults that were found."""
+def _look_at(folder: Path, manifest: Path | None, jobs: int) -> tuple[list[CrankorderError], int]:
+    """Show what every recording in ``folder`` is; the faults that were found, and how many recordings can be used."""
     from crankorder.batch.look import look_at, percent
 
     found = look_at(folder, manifest, jobs=jobs)
@@ -402,7 +404,7 @@ def _look_at(folder: Path, manifest: Path | None, jobs: int) -> list[CrankorderE
         also = f"; {doubts} of {len(found.looks)} recordings have doubtful places" if doubts else ""
         read = f" in the {percent(found.share)} that was read" if found.looks else ""
         click.echo(f"{printable(folder)}: no fault found{read}{also}", err=True)
-    return found.faults
+    return found.faults, len(found.looks)
 
 
 @main.command()

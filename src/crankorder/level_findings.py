@@ -73,7 +73,10 @@ class LimitVerdict(Record):
         "above where the level is surely larger at one speed, within where it surely is at none"
     )
     level: float | None = said("the largest level, in unit", default=None)
-    level_ci95: Interval | None = said(default=None)
+    level_ci95: Interval | None = said(
+        "95 % interval; in its upper end what lies at the ends of the band counts whole, in its lower one not at all",
+        default=None,
+    )
     speed_rpm: float | None = said("speed of the largest level", default=None)
     evidence: str = said("why, in words", default="")
 

@@ -144,6 +144,12 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+def _wide(ends: tuple[float, float]) -> tuple[float, float]:
+    if _rising(ends)[1] < BANDS.narrowest_ratio * ends[0]:
+        raise ValueError(f"too narrow for a level: the high end is {BANDS.narrowest_ratio:g} times the low one or more")
+    return ends
+
+
 class CampbellSettings(StageSettings):
     """The speed-frequency map (``4-campbell.toml``)."""
 
@@ -154,7 +160,7 @@ class CampbellSettings(StageSettings):
     kaiser_beta: Positive
     amplitude_scaling: Literal["peak", "rms"]
     sweep_order: Positive
-    level_bands_hz: tuple[Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_rising)], ...] = (
+    level_bands_hz: tuple[Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_wide)], ...] = (
         Field(strict=False)
     )
     level_quantities: tuple[Literal["acceleration", "velocity", "displacement", "as measured"], ...] = Field(
@@ -279,6 +285,13 @@ def _is_number(value: object, kind: str) -> bool:
     items = value if isinstance(value, tuple) else (value,)
     is_whole = isinstance(value, tuple) == kind.startswith("tuple") and len(items) == (count or len(items))
     return is_whole and all(type(one) is item for one in items)
+
+
+class _Bands(MethodNumbers, file="4-campbell-map.toml", table="bands"):
+    narrowest_ratio: float
+
+
+BANDS = _Bands.load()
 
 
 @cache

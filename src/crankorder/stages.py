@@ -17,10 +17,11 @@ from typing import Any, NewType, TypeVar, get_type_hints
 import numpy as np
 import xarray as xr
 
-from crankorder.campbell.band_levels import LevelBand, level_frames, third_octaves, vibration_levels
+from crankorder.campbell.band_levels import LevelBand, level_frames, limit_bands, third_octaves
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
+from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.fft.band import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
@@ -262,7 +263,7 @@ def band_levels_of_recording(
     """
     asked = settings.campbell
     bands = [LevelBand(quantity, *ends) for ends in asked.level_bands_hz for quantity in asked.level_quantities]
-    bands += [LevelBand(one.quantity, *one.band_hz) for one in manifest.limits if one.of_vibration]
+    bands += [band for one in manifest.limits if one.of_vibration for band in limit_bands(one.quantity, *one.band_hz)]
     frames = level_frames(recording, shaft, bands=[*bands, *third_octaves()], frame_s=asked.level_frame_s)
     return LevelFrames(frames)
 

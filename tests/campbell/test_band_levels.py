@@ -13,8 +13,8 @@ from crankorder.campbell.band_levels import (
     level_frames,
     nominal_hz,
     third_octaves,
-    vibration_levels,
 )
+from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.quantities import check_dataset
 from made.recordings import named, shaft
 

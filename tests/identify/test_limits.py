@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.campbell.band_levels import LevelBand, level_frames, vibration_levels
+from crankorder.campbell.band_levels import level_frames, limit_bands
+from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.findings import Balance
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.sources import Limit, Sources
 from made.recordings import named, shaft
 
 RATE_HZ = 5120.0
-BANDS = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000.0))
+BANDS = (*limit_bands("velocity", 10.0, 1000.0), *limit_bands("as measured", 10.0, 1000.0))
 
 
 def measured(
@@ -91,3 +92,73 @@ def test_the_largest_level_of_each_band_is_marked_once() -> None:
         (1500, "velocity"), (1500, "acceleration"),
     ]  # fmt: skip
     assert third_octave_records(made) == ()
+
+
+def with_a_line(seed: int, hertz: float, *, band: tuple[float, float] = (10.0, 1000.0)) -> xr.Dataset:
+    """Levels of a steady line of 1 m/s2 root mean square in a little noise."""
+    rng, seconds = np.random.default_rng(seed), 10.0
+    at = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
+    values = math.sqrt(2.0) * np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0)) + 0.02 * rng.standard_normal(
+        at.size
+    )
+    attrs = {"recording": str(seed), "domain": "time", "rate_hz": RATE_HZ}
+    one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
+    one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
+    one["si_per_unit"] = ("channel", np.array([1.0]))
+    knots = np.linspace(0.0, seconds, 40)
+    angle = shaft(knots, knots * 25.0, np.full(40, 1500.0))
+    frames = level_frames(one, angle, bands=limit_bands("acceleration", *band), frame_s=0.5)
+    return vibration_levels([frames], speed_bin_rpm=25.0)
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int) -> None:
+    """At an end half of the power passes: the level is 0.71, what is in the band (or just outside) is 1 (or 0)."""
+    rng = np.random.default_rng(seed)
+    low = float(rng.uniform(12.0, 200.0))
+    band = (low, low * float(rng.choice([1.26, 2.0, 4.0])))
+    at = band[int(rng.integers(2))] * float(rng.choice([1.0, 1.0, 1.0 - 1e-4, 1.0 + 1e-4]))
+    made = with_a_line(seed, at, band=band)
+    for value in (0.8, 0.95, 0.5, 0.2):
+        (told,) = limit_verdicts(made, None, Sources(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
+        assert told.verdict == "not decided", (value, band, at)
+        assert "end of the band" in told.evidence
+        assert told.level_ci95 is not None
+        assert told.level_ci95[0] < 0.1
+        assert told.level_ci95[1] > 0.999
+    (told,) = limit_verdicts(made, None, Sources(1, limits=(Limit("acceleration", *band, 1.1, "x", ()),)))
+    assert told.verdict == "within"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = float(rng.uniform(12.0, 100.0))
+    band = (low, 3.0 * low)
+    for hertz, value, verdict in (
+        (1.7, 0.9, "above"),
+        (1.7, 1.1, "within"),
+        (0.8, 0.5, "within"),
+        (3.8, 0.5, "within"),
+    ):
+        made = with_a_line(seed, low * hertz, band=band)
+        (told,) = limit_verdicts(made, None, Sources(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
+        assert told.verdict == verdict
+
+
+def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
+    items = []
+    for number in range(3):
+        values = np.random.default_rng(number).standard_normal(int(1.5 * RATE_HZ))
+        attrs = {"recording": str(number), "domain": "time", "rate_hz": RATE_HZ}
+        one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
+        one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
+        one["si_per_unit"] = ("channel", np.array([1.0]))
+        knots = np.linspace(0.0, 1.5, 40)
+        angle = shaft(knots, knots * 25.0, np.full(40, 1500.0))
+        items.append(level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 12.6), frame_s=0.5))
+    made = vibration_levels(items, speed_bin_rpm=25.0)
+    limits = (Limit("acceleration", 10.0, 12.6, 100.0, "x", ()),)
+    (told,) = limit_verdicts(made, None, Sources(1, limits=limits))
+    assert told.verdict == "not decided"
+    assert "too short for that band" in told.evidence

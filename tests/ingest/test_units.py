@@ -90,6 +90,9 @@ def test_a_sensitivity_starts_with_an_electrical_unit():
 
 def test_an_offset_is_a_number_with_a_unit():
     assert parse_quantity("0.575 V") == (0.575, unit_of("V"))
+    for bare in ("4.5", "45", "4.5e3", " 12 ", "1.", "-3"):
+        with pytest.raises(RequestError, match=r'without its unit.*as in "4.5 mm/s"'):
+            parse_quantity(bare, such_as='"4.5 mm/s"')
     with pytest.raises(RequestError, match="not a number with a unit"):
         parse_quantity("half a volt")
 

@@ -211,7 +211,7 @@ def test_without_axes_there_is_a_figure_that_a_notebook_shows(steady: SimpleName
 def test_campbell_draws_orders_modes_and_crossings_where_they_are(steady: SimpleNamespace) -> None:
     axes = co.plot.campbell(steady.campbell, FINDINGS, ax=new_axes())
     low, high = axes.get_ylim()
-    assert (low, high) == pytest.approx((850.0, 1950.0))
+    assert (low, high) == pytest.approx((900.0, 1900.0))
     assert axes.get_xlim() == pytest.approx((0.0, 200.0))
     for order in (1.0001, 2.0, 9.0):
         x, y = line(axes, f"order {round(order):d}").get_data()

@@ -26,7 +26,7 @@ def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: An
     assert [tuple(stroke.values[1]) for stroke in figure.strokes("free-")] == [(300.0, 1690.0), (1850.0, 2000.0)]
     for stroke in [*ranges.values(), *figure.strokes("free-")]:
         assert (stroke.points[:, 0] > left + width).all()
-        np.testing.assert_allclose(stroke.points[:, 1], bottom + height * (stroke.values[1] - 275) / 1750)
+        np.testing.assert_allclose(stroke.points[:, 1], bottom + height * (stroke.values[1] - 300) / 1700)
     words = {words.text for words in figure.words}
     assert {"1800", "1725", "speed to avoid", "free speeds"} <= words
 

@@ -14,13 +14,13 @@ from crankorder.plot.panel import linear_texts, linear_ticks
 from crankorder.plot.typeface import drawable, text_width_in
 
 
-def test_stepped_speeds_reach_half_way_to_their_neighbours() -> None:
-    assert speed_cells(np.array([300.0, 400.0, 600.0])).tolist() == [[250, 350], [350, 500], [500, 700]]
+def test_stepped_speeds_reach_half_way_to_their_neighbours_and_not_beyond_the_tested_range() -> None:
+    assert speed_cells(np.array([300.0, 400.0, 600.0])).tolist() == [[300, 350], [350, 500], [500, 600]]
 
 
 def test_a_single_speed_has_a_cell_and_no_cell_goes_below_standstill() -> None:
     assert speed_cells(np.array([1000.0])).tolist() == [[975, 1025]]
-    assert speed_cells(np.array([100.0, 3000.0]))[0, 0] == 0.0
+    assert speed_cells(np.array([100.0, 3000.0]))[0, 0] == 100.0
 
 
 def test_a_wide_gap_of_the_run_up_is_left_open_and_regular_steps_leave_none() -> None:

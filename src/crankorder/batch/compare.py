@@ -168,7 +168,7 @@ def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]
         files[file] = picture_bytes(figure(), dpi=settings.dpi, kind=settings.picture_format)
         pictures.append((file, caption))
 
-    if document["trend"] and settings.pictures:
+    if any(one["changed"] for one in document["trend"]) and settings.pictures:  # without growth it would be empty
         caption = "How the lines went from run to run, with 95 % intervals and the fitted growth"
         draw("trend", caption, partial(trend_figure, document, settings=settings))
     if "order_change" in shown and settings.pictures:

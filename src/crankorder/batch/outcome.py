@@ -38,7 +38,7 @@ class Outcome:
         if self.internal:
             return 1
         if self.status == "failed":
-            return next((f.exit_status for f in self.faults if f.exit_status in (2, 4, 5)), 3)
+            return next((f.exit_status for f in self.faults if f.exit_status in (2, 4, 5)), 4)
         return 3 if self.faults else 0
 
     @property

@@ -64,7 +64,8 @@ def integrated(
     for begin in range(0, n, _BLOCK):
         end = min(n, begin + _BLOCK)
         first, last = max(0, begin - margin), min(n, end + margin)
-        fade = _fade(last - first, faded_samples(last - first, rate_hz, highpass_hz))
+        lost = faded_samples(last - first, rate_hz, highpass_hz)
+        fade = faded(last - first, lost, lost)
         part = bridged(signal[first:last])
         part = (part - (fade @ part) / fade.sum()) * fade
         count = fft.next_fast_len(len(part) + margin, real=True)
@@ -87,11 +88,12 @@ def faded_samples(n_samples: int, rate_hz: float, highpass_hz: float) -> int:
     return min(math.ceil(rate_hz / highpass_hz), n_samples // 8)
 
 
-def _fade(n_samples: int, ends: int) -> Floats:
-    """Weights (n,) that rise and fall by a squared sine over ``ends`` samples."""
+def faded(n_samples: int, first: int, last: int) -> Floats:
+    """Weights (``n_samples``,) that rise by a squared sine over the ``first`` samples and fall over the ``last``."""
     made = np.ones(n_samples)
-    rise = np.sin(0.5 * np.pi * (np.arange(ends) + 0.5) / max(ends, 1)) ** 2
-    made[:ends], made[n_samples - ends :] = rise, rise[::-1]
+    for ends, at in ((first, slice(0, first)), (last, slice(n_samples - last, n_samples))):
+        rise = np.sin(0.5 * np.pi * (np.arange(ends) + 0.5) / max(ends, 1)) ** 2
+        made[at] *= rise if at.start == 0 else rise[::-1]
     return made
 
 
@@ -103,8 +105,3 @@ def bridged(signal: NDArray[Any]) -> Floats:
         there = np.flatnonzero(~missing)
         made = np.interp(np.arange(len(made)), there, made[there]) if len(there) else np.zeros(len(made))
     return np.asarray(made - made.mean()) if len(made) else made
-
-
-def mirrored(signal: Floats, before: int, after: int) -> Floats:
-    """``signal`` (n,) continued by its mirror image at its ends, by ``before`` and ``after`` samples."""
-    return np.pad(signal, (before, after), mode="symmetric") if len(signal) else signal

@@ -10,14 +10,19 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
-from crankorder.campbell.band_levels import CONFIDENCE, UNITS, nominal_hz, rms_within
+from crankorder.campbell.band_levels import UNITS, WITH_ENDS, WITHOUT_ENDS, nominal_hz
+from crankorder.campbell.vibration_levels import CONFIDENCE, rms_within
 from crankorder.findings import Balance, Level, LimitVerdict, ThirdOctave, VibrationLevel
 from crankorder.identify.sources import Limit, Sources
-from crankorder.quantities import Floats
+from crankorder.quantities import Floats, Ints
 from crankorder.records import Interval, known
 
 MOST_SPEEDS = 24
 """Speeds at which a level stands in the findings; of more, the loudest alone: all of them are in the dataset."""
+
+
+_AT_ENDS = 0.2
+"""Of what lies at the ends of a band half passes; where less than that share does, it is a level that changes."""
 
 
 def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
@@ -157,21 +162,29 @@ def _is_for(vibration: xr.Dataset, row: int, limit: Limit) -> bool:
 
 
 def _verdict(vibration: xr.Dataset, row: int, limit: Limit) -> LimitVerdict:
-    """What ``limit`` comes to at the level ``row`` over all speeds, which share the chance of a wrong verdict."""
+    """What ``limit`` comes to at the level ``row`` over all speeds, which share the chance of a wrong verdict.
+
+    A filter has no walls: what lies at the ends of the band counts whole where the level is to be surely within, and
+    not at all where it is to be surely above.
+    """
     at = vibration.isel(level=row)
     value, unit = limit.value_si / float(at["si_per_unit"]), str(at["unit"].item())
+    least, most = (vibration.isel(level=_beside(vibration, row, kind)) for kind in (WITHOUT_ENDS, WITH_ENDS))
     rms = at["rms"].values
-    there = np.flatnonzero(np.isfinite(rms))
+    there = np.flatnonzero(np.isfinite(rms) & np.isfinite(least["rms"].values) & np.isfinite(most["rms"].values))
     chance = (1.0 - CONFIDENCE) / max(1, len(there))
-    spreads = [(float(at["log_error"][k]), float(at["degrees_of_freedom"][k])) for k in there.tolist()]
-    ends = [rms_within(float(rms[k]), *one, chance=chance) for k, one in zip(there.tolist(), spreads, strict=True)]
-    low, high = (np.array([one[end] for one in ends]) for end in (0, 1))
+    low, high = _surely(least, there, chance)[0], _surely(most, there, chance)[1]
     loudest = int(there[np.argmax(rms[there])]) if len(there) else -1
-    cut = float(at["reached_frequency"]) < limit.high_hz
-    verdict, evidence = _judged(low, high, rms[there], value, cut=cut, reached_hz=float(at["reached_frequency"]))
+    cut, reached_hz = float(at["reached_frequency"]) < limit.high_hz, float(at["reached_frequency"])
+    inner, whole = (one["rms"].values[there] for one in (least, most))
+    doubted = (whole > value) & (inner <= value)
+    at_ends = bool(np.any(doubted & (rms[there] ** 2 - inner**2 > _AT_ENDS * (whole**2 - inner**2))))
+    rpm = at["speed"].values[there]
+    verdict, evidence = _judged(low, high, value, rpm, cut=cut, reached_hz=reached_hz, at_ends=at_ends)
     if verdict == "above":
         over = there[np.nan_to_num(low) > value]
         loudest = int(over[np.argmax(rms[over])])
+    ends = None if loudest < 0 else (_ends(least["rms_ci95"][loudest]), _ends(most["rms_ci95"][loudest]))
     return LimitVerdict(
         quantity=limit.quantity,
         band_hz=(limit.low_hz, limit.high_hz),
@@ -181,28 +194,47 @@ def _verdict(vibration: xr.Dataset, row: int, limit: Limit) -> LimitVerdict:
         channel=str(at["channel"].item()),
         verdict=verdict,
         level=float(rms[loudest]) if loudest >= 0 else None,
-        level_ci95=_ends(at["rms_ci95"][loudest]) if loudest >= 0 else None,
+        level_ci95=None if ends is None or ends[0] is None or ends[1] is None else (ends[0][0], ends[1][1]),
         speed_rpm=_told(at["speed"][loudest]) if loudest >= 0 else None,
         evidence=evidence,
     )
 
 
+def _beside(vibration: xr.Dataset, row: int, kind: str) -> int:
+    """The level of ``kind`` in ``vibration`` that is else as that of ``row``."""
+    same = vibration["kind"].values.astype(str) == kind
+    for name in ("channel", "quantity", "low_frequency", "high_frequency"):
+        same &= vibration[name].values == vibration[name].values[row]
+    return int(np.flatnonzero(same)[0])
+
+
+def _surely(at: xr.Dataset, there: Ints, chance: float) -> Floats:
+    """Ends (low and high, speed) that the level ``at`` leaves by ``chance`` at each speed of ``there``."""
+    columns = (at[name].values[there].tolist() for name in ("rms", "log_error", "degrees_of_freedom"))
+    return np.array([rms_within(*one, chance=chance) for one in zip(*columns, strict=True)]).reshape(-1, 2).T
+
+
 def _judged(
-    low: Floats, high: Floats, rms: Floats, value: float, *, cut: bool, reached_hz: float
+    low: Floats, high: Floats, value: float, rpm: Floats, *, cut: bool, reached_hz: float, at_ends: bool
 ) -> tuple[Literal["within", "above", "not decided"], str]:
-    """Verdict and why, from the ends of the intervals of ``rms`` at all speeds beside the limit's ``value``."""
-    if not len(rms):
-        return "not decided", "no level could be told: the recordings are too short"
+    """Verdict and why, from the ends of the intervals at all speeds ``rpm`` beside the limit's ``value``."""
+    if not len(low):
+        return "not decided", "no level could be told: the recordings are too short for that band"
+    speeds = f"{len(low)} speed{'s' * (len(low) > 1)}"
+    if len(low) > 1 and np.isfinite(rpm).all():
+        speeds += f" from {rpm.min():.0f} to {rpm.max():.0f} rpm"
     over = int(np.sum(np.nan_to_num(low) > value))
     if over:
-        return "above", f"surely larger than the limit at {over} of {len(rms)} speed{'s' * (len(rms) > 1)}"
+        return "above", f"surely larger than the limit at {over} of {speeds}"
     if cut:
         return "not decided", f"the recorder reaches only to {reached_hz:.4g} Hz: more may lie above"
     if not np.isfinite(high).all():
         return "not decided", "at some speeds there is one piece alone, which has no interval: record longer there"
     if (high <= value).all():
-        return "within", f"surely smaller than the limit at each of {len(rms)} speed{'s' * (len(rms) > 1)}"
-    return "not decided", "the limit lies inside the interval at some speed: record longer there"
+        return "within", f"surely smaller than the limit at each of {speeds}"
+    if at_ends:
+        return "not decided", "what vibrates at an end of the band decides: state a band that has it inside or outside"
+    return "not decided", "the limit lies inside the interval at some speed: record longer there, or sweep more slowly"
 
 
 def graded(balance: Balance | None, sources: Sources, fastest_rpm: float) -> Balance | None:

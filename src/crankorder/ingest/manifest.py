@@ -34,8 +34,8 @@ from crankorder.ingest.encoder_table import (
     encoder_faults,
 )
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
-from crankorder.ingest.units import Unit, parse_quantity
-from crankorder.settings import DERIVATIVE
+from crankorder.ingest.limit_table import Limit, Rotor, limit_faults
+from crankorder.ingest.units import Unit
 
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
 _HEADER = re.compile(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(?:#.*)?")
@@ -263,53 +263,6 @@ class Gear(Table):
         return self.teeth * self.ratio
 
 
-class Limit(Table):
-    """``[[limits]]``: a level that a channel is to stay within at every tested speed, and where that is written."""
-
-    quantity: Literal["velocity", "displacement", "acceleration", "balance grade"] = Field(
-        description="What is limited: the root mean square of a vibration, or the balance grade G (e · ω).",
-        examples=["velocity"],
-    )
-    value: str = Field(description="The limit with its unit; a grade such as G 6.3 is 6.3 mm/s.", examples=["4.5 mm/s"])
-    source: str = Field(
-        description="Where the limit is written: nothing of a standard is known here.", examples=["contract 12, page 3"]
-    )
-    band_hz: Annotated[tuple[Positive, Positive], Field(strict=False)] = Field(
-        default=(10.0, 1000.0), description="Band of the level, low and high end.", examples=[[10.0, 1000.0]]
-    )
-    channels: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
-        default=(), description="Channels that it holds for; all that can tell the quantity where left out.",
-        examples=[["Z"]],
-    )  # fmt: skip
-
-    @field_check("value")
-    @classmethod
-    def _value_is_known(cls, text: str) -> str:
-        if not parse_quantity(text)[0] > 0.0:
-            raise ValueError("a limit is above 0")
-        return text
-
-    @property
-    def of_vibration(self) -> bool:
-        """Whether it limits a level of vibration, not the unbalance."""
-        return self.quantity != "balance grade"
-
-    @property
-    def value_si(self) -> float:
-        """The limit in SI units: m/s2, m/s or m."""
-        value, unit = parse_quantity(self.value)
-        return value * unit.factor
-
-
-class Rotor(Table):
-    """``[rotor]``: mass and speed by which an unbalance in g·mm becomes a balance grade."""
-
-    mass_kg: Positive = Field(description="Mass of the rotor.", examples=[12.5])
-    service_rpm: Positive | None = Field(
-        default=None, description="Fastest speed in service; the fastest tested where left out.", examples=[3000.0]
-    )
-
-
 class Manifest(Table):
     """A test-run folder, as ``run.toml`` describes it."""
 
@@ -531,7 +484,8 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
                 )
             )
     faults += _motor_faults(manifest.motor)
-    faults += _limit_faults(manifest)
+    named = {channel.name: channel for channel in manifest.channels}
+    faults += limit_faults(manifest.limits, named, manifest.rotor, manifest.sampling.rate_hz)
     faults += path_faults(
         manifest.transfer_paths, {channel.name: channel.analysed_unit for channel in manifest.channels}
     )
@@ -539,33 +493,6 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     return faults + encoder_faults(
         manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated
     )
-
-
-def _limit_faults(manifest: Manifest) -> list[RequestError]:
-    """Limits whose unit, band or channels do not fit what they limit."""
-    faults: list[RequestError] = []
-    names = {channel.name: channel for channel in manifest.channels}
-    for number, limit in enumerate(manifest.limits):
-        place, wanted = f"limits.{number}", "velocity" if limit.quantity == "balance grade" else limit.quantity
-        unit = parse_quantity(limit.value)[1]
-        if unit.quantity != wanted:
-            faults.append(
-                RequestError(f"a limit of {wanted} needs a unit of it", place=f"{place}.value", found=limit.value)
-            )
-        if limit.band_hz[0] >= limit.band_hz[1]:
-            faults.append(RequestError("the lower end comes first", place=f"{place}.band_hz", found=limit.band_hz))
-        for name in limit.channels:
-            if name not in names:
-                allowed = ", ".join(names)
-                faults.append(RequestError("no such channel", place=f"{place}.channels", found=name, allowed=allowed))
-            elif limit.of_vibration and names[name].analysed_unit.quantity not in DERIVATIVE:
-                told = names[name].analysed_unit.quantity
-                problem = f"{name} measures {told}, of which no {limit.quantity} follows"
-                faults.append(RequestError(problem, place=f"{place}.channels", found=name))
-    if manifest.rotor is None and any(not limit.of_vibration for limit in manifest.limits):
-        problem = "a balance grade needs the mass of the rotor"
-        faults.append(RequestError(problem, place="limits", remedy="Add [rotor] with mass_kg"))
-    return faults
 
 
 def _motor_faults(motor: Motor | None) -> list[RequestError]:

@@ -294,8 +294,11 @@ def judged(
     for number, own in enumerate(faults):
         if not all(is_out):
             _leave_out(signals[number], lost[number], whole=is_out[number])
+        share = _share_lost(lost[number], signals.shape[1], sampled, settings) if is_out[number] else ""
         for fault in own:
             flags.append(_flag(fault, sampled, number, path, signals.shape[1]))
+            if fault.is_lost and fault.at.starts.size:
+                flags[-1]["detail"] += share
             if fault.is_lost and not all(is_out):
                 flags[-1]["left_out"] = "channel" if is_out[number] else "stretch"
     return flags
@@ -375,6 +378,13 @@ def _is_out(lost: Runs, n_samples: int, settings: IngestSettings) -> bool:
     kept = n_samples - int(lost.where(at_end).lengths.sum())
     inside = int(lost.where(~at_end).lengths.sum())
     return kept < (1.0 - settings.max_lost_at_ends_fraction) * n_samples or inside > settings.max_lost_fraction * kept
+
+
+def _share_lost(lost: Runs, n_samples: int, sampled: Sampled, settings: IngestSettings) -> str:
+    """How much of ``n_samples`` is ``lost`` with what lies about it, and how much may be."""
+    about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
+    percent, allowed = 100.0 * int(lost.lengths.sum()) / n_samples, 100.0 * settings.max_lost_fraction
+    return f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
 
 
 def _leave_out(row: FloatArray, lost: Runs, *, whole: bool) -> None:

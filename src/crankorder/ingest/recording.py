@@ -16,6 +16,7 @@ from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
+from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
@@ -98,6 +99,7 @@ def recording_of(
     flags = [*raw.flags, *(listed.flags if listed is not None else ())]
     times = _times(raw, manifest, path, settings)
     recording, rate_hz, start_s = _axis(raw, times, manifest, path, settings, flags)
+    check_bands(manifest.limits, rate_hz, path)
     if times is not None:
         n_rows = raw.columns[_time_source(manifest)].size
         on_grid = {name: times.on_grid(row) if row.size == n_rows else row for name, row in raw.columns.items()}
@@ -113,9 +115,12 @@ def recording_of(
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
         scalings.append(_to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags))
     flags += judged(signals, faults, _sampled(recording, manifest, scalings), path, settings=settings)
-    for row, channel, scaling in zip(signals, manifest.channels, scalings, strict=True):
+    for number, (row, channel, scaling) in enumerate(zip(signals, manifest.channels, scalings, strict=True)):
         if scaling.integrals:
-            flags.append(_integrate(row, channel, scaling, recording, path, settings))
+            flags.append(_integrate(row, channel, scaling, recording, path, settings, f"channels.{number}"))
+        elif channel.highpass_hz is not None:
+            detail = f"channel {channel.name}: highpass_hz acts where a channel is integrated, which this one is not"
+            flags.append(flag(path, "highpass_unused", "suspect", detail))
     _add_signals(recording, signals, manifest)
     return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
 
@@ -521,7 +526,13 @@ def _to_analysed_unit(
 
 
 def _integrate(
-    signal: FloatArray, channel: Channel, scaling: Scaling, recording: xr.Dataset, path: Path, settings: IngestSettings
+    signal: FloatArray,
+    channel: Channel,
+    scaling: Scaling,
+    recording: xr.Dataset,
+    path: Path,
+    settings: IngestSettings,
+    place: str,
 ) -> QualityFlag:
     """Integrate ``signal`` in place from the unit of ``scaling`` to the channel's; the remark that says how."""
     rate_hz = float(recording.attrs.get("rate_hz", math.nan))
@@ -535,6 +546,16 @@ def _integrate(
             remedy="State the speed in recordings.speed_rpm, or analyse the acceleration",
         )
     highpass_hz = channel.highpass_hz or settings.integration_highpass_hz
+    most_hz = 0.5 * rate_hz * 2.0**-settings.integration_edge_octaves
+    if highpass_hz >= most_hz:
+        raise InputError(
+            f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second",
+            file=path,
+            place=f"{place}.highpass_hz",
+            found=f"{highpass_hz:g}",
+            allowed=f"below {most_hz:.4g}",
+            remedy="Mend highpass_hz in the manifest",
+        )
     made = integrated(
         signal,
         rate_hz,

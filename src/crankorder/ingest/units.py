@@ -62,7 +62,10 @@ _TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
 
 ACCEPTED = ", ".join(name for name, *_ in _TABLE)
 
-_NUMBER = r"([+-]?[0-9]{1,18}(?:\.[0-9]{0,18})?(?:[eE][+-]?[0-9]{1,3})?)"
+# behind it no digit or point: "4.5" is no 4 with the unit ".5"
+_NUMBER = r"([+-]?[0-9]{1,18}(?:\.[0-9]{0,18})?(?:[eE][+-]?[0-9]{1,3})?)(?![0-9.]|[eE][+-]?[0-9])"
+
+_BARE = re.compile(rf"\s*{_NUMBER}\s*")
 
 _QUANTITY = re.compile(rf"\s*{_NUMBER}\s*(\S.*)")
 
@@ -154,14 +157,22 @@ def conversion_factor(source: Unit, target: Unit) -> float:
     return 1.0 if source.name == target.name else source.factor / target.factor
 
 
-def parse_quantity(text: str) -> tuple[float, Unit]:
-    """Number and unit of a text such as ``"0.575 V"``.
+def is_bare_number(text: str) -> bool:
+    """Whether ``text`` is a number without a unit."""
+    return len(text) <= _MAX_CHARACTERS and _BARE.fullmatch(text) is not None
 
-    Raises RequestError where ``text`` is not a number followed by a known unit.
+
+def parse_quantity(text: str, *, such_as: str = '"2.5 V"') -> tuple[float, Unit]:
+    """Number and unit of a text such as ``"2.5 V"``.
+
+    Raises RequestError where ``text`` is not a number followed by a known unit, with the example ``such_as``.
     """
     match = _QUANTITY.fullmatch(text) if len(text) <= _MAX_CHARACTERS else None
     if match is None:
-        raise RequestError("not a number with a unit", found=repr(text), allowed='such as "0.575 V"')
+        bare = is_bare_number(text)
+        problem = "a number without its unit" if bare else "not a number with a unit"
+        remedy = f"Give the unit, as in {such_as}" if bare else ""
+        raise RequestError(problem, found=repr(text), allowed=f"such as {such_as}", remedy=remedy)
     return float(match[1]), unit_of(match[2])
 
 

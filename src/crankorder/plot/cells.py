@@ -16,8 +16,9 @@ LEAST_RANGE_DB = 20.0
 def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
 
-    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. In a wide gap of the tested range a cell
-    reaches as far as on its other side: what lies between was not measured.
+    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. The first and the last of several end at
+    themselves: nothing was measured beyond. In a wide gap of the tested range a cell reaches as far as on its other
+    side: what lies between was not measured.
     """
     speeds = np.asarray(speeds_rpm, dtype=float)
     steps = np.diff(speeds)
@@ -31,7 +32,8 @@ def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
     down, up = (
         np.where(np.isnan(one), np.where(np.isnan(two), usual, two), one) for one, two in ((down, up), (up, down))
     )
-    return np.stack([np.maximum(speeds - down, min(0.0, float(speeds[0]))), speeds + up], axis=1)
+    low, high = float(speeds[0]), float(speeds[-1])
+    return np.asarray(np.clip(np.stack([speeds - down, speeds + up], axis=1), low, high))
 
 
 def gaps_before(cells: NDArray[np.float64]) -> NDArray[np.bool_]:

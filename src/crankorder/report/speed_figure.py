@@ -72,18 +72,19 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     panel.x_axis("Time from the first pulse, s", most=10)
     panel.y_axis("Speed, rpm", most=6)
     panel.frame()
-    labels = []
+    labels, few = [], len(numbers) <= 2 * _COLOURED
+    named = np.linspace(0, len(numbers) - 1, _COLOURED).round() if not few else np.arange(len(numbers))
+    colors = {int(place): LINES[rank] for rank, place in enumerate(named[:_COLOURED])}
     for place, number in enumerate(numbers):
-        color = LINES[place] if place < _COLOURED else LIGHT
+        color = colors.get(place, LIGHT)
         panel.band(time[number], low[number], high[number], color=color, alpha=0.25)
         panel.curve(time[number], speed[number], color=color, name=f"speed-{number}")
         known = speed[number][np.isfinite(speed[number])]
         name = drawable(shaft["recording"].values[number], settings.max_name_characters)
         height = box[1] + box[3] * float(panel.share(float(known[-1])))
-        labels.append(
-            EdgeLabel(height, shortened(name, SMALL, _RIGHT - 0.3), LINES[place] if place < _COLOURED else FAINT)
-        )
-    label_right(drawing, box, labels if len(labels) <= 2 * _COLOURED else labels[:_COLOURED])
+        if few or place in colors:
+            labels.append(EdgeLabel(height, shortened(name, SMALL, _RIGHT - 0.3), colors.get(place, FAINT)))
+    label_right(drawing, box, labels)
     name = drawable(findings.test, settings.max_name_characters)
     title_lines(drawing, _LEFT, f"{name} · speed against time", _said(shaft, numbers))
     quality_note(drawing, findings)

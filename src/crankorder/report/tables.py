@@ -31,7 +31,6 @@ from crankorder.report.notation import (
     order_estimate,
     order_text,
     order_texts,
-    percent_text,
     speeds_text,
     unit_of,
     with_interval,
@@ -80,7 +79,6 @@ def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
         ("levels", level_table(findings, limit)),
         ("third-octaves", octave_table(findings, limit)),
         ("energy", energy_table(findings, limit)),
-        ("levels", _levels(findings, limit)),
         ("lines", _lines(findings, limit)),
         ("quality", _quality(findings, limit)),
     ]
@@ -288,21 +286,6 @@ def _times(record: Record, key: str) -> str:
         return f"≥ × {number_text(least, digits=2)}"
     ends = getattr(record, f"{key}_ci95", None)
     return f"× {estimate_text(record, key) if ends else number_text(factor, digits=2)}"
-
-
-def _levels(findings: Findings, limit: int) -> Table:
-    """Overall level of each channel; empty where levels were not asked for."""
-    rows = [
-        [
-            named(level.channel, limit=limit),
-            f"{number_text(level.rms_max)} {unit_of(findings, level)}" if is_number(level.rms_max) else "–",
-            percent_text(level.share_above) if is_number(level.share_above) else "–",
-        ]
-        for level in findings.levels
-    ]
-    note = "Root mean square of the loudest recording, without the mean." if rows else ""
-    heads = "Channel|Overall level (RMS)#|Share above the band looked at#"
-    return table_of("Levels", heads, rows, note=note, empty="")
 
 
 @dataclass(frozen=True)

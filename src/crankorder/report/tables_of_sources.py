@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.channel_units import unit_text
-from crankorder.findings import BearingFinding, Findings, VibrationLevel
+from crankorder.findings import BearingFinding, Findings, Level, VibrationLevel
 from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import (
     estimate_text,
     is_number,
     named,
+    number_text,
     order_estimate,
     order_text,
     unit_of,
@@ -117,12 +118,23 @@ def level_table(findings: Findings, limit: int) -> Table:
 
     Names are cut at ``limit``; empty where none was told.
     """
+    whole = [
+        [named(one.channel, limit=limit), "as recorded", "all", "–", _rms_of(one, findings), "–", "–", "–"]
+        for one in findings.levels
+        if is_number(one.rms_max)
+    ]
     largest = [_level_row(one, limit) for one in findings.vibration_levels if one.largest]
     every = [_level_row(one, limit) for one in findings.vibration_levels]
     heads = "Channel|Quantity|Band|Speed, rpm#|r.m.s.#|Mean peak#|Largest peak#|Crest factor#"
     more = table_of("Levels at every speed", heads, every, empty="")
     note = "At the speed where each is largest; peaks and crest factors are means over short pieces." if largest else ""
-    return table_of("Overall levels", heads, largest, empty="", note=note, more=more if every else None)
+    note = f"{note} As recorded: the loudest recording, without the mean.".strip() if whole else note
+    shown = more if len(every) > len(largest) else None
+    return table_of("Overall levels", heads, [*largest, *whole], empty="", note=note, more=shown)
+
+
+def _rms_of(one: Level, findings: Findings) -> str:
+    return f"{number_text(one.rms_max or 0.0)} {unit_of(findings, one)}".strip()
 
 
 def octave_table(findings: Findings, limit: int) -> Table:

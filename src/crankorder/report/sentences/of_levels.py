@@ -129,6 +129,25 @@ def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
     return [_limit_sentence(one) for one in sorted(records, key=lambda one: (rank.get(one.verdict, 2), -_share(one)))]
 
 
+def undecided_limits(findings: Findings) -> list[str]:
+    """Which limits in ``findings`` are not decided, for which channels and why: a sentence each, of many the first."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for one in findings.limits:
+        if one.verdict == "not decided":
+            limit = with_interval(one.value, None, unit=unit_text(one.unit))
+            what = one.quantity if one.band_hz is None else f"r.m.s. {one.quantity}, {band_of(one.band_hz, None)}"
+            key = (f"{limit} ({what}; {named(one.source, limit=2 * NAME_CHARACTERS)})", one.evidence)
+            said.setdefault(key, []).append(named(one.channel, limit=NAME_CHARACTERS) if one.channel else "")
+    made = []
+    for (limit, why), names in list(said.items())[:_MANY]:
+        shown = [name for name in names if name][:_MANY]
+        more = f" and {len(names) - _MANY} more" if len(names) > _MANY else ""
+        where = f" for {listed(shown) if not more else ', '.join(shown)}{more}" if shown else ""
+        made.append(f"The limit of {limit} is not decided{where}, because {why or 'nothing tells the level'}.")
+    rest = len(said) - _MANY
+    return [*made, f"{rest} more limits are not decided: see their table."] if rest > 0 else made
+
+
 def _share(record: LimitVerdict) -> float:
     """Level over limit of ``record``; 0 where no level is known."""
     return record.level / record.value if is_number(record.level) else 0.0

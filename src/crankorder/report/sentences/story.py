@@ -11,7 +11,7 @@ from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, listed, named, percent_text
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
-from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences
+from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences, undecided_limits
 from crankorder.report.sentences.of_lines import (
     above_asks,
     lies_above,
@@ -73,20 +73,22 @@ class Story(TypedDict):
 def headline(findings: Findings) -> list[str]:
     """The few sentences that matter most, the strongest line first; for the command line and the head of the page.
 
-    The strongest line with its cause, the first bearing's verdict (first where a bearing strikes), the worst speed, the
-    residual unbalance (or why it is not known), the share of energy that nothing explains; of what does not turn its
-    natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
+    A limit that is passed, and those that are not decided; the strongest line with its cause, the first bearing's
+    verdict (first where a bearing strikes), the worst speed, the residual unbalance (or why it is not known), the share
+    of energy that nothing explains; of what does not turn its natural frequencies. ``findings`` as in
+    ``data_schema/findings.json``. Never empty.
     """
     if findings.not_asked_for:
         return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
     energy = energy_sentence(findings)
+    limits = [*limit_sentences(findings, above=True)[:1], *undecided_limits(findings)]
     if stands_still(findings):
-        return [*mode_sentences(findings)[:1], *([energy] if energy else [])]
+        return [*limits, *mode_sentences(findings)[:1], *([energy] if energy else [])]
     lines = line_sentences(findings)[: 1 + lies_above(findings)]
     bearings = bearing_sentences(findings)[:1]
     return [
         *doubt_sentences(findings),
-        *limit_sentences(findings, above=True)[:1],
+        *limits,
         *(bearings + lines if strikes(findings) else lines + bearings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
@@ -102,7 +104,7 @@ def story_of(findings: Findings) -> Story:
     energy = energy_sentence(findings)
     if stands_still(findings):
         return Story(
-            what=mode_sentences(findings),
+            what=[*mode_sentences(findings), *level_sentences(findings), *limit_sentences(findings)],
             why=tone_sentences(findings),
             how_sure=[
                 INTERVALS,
