@@ -1,5 +1,7 @@
 """``check`` lists every fault at once; ``init`` drafts a manifest that reads."""
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
@@ -288,3 +290,25 @@ def test_drafts_are_saved_into_each_folder_of_recordings_and_over_none(tmp_path)
     assert written[0].read_text() == "mine"
     with pytest.raises(RequestError, match="there is a manifest already"):
         save_drafts(tmp_path)
+
+
+def test_a_last_row_of_zeros_hides_no_time_and_no_wheel(tmp_path: Path) -> None:
+    at = np.arange(20_000) / 5000.0
+    rows = np.stack([at, np.cos(2 * np.pi * 40.0 * at), ((at * 20.0 * 36.0) % 1.0 < 0.5) * 5.0], axis=1)
+    table = np.vstack([rows, np.zeros((1, 3))])
+    np.savetxt(tmp_path / "1200rpm.csv", table, delimiter=",", header="time_s,A (g),enc", comments="", fmt="%.8g")
+    text = draft_manifest(tmp_path)
+    assert 'time_source = "time_s"' in text
+    assert 'kind = "square"' in text
+    assert "pulses_per_rev = 36" in text
+
+
+def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path: Path) -> None:
+    for number, (first, last) in enumerate(((700.0, 900.0), (600.0, 1500.0))):
+        at = np.arange(0.0, 4.0, 1e-5)
+        turns = np.cumsum(np.linspace(first, last, at.size)) / 60.0 * 1e-5
+        times = np.interp(np.arange(1, int(turns[-1] * 36)) / 36.0, turns, at)
+        np.savetxt(tmp_path / f"run{number}.csv", times, header="crank_edge_time_s", comments="", fmt="%.7f")
+    text = draft_manifest(tmp_path)
+    assert 'kind = "pulse_times"' in text
+    assert "[[channels]]" not in text

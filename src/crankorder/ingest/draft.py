@@ -17,6 +17,7 @@ from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
 from crankorder.ingest.rawfile import Contents, RawFile, Source
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, is_uniform
+from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
 from crankorder.shaft.pulses import FloatArray, find_pulses
@@ -109,6 +110,9 @@ def _edges(
     if values.size > 3 and np.isfinite(values).all() and (np.diff(values) >= 0.0).all() and np.ptp(values) > 0.0:
         return "pulse_times", "rising", {"rising": values}
     times = None if time is None else raw.columns[time][:MOST_SAMPLES].astype(np.float64)
+    if times is not None and times.size == values.size:
+        rows = rows_before_zeros(times)
+        times, values = times[:rows], values[:rows]
     if times is not None and not is_uniform(times):
         high = values > 0.5 * (values.min() + values.max())
         turns = {"rising": high[1:] & ~high[:-1], "falling": ~high[1:] & high[:-1]}

@@ -15,6 +15,7 @@ from crankorder.errors import CrankorderError
 from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.rawfile import Contents, Source, looks_counted
+from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
@@ -104,7 +105,9 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
     edges = time is not None and time.name in values and not is_uniform(values[time.name])
-    if edges:
+    if time is not None and len(found) == 1:
+        found, edges = [_as(time, "encoder", "times alone: taken for those of pulses")], True
+    elif edges:
         found = [_of_edge_list(column, values) for column in found]
     found = _marks_by_count(found, values)
     if not any(column.role in ("channel", "encoder", "index") for column in found):
@@ -148,6 +151,9 @@ def _values(path: Path, names: Sequence[str], contents: Contents, settings: Inge
     if raw is None:
         return {}
     made = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
+    ends = [(column, rows_before_zeros(column)) for column in made.values()]
+    rows = min((rows for column, rows in ends if rows < column.size and _grows(column[:rows])), default=MOST_SAMPLES)
+    made = {name: column[:rows] for name, column in made.items()}
     return {name: column for name, column in made.items() if column.size > 2 and np.isfinite(column).any()}
 
 

@@ -49,7 +49,7 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     ``path`` names the recording in errors; ``settings`` say how far a time may lie off the uniform grid, and how much
     may be missing. Raises InputError naming the sample where times repeat, go back or wander, or too many are missing.
     """
-    n_rows = _without_zeros(times)
+    n_rows = rows_before_zeros(times)
     flags: list[QualityFlag] = []
     if n_rows < times.size:
         detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
@@ -95,8 +95,8 @@ def _numbers(places: Ints | None, part: slice) -> Ints:
     return np.arange(part.start, part.stop) if places is None else places[part]
 
 
-def _without_zeros(times: FloatArray) -> int:
-    """Rows before those zeros at the end that some loggers write when they stop."""
+def rows_before_zeros(times: FloatArray) -> int:
+    """Rows of ``times`` (row,) before those zeros at the end that some loggers write when they stop."""
     if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
         return times.size
     return int(np.flatnonzero(times)[-1]) + 1
