@@ -216,8 +216,9 @@ def _told(
     if np.count_nonzero(kept) < FEWEST_PIECES:
         return None
     means = np.array([turned[:, piece] @ clear[piece] for piece in pieces]).T[:, kept] / weights[kept]
-    left = turned - amplitude[:, None]
-    noise = (np.abs(left) ** 2 @ window) / window.sum() / (0.5 * weights[kept].min())
+    # within pieces, and in most of them: what rings in one would else hide that it does not in the others
+    strays = np.array([np.abs(turned[:, piece]) ** 2 @ clear[piece] for piece in pieces]).T[:, kept] / weights[kept]
+    noise = np.median(strays - np.abs(means) ** 2, axis=1) / (0.5 * weights[kept].min())
     scatter = np.mean(np.abs(means - amplitude[:, None]) ** 2, axis=1)
     size = np.abs(amplitude) ** 2
     best = int(np.argmax(size / np.maximum(noise, np.finfo(float).tiny)))
