@@ -247,7 +247,7 @@ def _orders_and_modes(
     held, known = electric
     followed, swept = sweeps
     in_map = _orders_in_map(order_map, frames, settings, followed)
-    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept.poles)
+    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
     modal = with_tones_parted(modal, held)
     if speed_source([*frames, order_map]) == "pulses":

@@ -38,21 +38,17 @@ Complex = NDArray[np.complexfloating]
 def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings) -> SweepFits:
     """Poles that the signals in ``followed`` (RecordingTracks) of sweeps tell, behind the orders that were followed.
 
-    ``settings``: the false-alarm level and the largest damping ratio of a mode.
+    ``settings``: the false-alarm level, the dampings of modes, and the confidence with which one is excluded.
     """
     spectra = spectra_of([item for item in followed if _turns_surely(item)], fewest=NUMBERS.fewest_samples)
-    held = {one.recording for one in spectra}
-    own = [item for item in followed if str(item.attrs.get("recording")) in held]
-    numbers = sorted({float(number) for item in own for number in item["order"].values})
-    if not numbers:
+    highest = max((order for one in spectra for order in one.orders), default=0.0)
+    if not highest:
         return SweepFits()
-    cycle = int(own[0].attrs["revs_per_cycle"])
+    cycle = int(followed[0].attrs["revs_per_cycle"])
     return sweep_fits(
         spectra,
-        numbers,
-        others=(np.arange(1, cycle * max(numbers) + 1) / cycle).tolist(),
-        chance=settings.false_alarm_probability,
-        most_damping=settings.max_damping_ratio,
+        others=(np.arange(1, cycle * highest + 1) / cycle).tolist(),
+        settings=settings,
     )
 
 
