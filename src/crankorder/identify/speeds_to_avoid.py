@@ -374,22 +374,20 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     rpm = 60.0 * mode.frequency_hz / group[0].order
     beside = NUMBERS.beside_share + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
     near = max(NUMBERS.near_dampings * mode.damping_ratio, beside)
-    # as far as the mode itself is amplified so much: beyond, it carries the order without resonance
-    reach = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), limits.factor)
-    low, high = (float(end) for end in np.clip(group[0].span_rpm, *reach))
-    if low == high:
-        return []
+    low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
     both = together([with_and_without(one, number, grid, modal) for one in group])
     least, most = both.ends(limits.sigmas, matters=limits.matters)
-    over = (most > limits.factor) | (least > limits.factor)
+    # where the mode itself is amplified less it carries the order without resonance: only what is sure counts there
+    first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), limits.factor)
+    over = (least > limits.factor) | ((most > limits.factor) & (grid >= first) & (grid <= last))
     if not over.any():
         return []
     said = AMPLIFIED if (least > limits.factor).any() else "may be amplified more than"
     made = []
-    for first, last in _runs(over):
-        begin, end = float(grid[max(first - 1, 0)]), float(grid[min(last + 1, len(grid) - 1)])
+    for place, end_place in _runs(over):
+        begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
         made.append(_Open(begin, end, f"{what}: {said} {limits.factor:g} times"))
