@@ -11,7 +11,6 @@ from crankorder.channel_units import unit_text
 from crankorder.errors import printable
 from crankorder.findings import Findings, ModeFinding
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.quantities import is_sound
 from crankorder.settings import ReportSettings
 
 _SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
@@ -225,6 +224,8 @@ def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tu
     if quantity == "acceleration" and unit in _SI_ACCELERATION:
         reference = settings.acceleration_reference_m_s2
         return reference / _SI_ACCELERATION[unit], f"dB re {_power(reference)} m/s² (peak)"
+    from crankorder.quantities import is_sound  # loads xarray, which numbers and names of a balance need not wait for
+
     if unit in _SI_PRESSURE and is_sound(quantity, unit):
         reference = settings.pressure_reference_pa
         return reference / _SI_PRESSURE[unit], f"dB re {number_text(reference * 1e6, digits=2)} µPa (peak)"
