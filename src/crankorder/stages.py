@@ -221,7 +221,8 @@ def tracks_of_recording(
     """
     swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
     found = swept_orders(frames, settings=settings) if swept else []
-    return RecordingTracks(followed_tracks(band, angle, settings=settings.orders, swept=swept, standing_out=found))
+    tracks = functools.partial(followed_tracks, band, angle, settings=settings.orders)
+    return RecordingTracks(tracks(swept=swept, standing_out=found, mains_hz=settings.identify.mains_hz))
 
 
 @stage
