@@ -94,19 +94,21 @@ class _Plan:
         return np.array([np.interp(time_s, self.course.time_s, one) for one in self.bandwidth_hz])
 
 
-def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -> xr.Dataset:
+def swept_tracks(
+    band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float], *, mains_hz: Sequence[float] = ()
+) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) of ``orders`` in one recording whose speed sweeps, with intervals.
 
     ``band`` is the BandRecording by time, ``shaft`` its ShaftAngle, ``orders`` cycles per crank revolution, above 0.
     All are followed jointly by a Vold–Kalman filter of two poles; the bandwidth (order, frame) widens with the rate of
     the sweep over the speed, so that a mode of 1 % damping keeps 99 % of its peak, up to half the distance of the
     nearest order. Rows are half a reciprocal bandwidth apart; ``speed`` is the slope of the angle over one. Where the
-    shaft stands there are no rows; orders beyond half the sample rate, channels and rows with too few usable samples
-    are NaN.
+    shaft stands there are no rows; lines of one frequency, multiples of ``mains_hz`` among them, are taken out first;
+    orders beyond half the sample rate, channels and rows with too few usable samples are NaN.
     """
     named = np.asarray(sorted(orders), dtype=np.float64)
     course = speed_course(shaft)
-    band, lines = without_steady_lines(band, course, named)
+    band, lines = without_steady_lines(band, course, named, mains_hz=mains_hz)
     width = bandwidths_hz(named, course)
     first, last = _covered(band, shaft)
     made: list[tuple[_Plan, Complexes, Floats]] = []
