@@ -17,6 +17,9 @@ from crankorder.cli import main
 
 CALLS = ("fsync", "rename", "replace", "mkdir", "fdopen", "open")
 MOST_CALLS = 80
+QUICK = (("rename", errno.EIO), ("replace", errno.ENOSPC))
+"""Those that few calls are made of; the others are slow."""
+
 DONE, ENVIRONMENT = 0, 5
 
 
@@ -58,8 +61,14 @@ def both(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return old, results_in(old), results_in(new)
 
 
-@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EIO])
-@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize(
+    ("call", "fault"),
+    [
+        pytest.param(call, fault, marks=() if (call, fault) in QUICK else pytest.mark.slow)
+        for call in CALLS
+        for fault in (errno.ENOSPC, errno.EIO)
+    ],
+)
 def test_f3_i4_whichever_call_of_a_whole_run_fails_the_old_results_are_whole_or_the_new_ones(
     folder: Path,
     both: tuple[Path, dict[str, bytes], dict[str, bytes]],
