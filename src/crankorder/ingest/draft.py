@@ -159,7 +159,7 @@ def draft_manifest(folder: Path) -> str:
         '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
         "",
         "[recordings]",
-        f"files = [{_text(pattern)}]",
+        _files(folder, pattern),
         "",
         *_sampling(columns, contents),
         *_channels(columns),
@@ -172,6 +172,21 @@ def draft_manifest(folder: Path) -> str:
         shown = ", ".join(printable(name, 40) for name in scalars[:20]) + (", …" if len(scalars) > 20 else "")
         lines.append(f"# Single numbers in the file, such as a speed: {shown}")
     return "\n".join(lines) + "\n"
+
+
+def _files(folder: Path, pattern: str) -> str:
+    """The line that names the recordings; what folders inside of ``folder`` hold beside them is asked about."""
+    line = f"files = [{_text(pattern)}]"
+    inside = [
+        path.name
+        for path in sorted(folder.iterdir(), key=natural_key)
+        if path.is_dir() and not is_leftover(path.name) and not (path / MANIFEST_NAME).exists()
+        if any(not is_leftover(file.name) and file.is_file() for file in path.glob(pattern))
+    ]
+    if not inside:
+        return line
+    names = ", ".join(printable(name, 40) for name in inside[:3]) + (", …" if len(inside) > 3 else "")
+    return _asked(line, f"there are more in {names}: {_text(f'*/{pattern}')} beside it takes them too")
 
 
 def save_drafts(folder: Path) -> list[Path]:
@@ -427,7 +442,12 @@ def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str
         told = _pulses_per_rev(guess.pulses_hz, speeds.get(path.name))
         if told is not None:
             return [*lines, _asked(f"pulses_per_rev = {told}", f"{guess.pulses_hz:.4g} pulses/s at the stated speed")]
-        return [*lines, _asked("# pulses_per_rev = 60", "pulses per revolution; they are even, or too few to tell")]
+        wheels = ", ".join(known_names())
+        return [
+            *lines,
+            _asked("# pulses_per_rev = 60", "pulses per revolution; they are even, or too few to tell"),
+            _asked('# pattern = "60-2"', f"or a wheel with a gap, or one of the trade: {wheels}"),
+        ]
     even, angles = guess.found.pattern.even, guess.found.pattern.angles_deg
     told_by = guess.found.told
     if even is not None:
