@@ -34,6 +34,8 @@ MOTOR = (
 )
 """What a draft proposes that no file tells, as comments."""
 
+_SPECTRUM = re.compile(r"(^|[^a-z])(fft|spectrum|spectra|psd|frf)([^a-z]|$)", re.I)
+
 _MARK_COLUMN = 34
 _RECIPROCATING = re.compile(
     r"crank|cyl|engine|kurbel|tdc|ignition|knock|piston|firing|(^|[^a-z])(ice|diesel)([^a-z]|$)", re.I
@@ -332,7 +334,9 @@ def _channels(columns: Columns) -> list[str]:
     labels = [column.label for column in columns.channels()]
     for number, column in enumerate(columns.channels()):
         name = column.label if labels.count(column.label) == 1 else column.name
-        lines += ["[[channels]]", f"name = {_text(name)}"]
+        named = f"name = {_text(name)}"
+        spectrum = "its name speaks of a spectrum: signals by time are read, no spectra"
+        lines += ["[[channels]]", _asked(named, spectrum) if _SPECTRUM.search(f"{name} {column.name}") else named]
         if column.source != name:
             lines.append(f"source = {_shown(column.source)}")
         lines += _unit(column, first=number == 0)
