@@ -29,7 +29,7 @@ docs: $(STAMP)
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 
 docs-short: $(STAMP)
-	$(BIN)/python docs/executed.py docs/tutorial.md docs/howto/*.md
+	$(BIN)/python docs/executed.py docs/tutorial.md docs/notebook.md docs/howto/*.md
 
 accuracy: $(STAMP)
 	$(BIN)/python -m pytest -m 'slow or accuracy' -s

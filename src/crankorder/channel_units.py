@@ -9,13 +9,15 @@ share it, ``amplitude`` keeps its name; where they differ there is a variable fo
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import printable
+
+if TYPE_CHECKING:  # a third of a second that the names of units need not wait for
+    import xarray as xr
 
 _TYPOGRAPHY = {
     "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
@@ -52,6 +54,8 @@ def with_real_units(dataset: xr.Dataset) -> xr.Dataset:
     """
     if not any(variable.attrs.get("units") in FORMS for variable in dataset.variables.values()):
         return dataset
+    import xarray as xr
+
     along, parts = _parts(dataset)
     made: dict[str, Any] = {}
     for key, variable in dataset.variables.items():
@@ -78,6 +82,8 @@ def by_channel(dataset: xr.Dataset) -> xr.Dataset:
     """
     if not any(_INSIDE in variable.attrs for variable in dataset.variables.values()):
         return dataset
+    import xarray as xr
+
     made: dict[str, Any] = {}
     for key, variable in dataset.variables.items():
         name, about = str(key), dict(variable.attrs)

@@ -192,3 +192,18 @@ def check_dataset(dataset: xr.Dataset, noun: str) -> None:
     for name in schema_of(noun)["properties"]["attrs"]["required"]:
         if name not in dataset.attrs:
             raise SchemaError(f"attribute {name!r} is missing", place=noun)
+
+
+def is_sound(quantity: str, unit: str) -> bool:
+    """Whether a channel of that ``quantity`` and ``unit`` is a microphone: pascals are, unless another one is stated.
+
+    Pressures in cylinders are told in bar, kPa or MPa; in pascals only where ``quantity`` says so.
+    """
+    named = quantity.casefold().replace("_", " ")
+    return named == "sound pressure" or (named == "pressure" and unit == "Pa")
+
+
+def is_cylinder_pressure(quantity: str, unit: str) -> bool:
+    """Whether a channel of that ``quantity`` and ``unit`` is, in a piston engine, the pressure in a cylinder."""
+    named = quantity.casefold().replace("_", " ")
+    return named == "cylinder pressure" or (named == "pressure" and not is_sound(quantity, unit))

@@ -207,7 +207,7 @@ def test_main_bearings_carry_webs_and_cylinders_of_their_own_masses() -> None:
 
 def test_the_turning_moment_is_the_torque_of_all_rods() -> None:
     model = load_engine("v8-cross")
-    curves = cycle_curves(model, 4000.0)
+    (curves,) = cycle_curves(model, [4000.0])
     rods = sum(load.torque_n_m for load in curves.loads)
     assert curves.total_n_m == pytest.approx(rods, abs=1e-9 * float(np.abs(rods).max()))
 
@@ -229,7 +229,7 @@ def test_the_speed_swings_by_the_energy_that_the_flywheel_takes() -> None:
     speed, inertia = 2500.0, 50.0
     stiff = model.model_copy(update={"flywheel_inertia_kg_m2": inertia})
     found = cycle_table(stiff, max_order=8, speeds=[speed])["turning"]["2500"]["speed_fluctuation"]
-    total = cycle_curves(stiff, speed).total_n_m
+    total = cycle_curves(stiff, [speed])[0].total_n_m
     energy = np.cumsum(total - total.mean()) * 2 * np.pi / 720
     assert found == pytest.approx(np.ptp(energy) / (inertia * (speed * np.pi / 30) ** 2), rel=5e-3)
     assert (
@@ -323,3 +323,44 @@ def test_gas_without_firing_angles_is_a_fault_of_the_file(tmp_path: Path) -> Non
     (tmp_path / "it.toml").write_text(text)
     with pytest.raises(ManyErrors, match="firing_deg for every cylinder"):
         load_balanced_engine(str(tmp_path / "it.toml"))
+
+
+def test_a_fault_of_the_gas_file_hides_no_other_fault(tmp_path: Path) -> None:
+    text = "crank_radius_m = -1\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\ncolour = 1\n"
+    (tmp_path / "it.toml").write_text(
+        f'{text}[gas]\nfile = "nowhere.csv"\nsurroundings_pa = -3\n[balance]\nspeeds_rpm = [0]\n'
+    )
+    (tmp_path / "both.toml").write_text(
+        f'{text}[gas]\nfile = "it.csv"\ncrank_angle_deg = [0, 0]\npressure_pa = [1e5, 1e5]\n'
+    )
+    for load in (load_balanced_engine, load_engine):
+        with pytest.raises(ManyErrors) as caught:
+            load(str(tmp_path / "it.toml"))
+        for part in ("nowhere.csv", "crank_radius_m", "colour", "gas.surroundings_pa"):
+            assert part in str(caught.value), part
+        with pytest.raises(ManyErrors, match="takes the place of the curve") as caught:
+            load(str(tmp_path / "both.toml"))
+        assert "gas.crank_angle_deg: must ascend" in str(caught.value)
+        assert "colour" in str(caught.value)
+
+
+def test_shafts_for_an_order_that_no_piston_makes_are_told_with_the_other_faults_of_the_file(tmp_path: Path) -> None:
+    text = "crank_radius_m = 0.043\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\n"
+    text += "cylinders = [{}, { crank_deg = 180 }]\n[gas.ideal]\ncompression_ratio = 9\nintake_pa = 8e4\nheat_j = 9\n"
+    (tmp_path / "it.toml").write_text(f"{text}[shafts]\norders = [1]\n")
+    with pytest.raises(ManyErrors) as caught:
+        load_balanced_engine(str(tmp_path / "it.toml"))
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert all("it.toml" in line for line in lines)
+    assert "shafts.orders" in lines[1]
+
+
+def test_the_curves_of_several_speeds_are_those_of_each_alone() -> None:
+    model = load_engine("inline-4-firing")
+    for together, speed in zip(cycle_curves(model, [900.0, 5000.0]), (900.0, 5000.0), strict=True):
+        (alone,) = cycle_curves(model, [speed])
+        assert np.array_equal(together.total_n_m, alone.total_n_m)
+        assert together.bearings_n is not None
+        bearings = main_bearing_loads(model, alone.crank_angle_rev, speed)
+        np.testing.assert_allclose(together.bearings_n, bearings, rtol=1e-12, atol=1e-9)

@@ -9,7 +9,10 @@ from crankorder.engine.definition import BalanceShafts, Engine, load_engine
 from crankorder.engine.forces import Z, crankcase_forces
 from crankorder.engine.shaft_design import designs
 from crankorder.engine.tolerance_study import (
+    KINDS,
     BalanceTolerances,
+    _draw,
+    _left,
     tolerance_sentences,
     tolerance_table,
     with_single_shafts,
@@ -85,3 +88,17 @@ def test_the_grade_is_that_of_the_standard_and_the_same_seed_gives_the_same_numb
     assert drawn[0] == drawn[1] != drawn[2]
     with pytest.raises(ValueError, match="belong together"):
         BalanceTolerances(grade_mm_s=6.3)
+
+
+def test_the_class_of_each_kind_adds_what_is_allowed_and_no_more() -> None:
+    """Against the whole study drawn again with that error alone."""
+    engine = load_engine("inline-4-firing").model_copy(update={"rotating_unbalance_kg_m": 0.0})
+    asked = BalanceTolerances(allowed_g_mm=300.0, samples=400)
+    found = tolerance_table(engine, asked, max_order=4, speeds=[3000.0])["largest_alone"]
+    studied = with_single_shafts(engine, 4)
+    errors = _draw(studied, asked)
+    zero = dict.fromkeys(KINDS, 0.0)
+    exact = _left(studied, errors, zero, 4)[0]
+    for kind, size in found.items():
+        added = np.abs(_left(studied, errors, {**zero, kind: size}, 4)[0] - exact).sum(axis=0).max(axis=1)
+        assert np.quantile(added, 0.95) == pytest.approx(300.0, rel=1e-6), kind

@@ -106,3 +106,29 @@ def test_the_readme_can_be_read_at_once_and_its_links_lead_somewhere(project_roo
     ways = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", readme)
     assert len(ways) > 15
     assert not [way for way in ways if not (project_root / way).exists()]
+
+
+def test_every_page_of_the_documentation_is_in_a_table_of_contents(project_root: Path) -> None:
+    """A page that is in none has no way to it, and ends the building with a warning."""
+    docs = project_root / "docs"
+    entries = "\n".join(
+        re.findall(r"```\{toctree\}(.*?)```", (docs / "index.md").read_text(encoding="utf-8"), re.DOTALL)
+    )
+    named = [line for line in entries.splitlines() if line and not line.startswith(":")]
+    listed = {page for name in named for page in docs.glob(f"{name}.md")}
+    pages = {page for page in docs.rglob("*.md") if "_build" not in page.parts} - {docs / "index.md"}
+    assert not [page.relative_to(docs).as_posix() for page in sorted(pages - listed)]
+    assert all(list(docs.glob(f"{name}.md")) for name in named)
+
+
+def test_pages_that_are_executed_are_executed_in_short_too(project_root: Path) -> None:
+    """What only the whole building executes may fail unseen for weeks."""
+    makefile = (project_root / "Makefile").read_text(encoding="utf-8")
+    short = re.search(r"^docs-short:.*\n\t.*executed\.py (.*)$", makefile, re.MULTILINE)
+    assert short is not None
+    run = {page for pattern in short[1].split() for page in project_root.glob(pattern)}
+    blocks = re.compile(r"^```\{(run|python)\}", re.MULTILINE)
+    executed = {
+        page for page in (project_root / "docs").rglob("*.md") if blocks.search(page.read_text(encoding="utf-8"))
+    }
+    assert not [page.name for page in sorted(executed - run) if "_build" not in page.parts]

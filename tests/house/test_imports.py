@@ -113,6 +113,13 @@ def test_a_wrong_manifest_is_refused_before_a_heavy_package_is_loaded(tmp_path: 
     assert loaded == []
 
 
+def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
+    """They are two thirds of a second of the processor, beside a tenth that the numbers take."""
+    status, loaded, _ = _loaded_by("balance", "v8-cross", "--json")
+    assert status == 0
+    assert not {"xarray", "pandas", "matplotlib", "h5py"} & {*loaded}
+
+
 def test_pages_and_pictures_load_nothing_that_finds() -> None:
     """They are written in a process beside the analysis: what it loads too is paid for twice."""
     code = (

@@ -17,6 +17,7 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
+from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import Fold
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
@@ -29,13 +30,14 @@ ENGINE = Sources(revs_per_cycle=2, engine_orders=(1.0, 2.0, 4.0))
 JACK_SHAFT = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
 
 
-def causes(orders, sources, *, modal=None, bearings=(), quantity="acceleration", folds=()):
+def causes(orders, sources, *, modal=None, bearings=(), quantity="acceleration", unit="m/s2", folds=()):
     return explained(
         tuple(orders),
         modal or fit(),
         list(bearings),
         sources=sources,
         quantity=dict.fromkeys("ABC", quantity),
+        in_cylinder="ABC" if is_cylinder_pressure(quantity, unit) else "",
         settings=SETTINGS,
         folds=folds,
     )
@@ -127,7 +129,25 @@ def test_a_mode_below_the_speeds_lowers_the_exponent_of_an_unbalance():
 
 
 def test_half_orders_in_a_cylinder_pressure_are_the_gas_cycle():
-    assert set(texts([agreed(k) for k in (0.5, 1.0, 1.5, 2.0)], ENGINE, quantity="pressure").values()) == {"gas cycle"}
+    orders = [agreed(k) for k in (0.5, 1.0, 1.5, 2.0)]
+    for quantity, unit in (("pressure", "bar"), ("cylinder pressure", "Pa"), ("Cylinder_Pressure", "kPa")):
+        assert set(texts(orders, ENGINE, quantity=quantity, unit=unit).values()) == {"gas cycle"}
+
+
+HEARD = [("sound pressure", "Pa"), ("pressure", "Pa"), ("sound_pressure", "bar")]
+
+
+@pytest.mark.parametrize(("quantity", "unit"), HEARD)
+def test_what_a_microphone_hears_is_no_gas_cycle(quantity, unit):
+    orders = [agreed(k) for k in (1.0, 2.0, 3.0)]
+    assert "gas cycle" not in texts(orders, ENGINE, quantity=quantity, unit=unit).values()
+    assert set(texts(orders, ROTOR, quantity=quantity, unit=unit).values()) == {"shaft harmonic"}
+
+
+def test_a_pressure_of_what_has_no_pistons_is_no_gas_cycle():
+    assert texts([agreed(1.0)], ROTOR, quantity="pressure", unit="bar") == {1.0: "shaft harmonic"}
+    two_stroke = dataclasses.replace(ROTOR, two_stroke=True)
+    assert texts([agreed(1.0)], two_stroke, quantity="pressure", unit="bar") == {1.0: "gas cycle"}
 
 
 def test_half_orders_of_a_firing_engine_are_its_gas_cycle_and_of_a_motored_one_they_are_not():
@@ -238,6 +258,7 @@ def test_each_channel_has_its_own_cause():
         [],
         sources=FOUR_STROKE,
         quantity={"A": "acceleration", "B": "pressure"},
+        in_cylinder=["B"],
         settings=SETTINGS,
     ).orders
     assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): LIKE_UNBALANCE, ("B", 1.0): "gas cycle"}

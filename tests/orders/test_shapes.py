@@ -123,6 +123,33 @@ def test_intervals_cover_the_truth_in_95_of_100_draws(n_frames, reference):
     assert near.mean() == pytest.approx(0.95, abs=0.01)
 
 
+@pytest.mark.parametrize("shared", [0.0, 1.0])
+def test_noise_as_strong_as_a_steady_line_does_not_raise_its_amplitude_where_phases_are_from_a_channel(shared):
+    """A half order without a known cycle beside a natural frequency: the origin's noise is in no amplitude."""
+    draws, n_frames = 1000, 40
+    rng = np.random.default_rng(int(shared))
+    own, common = circular(rng, 3, n_frames, draws), circular(rng, 1, n_frames, draws)
+    made = shapes_of(
+        np.array([1.0, 0.9, 0.8])[:, None, None] + shared * common + (1.0 - shared) * own,
+        np.arange(draws) / 2, "A", overlap=0.0,
+    )  # fmt: skip
+    amplitude, ends = made["amplitude"].values[:, 0], made["amplitude_ci95"].values[:, 0]
+    truth = np.array([1.0, 0.9, 0.8])[:, None]
+    assert amplitude.mean(axis=1) == pytest.approx(truth[:, 0], rel=0.025)  # a mean is longer by noise / (4 n a)
+    inside = (ends[..., 0] <= truth) & (truth <= ends[..., 1])
+    assert 0.925 < inside.mean() < 0.975
+    phases, half = made["phase"].values[1:, 0], 0.5 * np.diff(made["phase_ci95"].values[1:, 0])[..., 0]
+    if not shared:
+        assert 0.925 < (np.abs(degrees_apart(phases, 0.0)) <= half).mean() < 0.975
+    assert np.abs(made["phase"].values[0, 0]).max() < 1e-9
+
+
+def test_a_line_that_wanders_against_the_crank_keeps_its_amplitude():
+    wandering = np.exp(2j * np.pi * np.random.default_rng(3).uniform(0, 1, (1, 40, 9)))
+    made = shapes_of(steady_frames(40) * wandering, (0.5, 1.0), "A", overlap=0.0)
+    np.testing.assert_allclose(made["amplitude"].values[:, 0, 1], np.abs(PHASORS), rtol=1e-12)
+
+
 def test_overlapping_frames_of_noise_do_not_narrow_the_interval():
     rng = np.random.default_rng(9)
     covered = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from matplotlib.text import Text
 from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, reduced_masses
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.balancing import frame_force, unbalance_force_n
-from crankorder.engine.definition import Engine
+from crankorder.engine.definition import Engine, Weight
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure
@@ -244,8 +245,20 @@ def test_systems_that_leave_the_same_are_named_together(task5: Any) -> None:
     groups = alike(task5["curve"])
     assert ["1", "4"] in groups
     assert ["3", "4+2"] in groups
-    assert called(["4", "1"]) == "shafts 1 and 4"
-    assert called(["none", "b", "own"]) == "no balancing, strategy b, its own shafts"
+    assert called(["4", "1"], task5) == "shafts 1 and 4"
+    assert called(["none", "b", "own"], task5) == "no balancing, strategy b, its own shafts"
+
+
+def test_an_engine_whose_file_has_counterweights_is_drawn_as_built() -> None:
+    subject = load_balanced_engine("v-twin")
+    bare = subject.engine.model_copy(update={"rotating_unbalance_kg_m": 0.0})
+    web = Weight(unbalance_g_mm=50_000.0, angle_deg=180.0)
+    webbed = bare.model_copy(update={"webs": (web,)})
+    for engine, name in ((subject.engine, "as built"), (webbed, "as built"), (bare, "no balancing")):
+        made = _dataset(replace(subject, engine=engine))
+        assert called(["none"], made) == name
+        told = balance_sheet(replace(subject, engine=engine))["sentences"][0]
+        assert told.startswith("As built" if name == "as built" else "With no balancing")
 
 
 def test_moments_of_several_cylinders_are_drawn_and_those_of_one_are_not(settings: Any, task5: Any) -> None:

@@ -84,3 +84,24 @@ def test_it_is_drawn_only_where_there_is_an_envelope(
     envelope = make_envelope(("X",))
     for given, wanted in ((envelope, ["envelope.png"]), (envelope.isel(speed=slice(0)), [])):
         assert list(pictures_of({"envelope_map": given}, full, settings=settings, name_of=str)) == wanted
+
+
+def test_names_of_bearings_are_whole_where_there_is_room_and_else_told_apart(
+    full: Any, make_envelope: Callable[..., Any], settings: Any
+) -> None:
+    record = next(one for one in full["bearings"] if one["seen_in"] == "envelope")
+
+    def labels(names: list[str], lines: int) -> list[str]:
+        full["bearings"] = [
+            {**record, "name": name, "seen_in": "vibration", "order": None, "order_expected": 2.0 + 3 * k + 0.4 * n}
+            for n, name in enumerate(names)
+            for k in range(lines)
+        ]
+        figure = envelope_figure(make_envelope(("Z",), speeds=1), full, settings=settings)
+        return [words.text for words in figure.words if words.text.startswith(record["line"])]
+
+    names = ["gearbox, intermediate shaft, drive end", "gearbox, intermediate shaft, fan end"]
+    assert [any(name in text for text in labels(names, 1)) for name in names] == [True, True]
+    crowded = labels(names, 4)
+    assert len(crowded) == 8
+    assert len({text.rpartition(" ")[0] for text in crowded}) == 2

@@ -215,3 +215,64 @@ def test_a_map_of_35_by_5000_cells_is_redrawn_within_a_frame(
     )
     print(f"redraw of 35 x 5000 cells: {times[15]} ms (median of 30)")
     assert times[15] < 16.0
+
+
+_LISTEN = """(() => {
+  window.written = [];
+  const kind = CanvasRenderingContext2D.prototype, plain = kind.fillText;
+  kind.fillText = function (text, x, y) {
+    const m = this.measureText(text), t = this.getTransform(), s = window.devicePixelRatio || 1;
+    const low = [x - m.actualBoundingBoxLeft, y - m.actualBoundingBoxAscent];
+    const high = [x + m.actualBoundingBoxRight, y + m.actualBoundingBoxDescent];
+    const [p, q] = [low, high].map(([a, b]) => [(t.a * a + t.c * b + t.e) / s, (t.b * a + t.d * b + t.f) / s]);
+    const [left, right] = [Math.min(p[0], q[0]), Math.max(p[0], q[0])];
+    const [top, bottom] = [Math.min(p[1], q[1]), Math.max(p[1], q[1])];
+    const c = this.canvas;
+    window.written.push([c.id, String(text), left, top, right, bottom, c.clientWidth, c.clientHeight, t.b !== 0]);
+    return plain.call(this, text, x, y);
+  };
+  return 1;
+})()"""
+"""Keeps every text that a canvas is given: canvas, text, its box in pixels, size of the canvas, whether it lies."""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axis(
+    opened: chromium.Chromium, width: int
+) -> None:
+    opened.ask("Emulation.setDeviceMetricsOverride", width=width, height=1400, deviceScaleFactor=1, mobile=width < 500)
+    opened.settle()
+    opened.value(_LISTEN)
+    try:
+        for view in ("1", "2", "0"):
+            for scale in ("linear", "db"):
+                opened.value("window.written = []; 1")
+                _choose(opened, "live-scale", scale)
+                _choose(opened, "live-view", view)
+                opened.mouse("mouseMoved", *_middle(opened))
+                written = opened.value("window.written")
+                assert {one[0] for one in written} == {"live-map", "live-cuts"}
+                cut = [
+                    one[1]
+                    for one in written
+                    if one[2] < -1 or one[3] < -1 or one[4] > one[6] + 1 or one[5] > one[7] + 1
+                ]
+                assert not cut, (view, scale, cut)
+                for name in [one for one in written if one[8]]:
+                    on_it = [
+                        one[1]
+                        for one in written
+                        if one[0] == name[0] and not one[8] and one[2] < name[4] and name[2] < one[4]
+                        and one[3] < name[5] and name[3] < one[5]
+                    ]  # fmt: skip
+                    assert not on_it, (view, scale, name[1], on_it)
+    finally:
+        opened.ask("Emulation.clearDeviceMetricsOverride")
+
+
+def _middle(browser: chromium.Chromium) -> tuple[float, float]:
+    left, top, width, height = browser.value(
+        "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
+        " return [b.left, b.top, b.width, b.height] })()"
+    )
+    return left + width / 2, top + height / 2

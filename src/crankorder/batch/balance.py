@@ -57,9 +57,17 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
         return Balance(subject=hinged, max_order=max_order, speeds_rpm=speeds, document=_finite(document, source))
     subject = load_balanced_engine(engine)
     with np.errstate(over="ignore", invalid="ignore"):  # told once, and by name of the file
-        document = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+        try:
+            document = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+        except RequestError as error:  # of the engine, whose file the sheet does not know
+            raise _in_file(error, source) from None
     speeds = speeds or subject.balance.speeds_rpm
     return Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, document=_finite(document, source))
+
+
+def _in_file(error: RequestError, source: str) -> RequestError:
+    told = {key: getattr(error, key) for key in ("place", "found", "allowed", "remedy")}
+    return RequestError(error.problem, file=error.file or source, **told)
 
 
 def _finite(document: dict[str, Any], source: str) -> dict[str, Any]:

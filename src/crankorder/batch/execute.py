@@ -470,7 +470,7 @@ def _provenance(
     engine = None
     if plan.manifest.test.engine is not None:
         name = plan.manifest.test.engine
-        engine = with_gas_file(toml_table(name, "engines", beside=plan.folder)[0], name, plan.folder)
+        engine, _ = with_gas_file(toml_table(name, "engines", beside=plan.folder)[0], name, plan.folder)
     return {
         "schema_version": 1,
         "test": plan.name,

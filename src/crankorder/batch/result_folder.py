@@ -22,7 +22,6 @@ from typing import Any
 from crankorder.batch.store import file_sha256, flush_folder, json_bytes, write_flushed
 from crankorder.errors import EnvironmentFailure, InputError, RequestError, printable
 from crankorder.findings import SCHEMA_VERSION, Findings
-from crankorder.ingest.folder import is_leftover
 
 DONE, RESULTS, FINDINGS = "done.json", "results.nc", "findings.json"
 TIMINGS = "timings.json"
@@ -67,6 +66,8 @@ def finished_with(folder: Path, key: str) -> bool:
 
 def foreign_in(folder: Path) -> list[str]:
     """Names of what lies in ``folder`` and no earlier run wrote; what editors and file managers leave is nobody's."""
+    from crankorder.ingest.folder import is_leftover  # reads manifests too, which `balance` need not wait for
+
     try:
         names = {item.name for item in folder.iterdir()}
     except FileNotFoundError:

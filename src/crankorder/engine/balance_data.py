@@ -22,6 +22,7 @@ from crankorder.engine.balancing import (
 )
 from crankorder.engine.crankshaft import CrankshaftData, crankshaft_table
 from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive, with_gas_file
+from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.rod import RodSplits, cut_consequences, two_mass_inertia_g_mm2
@@ -183,7 +184,7 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
     Raises RequestError where there is no such file, ManyErrors with every fault of its content.
     """
     table, source = toml_table(name, "engines", beside=beside)
-    table = with_gas_file(table, name, beside)
+    table, of_gas = with_gas_file(table, name, beside)
     if "kind" in table and "kind" not in Engine.model_fields:
         raise RequestError(
             "not a crank engine with balance data",
@@ -192,16 +193,18 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
             found=table["kind"],
             remedy="Name an engine with crank radius, rod length and masses",
         )
-    return balanced_engine(table, name=Path(name).stem, source=source)
+    return balanced_engine(table, name=Path(name).stem, source=source, faults=of_gas)
 
 
-def balanced_engine(table: dict[str, Any], *, name: str, source: str) -> BalancedEngine:
+def balanced_engine(
+    table: dict[str, Any], *, name: str, source: str, faults: Sequence[CrankorderError] = ()
+) -> BalancedEngine:
     """Engine and balance data from the content of an engine file.
 
-    ``table``: content, as TOML gives it. ``name``: of the engine. ``source``: what errors call the file.
-    Raises ManyErrors that lists every fault.
+    ``table``: content, as TOML gives it. ``name``: of the engine. ``source``: what errors call the file. ``faults``:
+    found before, told with those of the content. Raises ManyErrors that lists every fault.
     """
-    faults: list[CrankorderError] = []
+    faults = list(faults)
     engine = balance = None
     try:
         engine = Engine.model_validate({key: value for key, value in table.items() if key != TABLE})
@@ -215,7 +218,7 @@ def balanced_engine(table: dict[str, Any], *, name: str, source: str) -> Balance
     if engine is not None and balance is not None:
         faults += _disagreements(engine, balance, source)
     if engine is not None:
-        faults += _firing_not_told(engine, source)
+        faults += _firing_not_told(engine, source) + _shafts_against_nothing(engine, source)
     if faults or engine is None or balance is None:
         raise ManyErrors(faults)
     return BalancedEngine(name=name, engine=engine, balance=balance)
@@ -229,6 +232,17 @@ def _firing_not_told(engine: Engine, source: str) -> list[CrankorderError]:
         firing_intervals_deg(engine)
     except RequestError as error:
         return [RequestError(error.problem, file=source, place=error.place, remedy=error.remedy)]
+    return []
+
+
+def _shafts_against_nothing(engine: Engine, source: str) -> list[CrankorderError]:
+    """The fault of a pair of shafts at an order of which the pistons make no force."""
+    if not engine.shafts.orders and not engine.shafts.pairs:
+        return []
+    try:
+        crankcase_forces(engine, 1.0, max_order=engine.shafts.every_order[-1])
+    except RequestError as error:
+        return [RequestError(error.problem, file=source, place=error.place, found=error.found, remedy=error.remedy)]
     return []
 
 

@@ -37,7 +37,7 @@ from crankorder.engine.balancing import (
     unbalance_force_n,
 )
 from crankorder.engine.cycle_tables import cycle_sentences, cycle_table
-from crankorder.engine.definition import BalanceShafts
+from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.engine_tables import (
     by_axis,
     design_sentences,
@@ -58,6 +58,7 @@ from crankorder.engine.shafts import (
     parts_unbalance_g_mm,
     shaft_layout,
 )
+from crankorder.engine.slider_crank import dead_centres, fastest_piston
 from crankorder.engine.tolerance_study import tolerance_sentences
 from crankorder.errors import RequestError, plain_number
 
@@ -83,6 +84,7 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     shakes = "no force shakes the engine" if made == _NO_FORCE else f"the engine shakes with {made}"
     said = [f"{state[0].upper()}{state[1:]} {shakes}."]
     said += moment_sentences(sheet["moment_g_mm2"], speed_rpm)
+    said.append(_piston_sentence(sheet["piston"], speed_rpm))
     said += cycle_sentences(sheet["cycle"], speed_rpm)
     said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
     said += _of_shafts(sheet["shafts"], speed_rpm, where)
@@ -99,8 +101,7 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
 
 def plain_state(sheet: Mapping[str, Any]) -> str:
     """What the plain engine of a ``sheet`` is called: a rotating unbalance that its file states has counterweights."""
-    masses = sheet["masses_g"]
-    if masses["rod_at_crank_pin"] is not None or not masses["rotating_at_crank_radius"]:
+    if not sheet["counterweights_in_file"]:
         return "with no balancing"
     return "as built" if sheet["shafts"]["own"] is None else "without its shafts"
 
@@ -305,6 +306,8 @@ def balance_sheet(
         "lambda": masses.mechanism.crank_ratio,
         "harmonics": harmonic_shares(masses.mechanism, max_order),
         "masses_g": _masses(subject, masses),
+        "piston": _piston(engine, speeds),
+        "counterweights_in_file": _has_counterweights(subject),
         "force_g_mm": by_axis(made),
         "force_phase_deg": phases_by_axis(made),
         "moment_g_mm2": whole_moments(bare, max_order),
@@ -369,6 +372,33 @@ def _masses(subject: BalancedEngine, masses: ReducedMasses) -> dict[str, float |
         "rod_at_crank_pin": None if parts is None else parts.rod_at_crank_pin_g,
         "rod_at_piston_pin": None if parts is None else parts.rod_at_piston_pin_g,
     }
+
+
+def _piston(engine: Engine, speeds: Sequence[float]) -> dict[str, Any]:
+    """Stroke, where a piston goes down fastest, and its speeds in m/s."""
+    fastest_rev, per_radian = fastest_piston(engine.mechanism)
+    stroke_m = dead_centres(engine.mechanism).stroke_m
+    return {
+        "stroke_mm": 1e3 * stroke_m,
+        "fastest_deg": 360 * fastest_rev,
+        "mean_m_s": {speed_key(speed): stroke_m * speed / 30 for speed in speeds},
+        "fastest_m_s": {speed_key(speed): per_radian * speed * math.pi / 30 for speed in speeds},
+    }
+
+
+def _piston_sentence(piston: Mapping[str, Any], speed_rpm: float) -> str:
+    key = speed_key(speed_rpm)
+    mean, fastest = (plain_number(piston[name][key]) for name in ("mean_m_s", "fastest_m_s"))
+    return (
+        f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at "
+        f"{piston['fastest_deg']:.4g}° after its dead centre."
+    )
+
+
+def _has_counterweights(subject: BalancedEngine) -> bool:
+    """Whether the file states webs or what rotates, as its counterweights leave it; parts of a train have none yet."""
+    turning = any(one.rotating_unbalance_kg_m for one in subject.engine.each)
+    return bool(subject.engine.webs) or (subject.balance.train is None and turning)
 
 
 def _strategy(

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.definition import Engine
 from crankorder.engine.engine_tables import listed
-from crankorder.engine.forces import CylinderLoads, cylinder_loads, inertia_torque, main_bearing_loads
+from crankorder.engine.forces import (
+    CylinderLoads,
+    cylinder_loads,
+    gas_on_piston,
+    inertia_torque,
+    main_bearing_loads,
+)
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.harmonics import last_order_above_round_off
 from crankorder.engine.in_cycle import TORQUE_ORDERS, lag_from_torque
@@ -52,8 +58,8 @@ class CycleCurves:
         return self.gas_n_m + self.inertia_n_m
 
 
-def cycle_curves(engine: Engine, speed_rpm: float) -> CycleCurves:
-    """Torques and loads of ``engine`` over a cycle at the steady ``speed_rpm``, half a degree apart.
+def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
+    """Torques and loads of ``engine`` over a cycle at each of the steady ``speeds`` (rpm), half a degree apart.
 
     Raises RequestError for a firing engine of several cylinders whose firing angles are missing.
     """
@@ -62,19 +68,24 @@ def cycle_curves(engine: Engine, speed_rpm: float) -> CycleCurves:
     if engine.gas is not None:
         for one, cylinder in zip(engine.each, engine.cylinders, strict=True):
             gas += gas_torque(one, angles - firing_angle_deg(engine, cylinder) / 360)
-    known = engine.gas is None or engine.gas.torque_n_m is None
-    loads = tuple(
-        cylinder_loads(engine, angles, speed_rpm, cylinder=number) for number in range(len(engine.cylinders)) if known
-    )
-    bearings = main_bearing_loads(engine, angles, speed_rpm) if known and engine.main_bearings_m else None
-    return CycleCurves(
-        speed_rpm=speed_rpm,
-        crank_angle_rev=angles,
-        gas_n_m=gas,
-        inertia_n_m=_inertia(engine, angles, speed_rpm),
-        loads=loads,
-        bearings_n=bearings,
-    )
+    numbers = range(len(engine.cylinders)) if _has_loads(engine) else range(0)
+    on_pistons = [gas_on_piston(engine, angles, cylinder=number) for number in numbers]  # at any speed
+
+    def at(speed_rpm: float) -> CycleCurves:
+        loads = tuple(
+            cylinder_loads(engine, angles, speed_rpm, cylinder=number, gas_n=on_pistons[number]) for number in numbers
+        )
+        with_places = bool(loads) and bool(engine.main_bearings_m)
+        return CycleCurves(
+            speed_rpm=speed_rpm,
+            crank_angle_rev=angles,
+            gas_n_m=gas,
+            inertia_n_m=_inertia(engine, angles, speed_rpm),
+            loads=loads,
+            bearings_n=main_bearing_loads(engine, angles, speed_rpm, loads=loads) if with_places else None,
+        )
+
+    return [at(speed) for speed in speeds]
 
 
 def _inertia(engine: Engine, angles: Floats, speed_rpm: float) -> Floats:
@@ -98,7 +109,7 @@ def cycle_table(engine: Engine, *, max_order: int, speeds: Sequence[float]) -> d
     if engine.gas is not None:
         gas_orders, gas = gas_torque_by_order(engine, max_order)
     masses = np.abs(inertia_torque(engine, max_order))
-    curves = {speed_key(speed): cycle_curves(engine, speed) for speed in speeds}
+    curves = {speed_key(one.speed_rpm): one for one in cycle_curves(engine, speeds)}
     return {
         "firing": _firing(engine),
         "gas": None if engine.gas is None else _gas(engine, gas_orders, gas),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sized
+from collections.abc import Mapping, Sized
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from crankorder.engine.bearings import Bearing
 from crankorder.engine.slider_crank import SliderCrank
-from crankorder.errors import ManyErrors, RequestError
+from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
 
 Positive = Annotated[float, Field(gt=0)]
@@ -85,7 +85,8 @@ class SingleShaft(EngineData):
 class BalanceShafts(EngineData):
     """Balance shafts: pairs that act along Z, by the orders that they cancel or by their unbalance, and single ones.
 
-    ``orders`` are cancelled but for ``unbalanced_mass_kg``, the reciprocating mass of each cylinder that is left. A
+    ``orders``: of them the force of the pistons is cancelled but for ``unbalanced_mass_kg``, the reciprocating mass of
+    each cylinder that is left; what turns with the crank is for its webs, and stays. A
     pair of ``pairs`` stands against the force of its order with what unbalance it has: too little leaves force, too
     much reverses it. ``timed_to = "force"``: each pair stands against the whole force of its order, the quadrature part
     that an offset makes included. ``"crank"``: the pair is timed to the crank and leaves that part. ``position_m``:
@@ -371,21 +372,33 @@ class Engine(EngineData):
         return max(one.reciprocating_mass_kg for one in self.each)
 
 
-def with_gas_file(table: dict[str, Any], name: str, beside: Path | None) -> dict[str, Any]:
+def with_gas_file(
+    table: dict[str, Any], name: str, beside: Path | None
+) -> tuple[dict[str, Any], list[CrankorderError]]:
     """``table`` of an engine file with the curve of its gas read from the CSV file that ``[gas] file`` names.
 
     ``name`` and ``beside``: as the engine was asked for; the CSV file is looked for beside the engine file.
-    Raises RequestError where there is no such file, it lacks a column, or a value is no number.
+    The second is the fault of that file, told with those of the engine: it is missing, lacks a column, has a value that
+    is no number, or stands beside a curve. The table then has a curve in its place, so that its other faults are told.
     """
     gas = table.get("gas")
     if not isinstance(gas, dict) or not isinstance(gas.get("file"), str):
-        return table
+        return table, []
+    try:
+        return {**table, "gas": {**gas, **_gas_of_file(gas, name, beside)}}, []
+    except RequestError as error:
+        in_its_place = {} if {*GAS_COLUMNS} & gas.keys() else {"crank_angle_deg": [0, 180], "pressure_pa": [1e5, 1e5]}
+        return {**table, "gas": {**gas, **in_its_place}}, [error]
+
+
+def _gas_of_file(gas: Mapping[str, Any], name: str, beside: Path | None) -> dict[str, list[float]]:
     candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
     folder = next((path.parent for path in candidates if path.is_file()), Path())
     path = folder / gas["file"]
     taken = {key for key in GAS_COLUMNS if key in gas}
     if taken:
-        raise RequestError("a gas file takes the place of the curve", place="gas", found=", ".join(sorted(taken)))
+        found = ", ".join(sorted(taken))
+        raise RequestError("a gas file takes the place of the curve", file=name, place="gas", found=found)
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             rows = list(csv.DictReader(line for line in stream if line.strip() and not line.startswith("#")))
@@ -397,10 +410,9 @@ def with_gas_file(table: dict[str, Any], name: str, beside: Path | None) -> dict
         allowed = "crank_angle_deg and pressure_pa or torque_n_m"
         raise RequestError("not the columns of a gas file", file=str(path), found=found, allowed=allowed)
     try:
-        curve = {key: [float(row[key]) for row in rows] for key in columns}
+        return {key: [float(row[key]) for row in rows] for key in columns}
     except (TypeError, ValueError) as error:
         raise RequestError("a value is no number", file=str(path), found=error) from None
-    return {**table, "gas": {**gas, **curve}}
 
 
 def load_engine(name: str, beside: Path | None = None) -> Engine:
@@ -411,7 +423,7 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
     its content. A table ``[balance]`` is left to ``crankorder.engine.balance_data``.
     """
     table, source = toml_table(name, "engines", beside=beside)
-    table = with_gas_file(table, name, beside)
+    table, of_gas = with_gas_file(table, name, beside)
     if "kind" in table:
         raise RequestError(
             "not an engine of cranks, rods and cylinders",
@@ -419,7 +431,11 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
             place="kind",
             found=table["kind"],
         )
+    faults: list[CrankorderError] = [*of_gas]
     try:
-        return Engine.model_validate({key: value for key, value in table.items() if key != "balance"})
+        engine = Engine.model_validate({key: value for key, value in table.items() if key != "balance"})
     except ValidationError as error:
-        raise ManyErrors([validation_fault(fault, source) for fault in error.errors()]) from None
+        faults += [validation_fault(fault, source) for fault in error.errors()]
+    if faults:
+        raise ManyErrors(faults)
+    return engine

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -273,19 +273,26 @@ class CylinderLoads:
     torque_n_m: Angles
 
 
-def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float, *, cylinder: int = 0) -> CylinderLoads:
+def cylinder_loads(
+    engine: Engine,
+    crank_angle_rev: ArrayLike,
+    speed_rpm: float,
+    *,
+    cylinder: int = 0,
+    gas_n: NDArray[np.float64] | None = None,
+) -> CylinderLoads:
     """Loads of one cylinder of ``engine`` at steady speed, from exact kinematics, gas and the rod's true inertia.
 
     ``crank_angle_rev``: the engine's, any shape. ``speed_rpm``: ≥ 0. ``cylinder``: its number, from 0. Friction and the
     weights are left out. Without a rod in the data its mass counts as the two ends' and the crank pin's load lacks
-    the big end's part. Raises RequestError where the gas is known by its torque only.
+    the big end's part. ``gas_n``: gas force at the angles, where it is known already: no speed changes it.
+    Raises RequestError where the gas is known by its torque only.
     Source: Newton and Euler for piston and rod; the couple of the rod's inertia by truth sheet 2.7.
     """
     where = engine.cylinders[cylinder]
     angles = np.asarray(crank_angle_rev, dtype=np.float64)
-    fires_rev = 0.0 if engine.gas is None else firing_angle_deg(engine, where) / 360
+    gas = gas_on_piston(engine, angles, cylinder=cylinder) if gas_n is None else gas_n
     engine = engine.each[cylinder]
-    gas = gas_force(engine, angles - fires_rev)
     own = angles + (where.crank_deg - where.bank_deg) / 360
     omega_squared = (speed_rpm * np.pi / 30) ** 2
     sine, cosine = sine_cosine(own)
@@ -318,32 +325,47 @@ def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float,
     )
 
 
-def main_bearing_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> Angles:
+def gas_on_piston(engine: Engine, crank_angle_rev: ArrayLike, *, cylinder: int) -> Angles:
+    """Gas force (N) on the piston of one cylinder, towards the crankshaft, at any speed.
+
+    ``engine``: any; without gas the force is zero. ``crank_angle_rev``: the engine's, any shape. ``cylinder``: its
+    number, from 0. Raises RequestError where the gas is known by its torque only.
+    """
+    fires_rev = 0.0 if engine.gas is None else firing_angle_deg(engine, engine.cylinders[cylinder]) / 360
+    return gas_force(engine.each[cylinder], np.asarray(crank_angle_rev, dtype=np.float64) - fires_rev)
+
+
+def main_bearing_loads(
+    engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float, *, loads: Sequence[CylinderLoads] | None = None
+) -> Angles:
     """Load (N) of the crankshaft on each main bearing, shape (bearing, 3, …), directions as in ``DIRECTIONS``.
 
     Each throw is carried by the bearings before and behind it, as a beam on two supports: a statically determinate
     crankshaft. ``engine``: with ``main_bearings_m``. ``crank_angle_rev``: the engine's, any shape. ``speed_rpm``: ≥ 0.
+    ``loads``: of each cylinder at these angles and this speed, where they are known already.
     Raises RequestError without bearing positions.
     """
     places = np.array(engine.main_bearings_m)
     if places.size == 0:
         raise RequestError("where are the main bearings?", place="main_bearings_m", remedy="Give their positions")
     angles = np.asarray(crank_angle_rev, dtype=np.float64)
-    loads = np.zeros((places.size, len(DIRECTIONS), *angles.shape))
-    for number, cylinder in enumerate(engine.cylinders):
-        along, across = cylinder_loads(engine, angles, speed_rpm, cylinder=number).main_n
+    if loads is None:
+        loads = [cylinder_loads(engine, angles, speed_rpm, cylinder=n) for n in range(len(engine.cylinders))]
+    carried = np.zeros((places.size, len(DIRECTIONS), *angles.shape))
+    for load, cylinder in zip(loads, engine.cylinders, strict=True):
+        along, across = load.main_n
         lean_sine, lean_cosine = sine_cosine(cylinder.bank_deg / 360)
         for bearing, part in _carried(places, cylinder.position_m):
-            loads[bearing, X] += part * (along * lean_sine + across * lean_cosine)
-            loads[bearing, Z] += part * (along * lean_cosine - across * lean_sine)
+            carried[bearing, X] += part * (along * lean_sine + across * lean_cosine)
+            carried[bearing, Z] += part * (along * lean_cosine - across * lean_sine)
     omega_squared = (speed_rpm * np.pi / 30) ** 2
     for weight in turning_weights(engine.model_copy(update={"shafts": BalanceShafts()})):
         sine, cosine = sine_cosine(angles)
         for bearing, part in _carried(places, weight.position_m):
             for axis in (X, Z):
                 force = omega_squared * weight.force_kg_m[axis]
-                loads[bearing, axis] += part * (force.real * cosine - force.imag * sine)
-    return loads
+                carried[bearing, axis] += part * (force.real * cosine - force.imag * sine)
+    return carried
 
 
 def _carried(places: Angles, position_m: float) -> tuple[tuple[int, float], tuple[int, float]]:

@@ -5,6 +5,8 @@ The one home of gas forces: balance, synthetic recordings and the causes of orde
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -77,16 +79,19 @@ def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray
     alone: dict[float, NDArray[np.complex128]] = {}
     for one, cylinder in zip(engine.each, engine.cylinders, strict=True):
         if one.offset_m not in alone:
-            alone[one.offset_m] = _by_line(one, lines)
+            alone[one.offset_m] = _spectrum(one)[lines]
         fires = firing_angle_deg(engine, cylinder) / 360
         total += alone[one.offset_m] * np.exp(-2j * np.pi * np.mod(fires / cycle * lines, 1))
     return lines / cycle, total
 
 
-def _by_line(engine: Engine, lines: NDArray[np.int64]) -> NDArray[np.complex128]:
+@lru_cache(maxsize=8)
+def _spectrum(engine: Engine) -> NDArray[np.complex128]:
+    """Gas torque of one cylinder by line of its cycle; the same for every speed, so it is kept."""
     angles = np.arange(engine.revs_per_cycle * SAMPLES_PER_REV) / SAMPLES_PER_REV
-    torque: NDArray[np.complex128] = 2 * np.fft.rfft(gas_torque(engine, angles))[lines] / angles.size
+    torque: NDArray[np.complex128] = 2 * np.fft.rfft(gas_torque(engine, angles)) / angles.size
     torque[0] /= 2
+    torque.flags.writeable = False
     return torque
 
 

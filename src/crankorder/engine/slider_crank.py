@@ -159,6 +159,19 @@ def plain_piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank
     return acceleration
 
 
+def fastest_piston(mechanism: SliderCrank) -> tuple[float, float]:
+    """Crank angle (revolutions) at which the piston goes down fastest, and its speed there over that of the crank (m).
+
+    ``mechanism``: lengths in metres. Found between the dead centres, where the acceleration turns.
+    """
+    turns = dead_centres(mechanism)
+    low, high = turns.top_rev, turns.bottom_rev
+    for _ in range(60):  # halves: to the last digit
+        middle = (low + high) / 2
+        low, high = (middle, high) if plain_piston_acceleration(middle, mechanism) > 0 else (low, middle)
+    return low, abs(float(piston_velocity(low, mechanism)))
+
+
 def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angles, Angles, Angles]:
     """Rod angle from the cylinder axis (rad) with its first and second derivative by crank angle.
 

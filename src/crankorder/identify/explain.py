@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -39,9 +40,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain"):
 
 
 NUMBERS = _Numbers.load()
-
-HALF_ORDER_QUANTITIES = ("pressure",)
-"""In these quantities every half order is the gas cycle of a four-stroke engine itself."""
 
 NOT_KNOWN = ("unexplained", "tone", "undecided", OR_OWN)
 """Words for lines whose cause is not known."""
@@ -83,6 +81,7 @@ def explained(
     sources: Sources,
     quantity: dict[str, str],
     settings: IdentifySettings,
+    in_cylinder: Collection[str] = (),
     folds: Sequence[ShownFold] = (),
     known: Sequence[LineSeen] = (),
     of_encoder: Words | None = None,
@@ -90,12 +89,12 @@ def explained(
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
-    The first that the evidence supports, in this order: the gas cycle in a pressure channel; in a firing engine gas or
-    engine kinematics, whichever its model makes far more of; engine kinematics; a gear that was stated; unbalance; the
-    gas cycle of a firing engine; a bearing (by the records of the bearings, within their intervals); a fold of
-    something else in data sampled by crank angle; a half order of the cycle; a mesh of teeth by its sidebands; a shaft
-    harmonic; a harmonic or sideband of another line; a second shaft. What is left is "unexplained". A line that slips
-    is no multiple of the cycle, one that is locked is no race of a bearing.
+    The first that the evidence supports, in this order: the gas cycle in the pressure of a cylinder; in a firing
+    engine gas or engine kinematics, whichever its model makes far more of; engine kinematics; a gear that was
+    stated; unbalance; the gas cycle of a firing engine; a bearing (by the records of the bearings, within their
+    intervals); a fold of something else in data sampled by crank angle; a half order of the cycle; a mesh of teeth
+    by its sidebands; a shaft harmonic; a harmonic or sideband of another line; a second shaft. What is left is
+    "unexplained". A line that slips is no multiple of the cycle, one that is locked is no race of a bearing.
 
     Parameters
     ----------
@@ -103,7 +102,8 @@ def explained(
     modal : its modes and tones
     bearings : findings of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
     sources : what is known of the machine
-    quantity : quantity of each channel by its name, such as "acceleration" or "pressure"
+    quantity : quantity of each channel by its name, such as "acceleration" or "sound pressure"
+    in_cylinder : channels that measure the pressure in a cylinder, where the machine is a piston engine
     settings : ``order_match`` says how near to its stated order a gear's line must be
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
@@ -112,22 +112,12 @@ def explained(
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
-    forces = _forces_of_cycle(orders, sources)
+    first = partial(_first_cause, orders=orders, bearings=bearings, races=races, sources=sources, folds=folds)
+    first = partial(first, forces=_forces_of_cycle(orders, sources), settings=settings, modes=modal.modes)
     for agreed in orders:
         for line in agreed.lines:
-            cause = _first_cause(
-                agreed,
-                line,
-                orders,
-                bearings,
-                races,
-                sources,
-                quantity[line.channel],
-                folds,
-                settings,
-                forces,
-                modal.modes,
-            )
+            name = line.channel
+            cause = first(agreed, line, quantity=quantity[name], in_cylinder=name in in_cylinder)
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
     for key, (text, evidence) in (of_encoder or {}).items():
         if causes[key].text in BY_ITSELF:
@@ -246,6 +236,7 @@ def _first_cause(
     races: list[StruckRace],
     sources: Sources,
     quantity: str,
+    in_cylinder: bool,
     folds: Sequence[ShownFold],
     settings: IdentifySettings,
     forces: ForcesOfCycle,
@@ -259,7 +250,7 @@ def _first_cause(
         "slips": "not locked to the shaft",
     }[agreed.lock]
     tests: list[Callable[[], Cause | None]] = [
-        lambda: _gas_in_pressure(of_cycle, quantity, proof, sources.revs_per_cycle),
+        lambda: _gas_in_pressure(of_cycle, in_cylinder, sources, proof),
         lambda: _gas_or_masses(forces.get((line.channel, agreed.order)), proof),
         lambda: _kinematics(of_cycle, orders, sources, proof),
         lambda: _stated_gear(agreed, sources, proof, settings),
@@ -274,10 +265,11 @@ def _first_cause(
     return next((cause for test in tests if (cause := test()) is not None), None)
 
 
-def _gas_in_pressure(of_cycle: float | None, quantity: str, proof: str, revs_per_cycle: int) -> Cause | None:
-    if quantity not in HALF_ORDER_QUANTITIES or of_cycle is None:
+def _gas_in_pressure(of_cycle: float | None, in_cylinder: bool, sources: Sources, proof: str) -> Cause | None:
+    """The gas cycle in the pressure of a cylinder itself; a rotor has none, whatever its pressures are."""
+    if not in_cylinder or of_cycle is None or not sources.has_pistons:
         return None
-    cycle = "four-stroke cycle" if revs_per_cycle == 2 else "cycle"
+    cycle = "four-stroke cycle" if sources.revs_per_cycle == 2 else "cycle"
     return Cause("gas cycle", f"order {of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {proof}")
 
 

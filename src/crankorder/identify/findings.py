@@ -58,7 +58,7 @@ from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, witho
 from crankorder.identify.speed_records import avoided_records, crossing_records, free_records, open_records
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
-from crankorder.quantities import QualityFlag, flags_of
+from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
 from crankorder.settings import IdentifySettings, Settings
 
 
@@ -95,8 +95,8 @@ def find(
     orders = _with_rows(in_map, order_map, frames, _rows_of_sweeps(followed, modal, swept), settings)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
-    explain = partial(explained, sources=sources, quantity=quantity, settings=asked, folds=folds, known=known)
-    explain = partial(explain, longest_rev=_longest(held), of_encoder=encoder_sidebands(in_map, order_map, frames))
+    explain = partial(_explainer(order_map, sources, settings), folds=folds, known=known, longest_rev=_longest(held))
+    explain = partial(explain, of_encoder=encoder_sidebands(in_map, order_map, frames))
     causes = explained_at(read, in_map, modal, bearings, explain=explain)
     modal = with_neighbours_named(modal, in_map, causes)
     motor = _judged(motor, in_map, causes, order_map, doubt, read)
@@ -124,6 +124,13 @@ def find(
     )
     closed = _balance(order_map, orders, modal, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
+
+
+def _explainer(order_map: xr.Dataset, sources: Sources, settings: Settings) -> partial[Causes]:
+    """:func:`explained`, told what the channels of ``order_map`` measure, ``sources`` and ``settings``."""
+    quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
+    in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
+    return partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=settings.identify)
 
 
 def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:

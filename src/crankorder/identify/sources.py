@@ -48,6 +48,11 @@ class Sources:
     service_rpm: float | None = None
     known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
 
+    @property
+    def has_pistons(self) -> bool:
+        """Whether it is a piston engine, of four or of two strokes."""
+        return self.revs_per_cycle == 2 or self.two_stroke or self.engine is not None
+
     def __post_init__(self) -> None:
         orders = {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
         object.__setattr__(self, "known_bearing_orders", orders)

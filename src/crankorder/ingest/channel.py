@@ -40,9 +40,10 @@ class Channel(Table):
     )
     quantity: str = Field(
         default="",
-        description="What is analysed, where the unit does not tell; it must agree with the unit. A velocity or a "
+        description="What is analysed, where the unit does not tell; it must agree with the unit. A pressure in Pa is "
+        "that of a microphone, in bar or kPa a cylinder's, where none is stated. A velocity or a "
         "displacement is integrated from an acceleration that the file's unit, sensitivity or measured_unit states.",
-        examples=["pressure"],
+        examples=["cylinder pressure"],
     )
     measured_unit: str | None = Field(
         default=None,

@@ -141,7 +141,7 @@ def operating_shapes(
     shape = (len(names), len(grouped.groups), len(wanted))
     made = {name: np.full(shape, np.nan) for name in _Estimate.__dataclass_fields__}
     for row in range(len(grouped.groups)):
-        estimate = _estimate(lines, origin, grouped, row, _Beside(grouped, wanted, scale))
+        estimate = _estimate(lines, origin, off <= ON_BIN, grouped, row, _Beside(grouped, wanted, scale))
         for name, values in made.items():
             values[:, row] = getattr(estimate, name)
     for name in ("amplitude", "low", "high"):
@@ -175,17 +175,21 @@ def _strongest(lines: Complexes, scale: Floats, units: list[str]) -> Ints:
     return np.asarray(np.argmax(np.where(alike[:, None], power, -1.0), axis=0))
 
 
-def _estimate(lines: Complexes, origin: Ints, grouped: LikeSpeedFrames, row: int, beside: _Beside) -> _Estimate:
+def _estimate(
+    lines: Complexes, origin: Ints, on_bin: Bools, grouped: LikeSpeedFrames, row: int, beside: _Beside
+) -> _Estimate:
     """Mean phasors of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
     group = grouped.groups[row]
     lines, owner = lines[:, group], grouped.owner[group]
-    turned = lines * _direction(np.where(origin == CRANK, 1.0, _from_channel(lines, origin))).conj()
+    measured_from = _steady(_from_channel(lines, origin), owner, on_bin, grouped.n_complex[row])
+    turned = lines * _direction(np.where(origin == CRANK, 1.0, measured_from)).conj()
     kept = ~np.isnan(turned)
     count = np.count_nonzero(kept, axis=1)
     mean = np.where(kept, turned, 0.0).sum(axis=1) / np.maximum(count, 1)
     mean[count == 0] = np.nan
     amplitude = np.abs(mean)
     scatter = np.where(kept, (turned - mean[:, None]) * _direction(mean).conj()[:, None], 0.0)
+    scatter = _less_the_origins_own(scatter, amplitude, origin)
     share = count / max(lines.shape[1], 1)
     n_power = grouped.n_power[row] * share
     along, across = _errors(scatter, count, owner, grouped.n_complex[row] * share)
@@ -204,6 +208,42 @@ def _estimate(lines: Complexes, origin: Ints, grouped: LikeSpeedFrames, row: int
     half_phase = phase_interval_deg(amplitude, *wider_of(*parts[1], between.across, between), seen=seen)
     coherence = _coherence(lines, mean, kept, origin, n_power)
     return _Estimate(amplitude, low, high, np.degrees(np.angle(mean)), half_phase, coherence)
+
+
+def _steady(of_channel: Complexes, owner: Ints, on_bin: Bools, n_complex: float) -> Complexes:
+    """Lines ``of_channel`` (1, frames, orders), each frame's replaced by its recording's mean where that is seen.
+
+    A line that keeps its place to the crank within a recording has one phase there. Each frame's own phase follows its
+    noise as well: amplitudes from it are those of line and noise together, too large beside a natural frequency.
+    """
+    made = of_channel.copy()
+    for one in np.unique(owner):
+        own = of_channel[:, owner == one]
+        kept = ~np.isnan(own)
+        count = np.count_nonzero(kept, axis=1)
+        mean = np.where(kept, own, 0.0).sum(axis=1) / np.maximum(count, 1)
+        scatter = np.where(kept, (own - mean[:, None]) * _direction(mean).conj()[:, None], 0.0)
+        n_own = n_complex * count / len(owner)
+        along, across = _errors(scatter, count, np.zeros(own.shape[1], dtype=np.int64), n_own)
+        spare = np.where(np.isfinite(along), 2.0 * np.maximum(n_own - 1.0, 0.0), 0.0)
+        seen = on_bin & is_seen(np.abs(mean), 0.5 * (along + across), spare)
+        made[:, owner == one] = np.where(kept & seen[:, None], mean[:, None], own)
+    return made
+
+
+def _less_the_origins_own(scatter: Complexes, amplitude: Floats, origin: Ints) -> Complexes:
+    """``scatter`` (channels, frames, orders) along each mean, and across it against the channel that phases are from.
+
+    What turns both alike turns no phase between them; the channel itself has none.
+    """
+    at = np.maximum(origin, 0)[None, :]
+    size = np.take_along_axis(amplitude, at, axis=0)
+    turned = np.divide(
+        np.take_along_axis(scatter, at[:, None], axis=0).imag, size[:, None], where=size[:, None] > 0.0,
+        out=np.zeros((1, *scatter.shape[1:])),
+    )  # fmt: skip
+    shared = np.where(origin == CRANK, 0.0, turned) * np.nan_to_num(amplitude)[:, None]
+    return np.asarray(scatter.real + 1j * (scatter.imag - np.where(scatter == 0.0, 0.0, shared)))
 
 
 def _from_channel(lines: Complexes, origin: Ints) -> Complexes:

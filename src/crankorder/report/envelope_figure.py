@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Drawing, Rings, Words, quality_note, title_lines
-from crankorder.plot.labels import Key, draw_keys
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
 from crankorder.plot.panel import Panel
 from crankorder.plot.typeface import drawable, shortened
@@ -17,7 +19,7 @@ from crankorder.report.spectra_figure import Mark, column_boxes, column_panels, 
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT = 1.0, 0.3  # inches
-_NAME_LETTERS = 14  # of a bearing in a label, where there are several
+_NAME_LETTERS = (60, 40, 30, 22, 16, 12, 8)  # of a bearing in a label, where there are several: the most that fit
 _FLOOR = LINES[4]
 _SIDEBANDS = 2  # marked on either side of a line that has some
 _MULTIPLES = 12  # of a line that was found, marked at most
@@ -34,7 +36,8 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     places = [(_LEFT, bottom, width, height) for bottom, height in heights]
     mean, floor = (_mean_over_speeds(envelope, name) for name in ("amplitude", "floor"))
     panels = column_panels(drawing, places, envelope, "order", mean, " (envelope)", settings=settings)
-    marks, found = _expected(findings), False
+    seen = _found(findings)
+    marks, found = _expected(findings, width - _room_of(seen)), False
     for panel in panels:
         for order, _, color in marks:
             panel.upright(order, color=color, width=0.8, alpha=0.7, dashes=MODE_DASHES, name="expected")
@@ -46,7 +49,7 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     for number, (panel, channel) in enumerate(zip(panels, envelope["channel"].values.astype(str), strict=True)):
         found |= _draw_found(panel, envelope["order"].values, mean[number], findings, channel)
         _write_band(panel, envelope, number)
-    label_column(panels[0], [*marks, *_found(findings)], "")
+    label_column(panels[0], [*marks, *seen], "")
     draw_keys(drawing, _LEFT, _keys(drawing, expected=bool(marks), found=found))
     name = drawable(findings.test, settings.max_name_characters)
     title_lines(drawing, _LEFT, f"{name} · envelope spectra", _subtitle(envelope.sizes["speed"], bool(marks), found))
@@ -87,19 +90,54 @@ def _mean_over_speeds(envelope: xr.Dataset, name: str) -> NDArray[np.float64]:
     return np.asarray(scale * (total / np.maximum(known.sum(axis=1), 1)) ** 0.25, dtype=np.float64)
 
 
-def _expected(findings: Findings) -> list[Mark]:
-    """Order, text and colour of every line that the bearings of ``findings`` are expected to show."""
+def _expected(findings: Findings, width_in: float) -> list[Mark]:
+    """Order, text and colour of every line that the bearings of ``findings`` are expected to show.
+
+    Names of bearings are as long as all texts together fit into ``width_in`` inches.
+    """
+    made: list[Mark] = []
+    for letters in _NAME_LETTERS:
+        made = _expected_with(findings, letters)
+        if _room_of(made) <= width_in:
+            break
+    return made
+
+
+def _expected_with(findings: Findings, letters: int) -> list[Mark]:
+    """The same with no more than ``letters`` of a name."""
     records = [record for record in findings.bearings if is_number(record.order_expected)]
-    several = len({record.name for record in records}) > 1
+    names = _short({drawable(record.name, _NAME_LETTERS[0]) for record in records}, letters)
     marks: dict[float, list[str]] = {}
     for record in sorted(records, key=lambda one: one.order_expected):
-        text = drawable(str(record.line or "").replace("*", "·"), _NAME_LETTERS)
-        if several:
-            text = f"{text} {drawable(record.name, _NAME_LETTERS)}"
+        text = drawable(str(record.line or "").replace("*", "·"), _NAME_LETTERS[0])
+        if len(names) > 1:
+            text = f"{text} {names[drawable(record.name, _NAME_LETTERS[0])]}"
         texts = marks.setdefault(record.order_expected, [])
         if text not in texts:
             texts.append(text)
     return [(order, f"{', '.join(texts[:2])} {order_text(order)}", MODE) for order, texts in marks.items()]
+
+
+def _short(names: set[str], letters: int) -> dict[str, str]:
+    """Each of ``names`` in at most ``letters``: what they begin with alike goes first, then the middle of the rest.
+
+    Bearings of one machine mostly differ at the end: "gearbox, drive end" and "gearbox, fan end".
+    """
+    alike = "".join(each[0] for each in takewhile(lambda letters: len({*letters}) == 1, zip(*names, strict=False)))
+    start = max(alike.rfind(" "), alike.rfind("_"), alike.rfind("-")) + 1
+
+    def cut(name: str) -> str:
+        if len(name) <= letters:
+            return name
+        rest = name[start:]
+        return rest if len(rest) <= letters else f"{rest[: letters // 2]}…{rest[-(letters - letters // 2 - 1) :]}"
+
+    return {name: cut(name) for name in names}
+
+
+def _room_of(marks: list[Mark]) -> float:
+    """Inches that the texts of ``marks`` take side by side."""
+    return sum(label_width_in(EdgeLabel(0.0, text, color, 0), SMALL) for _, text, color in marks)
 
 
 def _found(findings: Findings) -> list[Mark]:

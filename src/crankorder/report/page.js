@@ -95,7 +95,7 @@
     return { x: [rpm[0] - spare, rpm[rpm.length - 1] + spare], y: state.db ? [Math.max(low / 1.5, top * 1e-5), top * 1.6] : [0, 1.08 * top] };
   };
   const track = (o, s) => (state.channel * view().orders.length + o) * view().speed.length + s;
-  const room = () => { const narrow = canvas.clientWidth < 520; return { left: narrow ? 46 : 58, right: narrow ? 40 : 62, top: 26, bottom: 40 }; };
+  const room = () => { const narrow = canvas.clientWidth < 520; return { left: narrow ? 56 : 58, right: narrow ? 48 : 62, top: 26, bottom: 40 }; };
   const axes = (pen, box, x, y, log) => {
     const f = log ? Math.log : (v) => v;
     return {
@@ -106,9 +106,14 @@
       vy: (p) => { const s = f(y[0]) + ((box[1] + box[3] - p) / box[3]) * (f(y[1]) - f(y[0])); return log ? Math.exp(s) : s; },
     };
   };
+  // what a list of ticks needs beside its axis, and the ticks of an upright axis and of the colour bar
+  const wide = (pen, list, font) => { pen.font = `${font || 12}px system-ui, sans-serif`; return Math.max(0, ...list.map(([, text]) => pen.measureText(text).width)); };
+  const upright = (y, log, h) => (log ? logTicks(y[0], y[1]) : ticks(y[0], y[1], h / 45));
+  const barTicks = () => { const v = view(), c = state.channel; return state.db ? ticks(v.limits[c][0], v.limits[c][1] || 1, 6) : ticks(0, v.largest[c] || 1, 6); };
   const main = () => {
-    const r = room(), w = canvas.clientWidth, h = canvas.clientHeight, at = state.box || whole();
-    return axes(pen, [r.left, r.top, w - r.left - r.right, h - r.top - r.bottom], at.x, at.y, !isMap() && state.db);
+    const r = room(), w = canvas.clientWidth, h = canvas.clientHeight - r.top - r.bottom, at = state.box || whole(), log = !isMap() && state.db;
+    const left = Math.max(r.left, 26 + wide(pen, upright(at.y, log, h))), right = isMap() ? Math.max(r.right, 24 + wide(pen, barTicks(), 11)) : r.right;
+    return axes(pen, [left, r.top, w - left - right, h], at.x, at.y, log);
   };
   const ready = (canvas, pen) => {
     const scale = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
@@ -122,10 +127,11 @@
     pen.strokeStyle = colour("faint"); pen.fillStyle = colour("ink"); pen.lineWidth = 1; pen.globalAlpha = 1;
     pen.strokeRect(l + 0.5, t + 0.5, w, h);
     pen.textAlign = "center"; pen.textBaseline = "top";
-    for (const [v, text] of ticks(a.x[0], a.x[1], w / 70)) { const p = a.px(v); pen.fillRect(p, t + h, 1, 4); pen.fillText(text, p, t + h + 6); }
+    const inside = (p, text) => { const half = pen.measureText(text).width / 2 + 1; return Math.max(half, Math.min(p, pen.canvas.clientWidth - half)); };
+    for (const [v, text] of ticks(a.x[0], a.x[1], w / 70)) { const p = a.px(v); pen.fillRect(p, t + h, 1, 4); pen.fillText(text, inside(p, text), t + h + 6); }
     pen.fillText(xLabel, l + w / 2, t + h + 22);
     pen.textAlign = "right"; pen.textBaseline = "middle";
-    for (const [v, text] of a.log ? logTicks(a.y[0], a.y[1]) : ticks(a.y[0], a.y[1], h / 45)) { const p = a.py(v); pen.fillRect(l - 4, p, 4, 1); pen.fillText(text, l - 6, p); }
+    for (const [v, text] of upright(a.y, a.log, h)) { const p = a.py(v); pen.fillRect(l - 4, p, 4, 1); pen.fillText(text, l - 6, p); }
     pen.save(); pen.translate(11, t + h / 2); pen.rotate(-Math.PI / 2); pen.textAlign = "center"; pen.fillText(yLabel, 0, 0); pen.restore();
     if (title) { pen.textAlign = "left"; pen.textBaseline = "bottom"; pen.fillText(title, l, t - 5); }
   };
@@ -261,8 +267,8 @@
     const from = state.db ? low : 0, to = state.db ? high : v.largest[state.channel];
     for (let k = 0; k < h; k++) { const at = 3 * Math.round(255 * (1 - k / h)); pen.fillStyle = `rgb(${LUT[at]},${LUT[at + 1]},${LUT[at + 2]})`; pen.fillRect(x, t + k, 9, 1.5); }
     pen.fillStyle = colour("ink"); pen.textAlign = "left"; pen.textBaseline = "middle"; pen.font = "11px system-ui, sans-serif";
-    for (const [value, text] of ticks(from, to || 1, 6)) pen.fillText(text, x + 12, t + h - ((value - from) / ((to || 1) - from)) * h);
-    pen.textBaseline = "bottom"; pen.textAlign = "right"; pen.fillText(state.db ? "dB" : unit(), x + 34, t - 5); pen.font = "12px system-ui, sans-serif";
+    for (const [value, text] of barTicks()) pen.fillText(text, x + 12, t + h - ((value - from) / ((to || 1) - from)) * h);
+    pen.textBaseline = "bottom"; pen.textAlign = "right"; pen.fillText(state.db ? "dB" : unit(), canvas.clientWidth - 2, t - 5); pen.font = "12px system-ui, sans-serif";
   };
   const lineColour = (n) => LINES[n % LINES.length];
   const drawTracks = (a) => {
@@ -294,7 +300,9 @@
   const cutAxes = (half, x, values) => {
     const w = side.clientWidth, h = side.clientHeight / 2, good = values.filter((v) => v > 0), top = Math.max(...good, 1e-300);
     const log = state.db && good.length > 0;
-    return axes(pen2, [54, half * h + 24, w - 64, h - 66], x, log ? [Math.max(Math.min(...good) / 1.3, top * 1e-5), top * 1.5] : [0, good.length ? top * 1.08 : 1], log);
+    const y = log ? [Math.max(Math.min(...good) / 1.3, top * 1e-5), top * 1.5] : [0, good.length ? top * 1.08 : 1];
+    const left = Math.max(54, 26 + wide(pen2, upright(y, log, h - 66)));
+    return axes(pen2, [left, half * h + 24, w - left - 10, h - 66], x, y, log);
   };
   const drawCuts = () => {
     ready(side, pen2);

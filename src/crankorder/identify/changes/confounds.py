@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import MethodNumbers
 
 
@@ -190,10 +191,11 @@ def _firing(
 
 
 def _pressure(order_map: xr.Dataset | None) -> float:
-    """Median over speeds of the pressure channels' total amplitude; 0 where there is none."""
+    """Median over speeds of the cylinder pressures' total amplitude; 0 where there is none."""
     if order_map is None:
         return 0.0
-    rows = [n for n, quantity in enumerate(order_map["quantity"].values) if str(quantity) == "pressure"]
+    told = zip(order_map["quantity"].values.tolist(), order_map["unit"].values.tolist(), strict=True)
+    rows = [n for n, (quantity, unit) in enumerate(told) if is_cylinder_pressure(quantity, unit)]
     energy = order_map["amplitude"].values[rows] ** 2
     return float(np.median(np.sqrt(np.nansum(energy, axis=2)))) if rows else 0.0
 

@@ -65,11 +65,11 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
             factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
             _second_scale(axes, factor, right)
             if number == 2:
-                keyed = [(called(names), system_color(names[0])) for names in rocking]
+                keyed = [(called(names, balance), system_color(names[0])) for names in rocking]
                 color_key(figure, (_LEFT + 2.6, bottom, width - 2.6, height), keyed)
             if number == len(groups) - 1:
                 axes.set_xlabel("order, cycles per crank revolution")
-        entries = [(called(system), system_color(system[0])) for system in systems]
+        entries = [(called(system, balance), system_color(system[0])) for system in systems]
         if len(entries) > 1:
             color_key(figure, (_LEFT, tall_in - _TOP + 0.2, width, 0.1), entries)
         said = (
@@ -78,7 +78,7 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         )
         said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
-        said += f" No force: {called(idle)}." if idle else ""
+        said += f" No force: {called(idle, balance)}." if idle else ""
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · force by order", said)
         return figure
 

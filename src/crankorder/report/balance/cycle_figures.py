@@ -51,7 +51,7 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     Dims speed, crank_angle (degrees), cylinder, bearing, and direction: "along" and "across" the cylinder for pins, "x"
     and "z" of the engine for main bearings.
     """
-    every = [cycle_curves(engine, speed) for speed in speeds_rpm]
+    every = cycle_curves(engine, speeds_rpm)
     first, turn = every[0], ("speed", "crank_angle")
     made: dict[str, Any] = {
         "gas_torque": (turn, np.stack([one.gas_n_m for one in every]), {"units": "N m"}),

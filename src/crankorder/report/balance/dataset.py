@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import BalancedEngine, reduced_masses
-from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES
+from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES, plain_state
 from crankorder.engine.balancing import OrderForce, balanced, force_by_order, polar_diagram, unbalance_force_n
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.engine_tables import MOMENT_AXES, designs_for, whole_force, whole_moments
@@ -29,6 +29,9 @@ SYSTEMS: dict[str, str] = {
     "own": "its own shafts",
 }
 """What each system is called: the plain engine, counterweights, counterweights with additional shafts, as it is."""
+
+PLAIN = "plain_engine"
+"""Attribute of the dataset that says what the plain engine is called: counterweights of its file make it "as built"."""
 
 _PHASE = "largest where order · crank angle is minus this"
 _POINTS = 720  # half a degree; at high orders 16 points a cycle
@@ -80,6 +83,8 @@ def balance_dataset(
             "harmonic_order": ("harmonic_order", np.array(list(shares), dtype=np.float64), _about("order", "1")),
         },
     )
+    state = plain_state(sheet)
+    dataset.attrs[PLAIN] = SYSTEMS["none"] if state == "with no balancing" else state
     return dataset if sheet["strategies"] is not None else _with_moments(dataset, subject, sheet, max_order)
 
 

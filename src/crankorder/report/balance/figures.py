@@ -34,6 +34,7 @@ from crankorder.report.balance.look import (
     axis_names,
     called,
     color_key,
+    head_of,
     system_color,
 )
 from crankorder.report.notation import number_text
@@ -62,7 +63,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         newtons = _newtons(balance, speed)
         for (text, kinds), row in zip(used, boxes, strict=False):
             curves = newtons.sel(system=kinds)
-            _force_row(figure, row, curves, text, axis_names(balance))
+            _force_row(figure, row, curves, text, balance)
         if "moment" in balance:
             _moment_row(figure, boxes[-1], balance, speed)
         said = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
@@ -70,12 +71,12 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         return figure
 
 
-def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, names: tuple[str, str]) -> None:
+def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, balance: xr.Dataset) -> None:
     """Two panels, along and across, with one scale; what draws the same line is named once."""
     groups = alike(curves)
     limit = 1.08 * float(np.abs(curves.values).max()) or 1.0
     angle = 360 * curves["crank_angle"].values
-    for axis, name, box in zip("xy", names, row, strict=True):
+    for axis, name, box in zip("xy", axis_names(balance), row, strict=True):
         axes = _angle_axes(figure, box, limit)
         axes.set_title(f"{text} · {name}", fontsize=9, color=INK, pad=16)
         axes.set_ylabel("N")
@@ -93,12 +94,12 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
             axes.text(
                 0.99,
                 0.03,
-                f"nothing: {called(zero)}" if len(groups) > 1 else "nothing",
+                f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing",
                 transform=axes.transAxes,
                 **look,
             )
     if curves.sizes["system"] > 1:
-        color_key(figure, row[0], [(called(members), system_color(members[0])) for members in groups])
+        color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
 
 
 def _angle_axes(figure: Figure, box: Box, limit: float) -> Axes:
@@ -141,7 +142,8 @@ def _in_words(balance: xr.Dataset, speed: float) -> str:
     names = [str(name) for name in balance["system"].values]
     if not newtons[0]:
         return "none"
-    said = f"up to {number_text(float(newtons[0]))} N" + (" without balancing" if len(names) > 1 else "")
+    plain = "without balancing" if head_of("none", balance) == SYSTEMS["none"] else head_of("none", balance)
+    said = f"up to {number_text(float(newtons[0]))} N" + (f" {plain}" if len(names) > 1 else "")
     for kinds in (COUNTERWEIGHTS[1:4], SHAFT_SETS[1:]):
         left = {name: float(newtons[names.index(name)]) for name in kinds if name in names}
         if left:

@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from crankorder.plot.style import INK, LINES, text_width_in, write
-from crankorder.report.balance.dataset import SYSTEMS
+from crankorder.report.balance.dataset import PLAIN, SYSTEMS
 from crankorder.report.notation import listed
 
 COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
@@ -79,11 +79,22 @@ def alike(curves: xr.DataArray) -> list[list[str]]:
     return groups
 
 
-def called(names: list[str]) -> str:
-    """``names`` of systems, what they have in common said once: ``"shafts 1 and 4"``."""
+def head_of(name: str, balance: xr.Dataset) -> str:
+    """What the system ``name`` of ``balance`` is called."""
+    return str(balance.attrs[PLAIN]) if name == "none" else SYSTEMS[name]
+
+
+def meaning_of(name: str, balance: xr.Dataset) -> str:
+    """What the system ``name`` of ``balance`` is, in a few words."""
+    stated = name == "none" and balance.attrs[PLAIN] != SYSTEMS["none"]
+    return "counterweights of its file, no shaft" if stated else MEANING[name]
+
+
+def called(names: list[str], balance: xr.Dataset) -> str:
+    """``names`` of systems of ``balance``, what they have in common said once: ``"shafts 1 and 4"``."""
     kinds: dict[str, list[str]] = {}
     for name in sorted(names, key=list(SYSTEMS).index):
-        kind, _, mark = SYSTEMS[name].rpartition(" ")
+        kind, _, mark = head_of(name, balance).rpartition(" ")
         kinds.setdefault(kind, []).append(mark)
     return ", ".join(f"{kind} {listed(marks)}" for kind, marks in kinds.items())
 

@@ -26,15 +26,16 @@ from crankorder.plot.style import (
     title_lines,
     write,
 )
-from crankorder.report.balance.dataset import SYSTEMS, order_sum
+from crankorder.report.balance.dataset import order_sum
 from crankorder.report.balance.look import (
     COUNTERWEIGHTS,
-    MEANING,
     NO_FORCE,
     SHAFT_SETS,
     axis_names,
     color_key,
     frame_around,
+    head_of,
+    meaning_of,
     system_color,
 )
 from crankorder.report.notation import number_text
@@ -115,7 +116,7 @@ def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
     def panel(name: str, drawn: Curve) -> Panel:
         at = names.index(name)
         turns = TURNS[str(balance["rotation"].values[at])]
-        head, meaning = (SYSTEMS[name], MEANING[name]) if len(names) > 1 else ("force", "")
+        head, meaning = (head_of(name, balance), meaning_of(name, balance)) if len(names) > 1 else ("force", "")
         return (head, meaning, drawn[at], system_color(name), turns, "N")
 
     kinds = [name for name in COUNTERWEIGHTS if name in names]
@@ -211,7 +212,8 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
             _harmonics(axes, balance, axis, per_omega)
             entries = [(name, color) for name, (_, color) in _PARTS.items()]
             color_key(figure, box, [*entries, ("all orders", FAINT)])
-        said = f"Force of the moving masses at {speed_key(speed)} rpm, no balancing; {_at_dead_centres(forces)}"
+        state = f"{speed_key(speed)} rpm, {head_of('none', balance)}"
+        said = f"Force of the moving masses at {state}; {_at_dead_centres(forces)}"
         title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", said)
         return figure
 
