@@ -388,7 +388,7 @@ def _encoder(
         return ["[encoder]", 'kind = "constant"'], True
     return [
         "# [encoder]                       # ? no column looks like an encoder: one of",
-        '# kind = "analogue"               #   with source, the column of a pickup, and pulses_per_rev or pattern = "60-2"',
+        '# kind = "analogue"               #   with source, the column of a pickup, and pulses_per_rev or pattern',
         '# kind = "constant"               #   with speed_rpm = 1500.0',
         '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
     ], False
