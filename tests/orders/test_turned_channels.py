@@ -132,3 +132,9 @@ def test_a_mark_that_moved_is_no_polarity() -> None:
     order = sound[1]["order"].values
     sound[1]["spectrum"][:] = sound[1]["spectrum"].values * np.exp(1j * np.pi * order)  # by half a turn of the crank
     assert told(sound) == []
+
+
+def test_recordings_of_unknown_speed_are_held_against_nothing() -> None:
+    item = machine(np.random.default_rng(7), LIKE)[0]
+    item["speed"][:] = np.nan
+    assert recorded_phases(item, n_orders=ORDERS) is None

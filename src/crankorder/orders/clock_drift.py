@@ -80,7 +80,7 @@ def clock_drift(frames: xr.Dataset) -> Drift | None:
     Of recordings at one speed alone: in a sweep modes turn the phases of lines.
     """
     speed = frames["speed"].values
-    if len(speed) < NUMBERS.fewest_frames or bool(frames.attrs.get("swept", 0)):
+    if np.isfinite(speed).sum() < NUMBERS.fewest_frames or bool(frames.attrs.get("swept", 0)):
         return None
     if np.nanmax(speed) > np.nanmin(speed) * (1.0 + NUMBERS.held_share):
         return None

@@ -57,7 +57,7 @@ class RecordedPhases:
 def recorded_phases(frames: xr.Dataset, *, n_orders: int) -> RecordedPhases | None:
     """The first ``n_orders`` orders of the cycle in ``frames`` (OrderFrames); None where the speed is not held."""
     speed = frames["speed"].values
-    if not len(speed) or not np.nanmax(speed) <= np.nanmin(speed) * (1.0 + NUMBERS.like_speed):
+    if not np.isfinite(speed).any() or not np.nanmax(speed) <= np.nanmin(speed) * (1.0 + NUMBERS.like_speed):
         return None
     order, spectrum = frames["order"].values, frames["spectrum"].values
     if len(order) < 2 or len(order) <= 2 * NUMBERS.beside_bins:
