@@ -273,7 +273,7 @@ def _orders_and_modes(
     """
     (held, seen), (followed, swept) = electric, sweeps
     in_map = _orders_in_map(order_map, frames, settings, followed)
-    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept.poles)
+    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
     modal = with_tones_parted(modal, held)

@@ -27,9 +27,10 @@ from crankorder.orders.fixed_lines import (
     met_row,
     met_stretches,
 )
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
+from crankorder.orders.intervals import NORMAL, amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.order_rows import OrderRows
+from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
@@ -391,10 +392,12 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
         return OrderRows.nothing(item.sizes["channel"], item.sizes["frame"])
     taken = item["smoothing"].values[:, place]
     value = item["amplitude"].values[:, place] + taken
-    error = np.hypot(item["standard_error"].values[:, place], np.abs(taken))
+    error = followed_error(item, place)
     dof = item["degrees_of_freedom"].values[:, place]
     magnitude, power = np.abs(value), 2.0 * error**2
     low, high = amplitude_interval(magnitude, power, dof)
+    more = item["smoothing_more"].values[:, place]  # a filter lowers a peak: what it may have taken is no doubt below
+    high, power = high + NORMAL * more, power + 2.0 * more**2
     angle = AngleErrors(item["angle_scatter"].values, item["angle_error"].values)
     turned = value * np.exp(
         2j * np.pi * ((float(item["order"].values[place]) - order) * item["crank_angle"].values % 1.0)
