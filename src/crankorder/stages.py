@@ -34,6 +34,7 @@ from crankorder.ingest.recording import read_recording
 from crankorder.orders.clock_drift import with_clock_drift
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.envelope import envelope_map, recording_envelope
+from crankorder.orders.fixed_lines import lines_of_findings
 from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
@@ -221,7 +222,8 @@ def tracks_of_recording(
     """
     swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
     found = swept_orders(frames, settings=settings) if swept else []
-    return RecordingTracks(followed_tracks(band, angle, settings=settings.orders, swept=swept, standing_out=found))
+    tracks = functools.partial(followed_tracks, band, angle, settings=settings.orders)
+    return RecordingTracks(tracks(swept=swept, standing_out=found, mains_hz=settings.identify.mains_hz))
 
 
 @stage
@@ -368,7 +370,8 @@ def tracks(
 ) -> OrderTracks:
     """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
     orders = followed_orders(findings, settings.orders)
-    made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed)
+    fixed = lines_of_findings(findings)
+    made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed, fixed=fixed)
     return OrderTracks(with_followed(made, list(followed)))
 
 

@@ -9,10 +9,12 @@ import pytest
 
 from crankorder.identify.modal.sweep_poles import SweepFits, sweep_fits
 from crankorder.identify.modal.sweep_window import SweepSpectrum
+from crankorder.settings import load_settings
 from machines.machine import Encoder, Machine, Mode, Order, Profile, Tone
 from machines.signals import order_envelope, recorded, sample_times
 
 RATE_HZ = 1024.0
+SETTINGS = load_settings().identify.model_copy(update={"false_alarm_probability": 1e-4, "max_damping_ratio": 0.2})
 HALVES = [0.5 * number for number in range(1, 25)]
 
 
@@ -29,7 +31,7 @@ def a_machine(*modes: tuple[float, float], rpm: tuple[float, float], seconds: fl
     return Machine("run-up", 1, RATE_HZ, ("X", "Y"), made, orders, (), (profile,), encoder, density, (), 50.0, False)
 
 
-def spectra_of(machine: Machine, seed: int) -> list[SweepSpectrum]:
+def spectra_of(machine: Machine, orders: list[float], seed: int) -> list[SweepSpectrum]:
     made = []
     for number, profile in enumerate(machine.profiles):
         samples, _ = recorded(machine, profile, np.random.default_rng([seed, number]))
@@ -39,15 +41,25 @@ def spectra_of(machine: Machine, seed: int) -> list[SweepSpectrum]:
         spectrum = np.fft.rfft(samples[:, :n], axis=1)
         angle, speed = profile.angle(time_s), profile.speed(time_s)
         made.append(
-            SweepSpectrum(str(number), machine.channels, 0.0, RATE_HZ, 0.4 * RATE_HZ, frequency, spectrum, angle, speed)
+            SweepSpectrum(
+                str(number),
+                machine.channels,
+                tuple(orders),
+                0.0,
+                RATE_HZ,
+                0.4 * RATE_HZ,
+                frequency,
+                spectrum,
+                angle,
+                speed,
+            )
         )
     return made
 
 
 def told(machine: Machine, orders: list[float] | None = None, seed: int = 0) -> SweepFits:
     followed = [2.0, 3.5] if orders is None else orders
-    spectra = spectra_of(machine, seed)
-    return sweep_fits(spectra, followed, others=HALVES, chance=1e-4, most_damping=0.2)
+    return sweep_fits(spectra_of(machine, followed, seed), others=HALVES, settings=SETTINGS)
 
 
 @pytest.mark.parametrize("rpm_per_s", [10.0, -60.0, 300.0])

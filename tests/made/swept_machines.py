@@ -78,7 +78,7 @@ def recorded(machine: SweptMachine, rng: np.random.Generator) -> tuple[xr.Datase
         force += size * growth * np.cos(2 * np.pi * order * (1.0 - slip) * turn + rng.uniform(0, 2 * np.pi))
     response = 0.3 * force[None] * rng.normal(size=(3, 1))
     for f, zeta, share in zip(machine.natural_hz, machine.damping, machine.shares.T, strict=True):
-        response = response + share[:, None] * _acceleration(force, f, zeta)[None]
+        response = response + share[:, None] * acceleration(force, f, zeta)[None]
     values = response + machine.noise * rng.standard_normal(response.shape)
     knots = np.linspace(0.0, machine.duration_s, 400)
     band = xr.Dataset(
@@ -95,7 +95,7 @@ def recorded(machine: SweptMachine, rng: np.random.Generator) -> tuple[xr.Datase
     return band, shaft(knots, angle(knots), first + (last - first) * knots / machine.duration_s)
 
 
-def _acceleration(force: np.ndarray, natural_hz: float, damping: float) -> np.ndarray:
+def acceleration(force: np.ndarray, natural_hz: float, damping: float) -> np.ndarray:
     """Acceleration of one mode of unit mass under a ``force`` that is straight between samples (ramp invariant)."""
     w, step = 2 * np.pi * natural_hz, 1.0 / RATE_HZ
     pole = w * (-damping + 1j * np.sqrt(1 - damping**2))

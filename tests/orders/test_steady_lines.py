@@ -38,7 +38,7 @@ def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None
     hertz = float(rng.choice([50.0, 60.0])) + rng.uniform(-0.1, 0.1)
     phasor = rng.uniform(0.1, 0.5, 2) * np.exp(2j * np.pi * rng.uniform(0.0, 1.0, 2))
     hum = (phasor[:, None] * np.exp(2j * np.pi * hertz * TIME)).real
-    left, lines = without_steady_lines(_band(signals + hum), speed_course(turned), ORDER)
+    left, lines = without_steady_lines(_band(signals + hum), speed_course(turned), ORDER, mains_hz=(50.0, 60.0))
     assert [one.frequency_hz for one in lines] == [pytest.approx(hertz, abs=0.003)]
     assert np.abs(lines[0].amplitude - phasor) == pytest.approx(0.0, abs=0.02)
     assert np.sqrt(np.mean((left["signal"].values - signals) ** 2)) < 0.05 * np.sqrt(np.mean(hum**2))
@@ -52,6 +52,6 @@ def test_an_order_and_what_rings_after_it_are_left(seed: int) -> None:
     signals += np.where(since > 0.0, 2.0 * np.exp(-0.004 * 2.0 * np.pi * 60.0 * since), 0.0) * np.sin(
         2.0 * np.pi * 60.0 * since
     )
-    left, lines = without_steady_lines(_band(signals), speed_course(turned), ORDER)
+    left, lines = without_steady_lines(_band(signals), speed_course(turned), ORDER, mains_hz=(50.0, 60.0))
     assert not lines
     np.testing.assert_array_equal(left["signal"].values, signals)

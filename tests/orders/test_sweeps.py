@@ -11,6 +11,7 @@ from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.swept_tracks import swept_tracks
 from crankorder.orders.track_rows import TrackReader, order_tracks
+from crankorder.orders.vold_kalman.bandwidth import impulse_response, taken_in_truth
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from made.sweeps import ENCODERS, Course, recording_of
@@ -149,3 +150,19 @@ def test_a_shaft_that_hardly_turns_is_no_sweep_to_crash_in():
         tracks = swept_tracks(band, shaft, [1.0, 2.0])
         assert frames.sizes["frame"] >= 1
         assert (tracks["speed"].values > 0.0).all()
+
+
+@pytest.mark.parametrize("width", [0.3, 1.0, 2.0, 5.0])
+def test_what_a_narrow_filter_takes_of_a_peak_is_told_by_what_it_takes_once_more(width):
+    """The envelope of a mode that is passed, 1 / (1 + i t / τ), filtered once and twice by numerical convolution."""
+    lag = np.linspace(-12.0, 12.0, 4801)  # reciprocal bandwidths
+    step = lag[1] - lag[0]
+    passed = 1.0 / (1.0 + 1j * np.pi * width * lag)  # its spectrum falls by e in so many half bandwidths
+    kernel = impulse_response(lag, 2)
+    once = np.convolve(passed, kernel, mode="same") * step
+    twice = np.convolve(once, kernel, mode="same") * step
+    middle = len(lag) // 2
+    share = abs(once[middle] - twice[middle]) / abs(once[middle])
+    taken = 1.0 - abs(once[middle])
+    told = taken_in_truth(np.array(share), np.array(10.0), 2) * share * abs(once[middle])
+    assert told == pytest.approx(taken, rel=0.12)

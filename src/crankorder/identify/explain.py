@@ -17,7 +17,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, To
 from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.growth import largest
-from crankorder.identify.mains import mains_words, multiple_in, multiple_on, nearest_multiple
+from crankorder.identify.mains import mains_words, multiple_in, multiple_on, multiples_near, supply_told
 from crankorder.identify.mains_orders import mains_orders
 from crankorder.identify.motors import LineSeen, named_by, words_of
 from crankorder.identify.one_mains import OR_ANOTHER, claims_of, doubtful
@@ -475,6 +475,7 @@ def _explained_tones(
         sides=[not on for on in _on_one_grid(places, errors)],
     )
     of = {band.at: band for band in bands}
+    supply = supply_told([(one.frequency_hz, 0.0) for one in tones if one.kind == "mains"], settings=settings)
     causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
@@ -485,21 +486,17 @@ def _explained_tones(
             text = f"sideband of {places[band.carrier]:.4g} Hz spaced by {band.spacing:.4g} Hz"
             causes.append(Cause(text, f"one of a pair about a stronger tone; chance {band.chance:.1g}"))
         else:
-            causes.append(Cause(_tone_words(tone, known, settings), tone.evidence))
+            causes.append(Cause(_tone_words(tone, known, supply, settings), tone.evidence))
     return tuple(causes)
 
 
-def _tone_words(tone: Tone, known: Sequence[LineSeen], settings: IdentifySettings) -> str:
-    """What a tone is called: which multiple of the mains, or the line of the motor that is there at some speed."""
+def _tone_words(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, settings: IdentifySettings) -> str:
+    """What a tone is called: which multiple of the supply, or the line of the motor that is there at some speed."""
     reach = NUMBERS.same_sigmas * tone.frequency_error_hz
     of_motor = [item for item in known if item.line.turns and abs(item.hertz - tone.frequency_hz) <= reach]
     if tone.kind == "mains":
-        on = [
-            int(multiple)
-            for mains in settings.mains_hz
-            for multiple, room in [nearest_multiple(tone.frequency_hz, mains, settings=settings)]
-            if abs(tone.frequency_hz - float(multiple) * mains) <= float(room) + 2.0 * tone.frequency_error_hz
-        ]
+        near = multiples_near(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
+        on = [multiple for multiple, mains in near if supply_hz in (None, mains)]
         return mains_words(on[0]) if len(on) == 1 else "mains"
     if tone.kind == "order":
         alone = multiple_on(tone.frequency_hz, tone.frequency_error_hz, settings=settings)

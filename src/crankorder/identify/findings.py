@@ -29,7 +29,12 @@ from crankorder.identify.levels import (
     vibration_records,
 )
 from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.followed_orders import numbered_as_followed, with_followed, with_track_rows
+from crankorder.identify.lines.followed_orders import (
+    fixed_lines,
+    numbered_as_followed,
+    with_followed,
+    with_track_rows,
+)
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
@@ -37,6 +42,7 @@ from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.sweep_rows import with_rows_of_fits
+from crankorder.identify.modal.tones import with_one_mains
 from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
 from crankorder.identify.motor_record import motor_record
 from crankorder.identify.motor_speed import SpeedRead, explained_at, with_speed_read
@@ -48,6 +54,7 @@ from crankorder.identify.motors import (
     motor_found,
     with_mains_tones,
     without_known,
+    without_ringing,
 )
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
@@ -90,13 +97,13 @@ def find(
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
     motor, known = _electric(held, order_map, sources, settings)
-    in_map, modal = _orders_and_modes(order_map, campbell, frames, (followed, swept), (held, known), settings, doubt)
+    sweeps, electric = (followed, swept), (held, known)
+    in_map, modal, known = _orders_and_modes(order_map, campbell, frames, sweeps, electric, settings, doubt)
     in_map, read = with_speed_read(sources.motor, in_map, order_map, settings=asked)
-    orders = _with_rows(in_map, order_map, frames, _rows_of_sweeps(followed, modal, swept), settings)
+    orders = with_track_rows(in_map, _reader(order_map, frames, followed, modal, swept), settings=settings.orders)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
-    explain = partial(_explainer(order_map, sources, settings), folds=folds, known=known, longest_rev=_longest(held))
-    explain = partial(explain, of_encoder=encoder_sidebands(in_map, order_map, frames))
+    explain = partial(_explainer(order_map, frames, in_map, held, sources, settings), folds=folds, known=known)
     causes = explained_at(read, in_map, modal, bearings, explain=explain)
     modal = with_neighbours_named(modal, in_map, causes)
     motor = _judged(motor, in_map, causes, order_map, doubt, read)
@@ -126,11 +133,34 @@ def find(
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
 
 
-def _explainer(order_map: xr.Dataset, sources: Sources, settings: Settings) -> partial[Causes]:
-    """:func:`explained`, told what the channels of ``order_map`` measure, ``sources`` and ``settings``."""
+def _reader(
+    order_map: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    followed: Sequence[xr.Dataset],
+    modal: ModalFit,
+    swept: SweepFits,
+) -> TrackReader:
+    """Rows of any order, from the map and as ``followed``, apart from the lines of one frequency of ``modal``."""
+    rows_of_sweeps = _rows_of_sweeps(followed, modal, swept)
+    return TrackReader(order_map, frames=frames, followed=rows_of_sweeps, fixed=fixed_lines(modal.tones))
+
+
+def _explainer(
+    order_map: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    in_map: tuple[AgreedOrder, ...],
+    held: Sequence[Held],
+    sources: Sources,
+    settings: Settings,
+) -> partial[Causes]:
+    """:func:`explained`, told what the channels of ``order_map`` measure, ``sources`` and ``settings``.
+
+    And what the encoder may make of the orders ``in_map``, and how long the recordings ``held`` at one speed are.
+    """
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
-    return partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=settings.identify)
+    made = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=settings.identify)
+    return partial(made, longest_rev=_longest(held), of_encoder=encoder_sidebands(in_map, order_map, frames))
 
 
 def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:
@@ -189,18 +219,6 @@ def _rows_of_sweeps(followed: Sequence[xr.Dataset], modal: ModalFit, swept: Swee
     return with_rows_of_fits(without_swings(followed, modal.swings), swept)
 
 
-def _with_rows(
-    in_map: tuple[AgreedOrder, ...],
-    order_map: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    followed: Sequence[xr.Dataset],
-    settings: Settings,
-) -> tuple[AgreedOrder, ...]:
-    """Orders ``in_map`` with the rows of their tracks, from the map and as ``followed``."""
-    reader = TrackReader(order_map, frames=frames, followed=followed)
-    return with_track_rows(in_map, reader, settings=settings.orders)
-
-
 def _longest(held: Sequence[Held]) -> float:
     """Revolutions of the longest of the recordings ``held``; infinite where none is."""
     return max((one.span_rev for one in held), default=np.inf)
@@ -244,24 +262,26 @@ def _orders_and_modes(
     electric: tuple[Sequence[Held], Sequence[LineSeen]],
     settings: Settings,
     doubt: str | None,
-) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+) -> tuple[tuple[AgreedOrder, ...], ModalFit, tuple[LineSeen, ...]]:
     """Orders as the map and the modes that they cross tell them, and modes without ``electric`` lines (held, known).
+
+    Last those of the known lines that are not what a mode rings.
 
     ``sweeps``: orders as they were followed, and poles that the signals tell.
 
     With a ``doubt`` about the speed no order is locked or slips.
     """
-    held, known = electric
-    followed, swept = sweeps
+    (held, seen), (followed, swept) = electric, sweeps
     in_map = _orders_in_map(order_map, frames, settings, followed)
-    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept.poles)
+    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
+    known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
     modal = with_tones_parted(modal, held)
     if speed_source([*frames, order_map]) == "pulses":
         in_map, modal = with_lines_of_recordings(in_map, modal, held, order_map, settings=settings.identify)
-    modal = without_absent_mains(modal, held, settings=settings.identify)
-    modal = without_doubles(with_mains_tones(modal, known, in_map))
-    return in_map if doubt is None else undecided_orders(in_map), modal
+    modal = without_absent_mains(with_mains_tones(modal, known, in_map), held, settings=settings.identify)
+    modal = without_doubles(replace(modal, tones=with_one_mains(list(modal.tones), settings=settings.identify)))
+    return in_map if doubt is None else undecided_orders(in_map), modal, known
 
 
 def _orders_in_map(

@@ -250,7 +250,7 @@ class ModalFit:
 
     ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen, and
     ``hidden`` at which speeds an order that was not found could meet a mode; ``swings`` are what modes that ring on
-    add to the tracks of sweeps.
+    add to the tracks of sweeps, ``shown_orders`` are orders that the spectra of sweeps show and no track does.
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
@@ -263,6 +263,7 @@ class ModalFit:
     responses: tuple[OrderResponse, ...] = ()
     unseen: tuple[UnseenBound, ...] = ()
     hidden: tuple[HiddenSpeeds, ...] = ()
+    shown_orders: tuple[float, ...] = ()
     swings: tuple[Swing, ...] = ()
     frequency_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,6 +63,23 @@ def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySetti
     """
     near = multiples_near(frequency_hz, error_hz, settings=settings)
     return next((one for one in near if one[0] <= NUMBERS.alone_multiples), None)
+
+
+def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifySettings) -> float | None:
+    """Nominal frequency in Hz of the supply of a test whose mains stand at ``places_hz`` (frequency and error, Hz).
+
+    That of which alone some of them are multiples; of two that of which the first or the second multiple is there. None
+    where none or both are told. ``settings``: the mains frequencies and how far they wander.
+    """
+    told: dict[float, bool] = {}
+    for hertz, error in places_hz:
+        near = multiples_near(hertz, error, settings=settings)
+        if len({mains for _, mains in near}) == 1:
+            multiple, mains = near[0]
+            told[mains] = told.get(mains, False) or multiple <= NUMBERS.alone_multiples
+    low = [mains for mains, is_low in told.items() if is_low]
+    chosen = low if len(told) > 1 else list(told)
+    return chosen[0] if len(chosen) == 1 else None
 
 
 _OF_THE_FIELD = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.engine.motor import USUAL_SLIP, Motor, MotorLine, motor_lines
-from crankorder.identify.found import AgreedOrder, ModalFit, Tone
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import Held, Place, Sighting, found_near, held_recordings, sightings
@@ -30,6 +30,8 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="motors"):
     same_speed_share: float
     same_place_orders: float
     most_share: float
+    rings_within: float
+    rings_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -347,6 +349,27 @@ def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
     at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
     covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
     return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
+
+
+def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
+    """``known`` lines without those of the mains that are but how one of the ``modes`` rings, each recording its way.
+
+    A supply has one frequency; what noise rings in a mode peaks anywhere within the mode's width.
+    """
+    fixed: dict[int, list[LineSeen]] = {}
+    for item in known:
+        if item.line.turns == 0.0:
+            fixed.setdefault(item.line.mains, []).append(item)
+    rung = {multiple for multiple, items in fixed.items() if any(_rings(mode, items) for mode in modes)}
+    return tuple(item for item in known if item.line.turns != 0.0 or item.line.mains not in rung)
+
+
+def _rings(mode: Mode, items: Sequence[LineSeen]) -> bool:
+    """Whether the frequencies of ``items`` scatter about that of the ``mode`` as its ringing would."""
+    hertz, half = np.array([item.hertz for item in items]), mode.damping_ratio * mode.frequency_hz
+    away = abs(float(np.median(hertz)) - mode.frequency_hz)
+    near = away <= NUMBERS.rings_within * half + mode.frequency_half_hz
+    return bool(not mode.undecided and near and hertz.std() > NUMBERS.rings_share * half)
 
 
 def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequence[AgreedOrder]) -> ModalFit:

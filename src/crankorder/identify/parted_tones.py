@@ -13,6 +13,7 @@ from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.several_orders import several_lines, unparted_reach
 from crankorder.identify.mains import NUMBERS as MAINS
+from crankorder.identify.mains import multiples_near
 from crankorder.identify.modal.tones import NEAR_BINS
 from crankorder.settings import IdentifySettings
 
@@ -61,7 +62,8 @@ def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: Ide
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
     mains = [tone for tone in modal.tones if tone.kind == "mains"]
     supplies = [tone for tone in mains if not _is_high(tone, settings)]
-    doubted = [tone for tone in mains if tone not in supplies and not any(_is_multiple(tone, one) for one in supplies)]
+    high = [tone for tone in mains if tone not in supplies]
+    doubted = [tone for tone in high if not any(_is_multiple(tone, one, settings) for one in supplies)]
     tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
 
@@ -71,20 +73,31 @@ def _is_high(tone: Tone, settings: IdentifySettings) -> bool:
     return tone.frequency_hz > MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
 
 
-def _is_multiple(tone: Tone, supply: Tone) -> bool:
-    """Whether ``tone`` is, within the errors of both, a whole multiple of ``supply``."""
-    times = round(tone.frequency_hz / supply.frequency_hz)
-    error = np.hypot(tone.frequency_error_hz, times * supply.frequency_error_hz)
-    return bool(abs(tone.frequency_hz - times * supply.frequency_hz) <= Z95 * error)
+def _is_multiple(tone: Tone, supply: Tone, settings: IdentifySettings) -> bool:
+    """Whether ``tone`` is, within the errors of both, a whole multiple of what ``supply`` is one of."""
+    for own, _ in multiples_near(supply.frequency_hz, supply.frequency_error_hz, settings=settings):
+        times = round(tone.frequency_hz / supply.frequency_hz * own) / own
+        error = np.hypot(tone.frequency_error_hz, times * supply.frequency_error_hz)
+        if abs(tone.frequency_hz - times * supply.frequency_hz) <= Z95 * error:
+            return True
+    return False
 
 
 def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
+    """``tone``, or no mains where a recording has none there although no order of its shaft hides the place."""
     place = tone.frequency_hz
     inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
+    inside = [one for one in inside if not _is_hidden(one, place)]
     shown = sum(found_near(one, place - reach_hz, place + reach_hz, []) is not None for one in inside)
     if not inside or shown == len(inside):
         return tone
     return replace(tone, kind="tone", evidence=f"no damping; {shown} of {len(inside)} recordings show it")
+
+
+def _is_hidden(held: Held, hertz: float) -> bool:
+    """Whether a whole or half order of the shaft stands at ``hertz`` in a recording, so that nothing else is seen."""
+    order = held.order_of((hertz, 0.0))
+    return abs(2.0 * order - round(2.0 * order)) * 0.5 * held.span_rev < KNOWN_LINES.apart_cycles
 
 
 def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:

@@ -125,6 +125,7 @@ def speeds_to_avoid(
         *_by_modes(found, modal, unit, largest, speed_rpm, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
         *_by_ringing(modal, speed_rpm),
+        *_by_shown(orders, modal, speed_rpm, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
     return SpeedVerdicts(tuple(avoid), free, rest)
@@ -378,13 +379,15 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
     both = together([with_and_without(one, number, grid, modal) for one in group])
     least, most = both.ends(limits.sigmas, matters=limits.matters)
-    over = (most > limits.factor) | (least > limits.factor)
+    # where the mode itself is amplified less it carries the order without resonance: only what is sure counts there
+    first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), limits.factor)
+    over = (least > limits.factor) | ((most > limits.factor) & (grid >= first) & (grid <= last))
     if not over.any():
         return []
     said = AMPLIFIED if (least > limits.factor).any() else "may be amplified more than"
     made = []
-    for first, last in _runs(over):
-        begin, end = float(grid[max(first - 1, 0)]), float(grid[min(last + 1, len(grid) - 1)])
+    for place, end_place in _runs(over):
+        begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
         made.append(_Open(begin, end, f"{what}: {said} {limits.factor:g} times"))
@@ -410,7 +413,7 @@ def _by_unseen(
         return [_Open(low, high, "no order stands out")]
     made: list[_Open] = []
     for agreed in orders:
-        bounds = [item for item in modal.unseen if abs(item.order - agreed.order) < 1e-3 * max(1.0, agreed.order)]
+        bounds = [item for item in modal.unseen if _is_order(agreed.order, item.order)]
         name = f"order {agreed.order:.4g}"
         if not bounds:
             made.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
@@ -434,6 +437,29 @@ def _by_ringing(modal: ModalFit, speed_rpm: tuple[float, float]) -> list[_Open]:
         why = f"{rings}: another order that met it would be hidden"
         made += _inside(_Open(item.low_rpm, item.high_rpm, why), speed_rpm)
     return made
+
+
+def _by_shown(
+    orders: tuple[AgreedOrder, ...], modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
+) -> list[_Open]:
+    """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
+    made: list[_Open] = []
+    for order in modal.shown_orders:
+        if any(_is_order(order, agreed.order) for agreed in orders):
+            continue
+        name = f"order {order:.4g}, which only the spectrum of the sweep shows,"
+        for mode in modal.modes:
+            ends = (mode.frequency_hz - mode.frequency_half_hz, mode.frequency_hz + mode.frequency_half_hz)
+            low, high = _amplifying((60.0 * ends[0] / order, 60.0 * ends[1] / order), settings.free_amplification)
+            made += _inside(_Open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"), speed_rpm)
+        for bound in modal.unseen:
+            made += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
+    return made
+
+
+def _is_order(order: float, other: float) -> bool:
+    """Whether both numbers stand for one order."""
+    return abs(order - other) < 1e-3 * max(1.0, order)
 
 
 def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
@@ -460,9 +486,9 @@ def _split(
     """Free and open bands of the tested range: what nothing of ``opened`` touches, and what is not to be avoided."""
     low, high = speed_rpm
     free: list[SpeedBand] = []
-    start = low
+    start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
     for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
-        if min(item.low_rpm, high) - start >= settings.crossing_band_rpm:
+        if min(item.low_rpm, high) - start >= narrowest:
             free.append(SpeedBand(start, min(item.low_rpm, high), _excludes(settings)))
         start = max(start, item.high_rpm)
     return tuple(free), _open_bands(opened, free, speed_rpm)

@@ -46,21 +46,22 @@ def followed_tracks(
     settings: OrderSettings,
     swept: bool = False,
     standing_out: Sequence[float] = (),
+    mains_hz: Sequence[float] = (),
 ) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) of ``settings.track_orders`` in one recording, with 95 % intervals.
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle; ``settings.track_method`` says how: "least_squares" fits
     frames of whole cycles jointly, "vold_kalman" follows the orders jointly from sample to sample with
     ``settings.track_bandwidth`` and is read in the middle of such frames; "auto" follows these orders and those
-    ``standing_out`` jointly where the speed is ``swept`` (:func:`swept_tracks`). An order asked for twice is followed
-    once. An empty dataset where orders are read off the map ("frames", or "auto" where nothing sweeps) or there are
-    none to follow. The attribute ``swept`` says whether rows are those of a sweep, ``standing_out`` which orders stood
-    out in it.
+    ``standing_out`` jointly where the speed is ``swept`` (:func:`swept_tracks`), beside mains of ``mains_hz``. An
+    order asked for twice is followed once. An empty dataset where orders are read off the map ("frames", or "auto"
+    where nothing sweeps) or there are none to follow. The attribute ``swept`` says whether rows are those of a sweep,
+    ``standing_out`` which orders stood out in it.
     """
     if settings.track_method == "auto" and swept:
         orders = _once([*settings.track_orders, *standing_out])
         if orders:
-            return swept_tracks(band, shaft, orders).assign_attrs(standing_out=list(standing_out))
+            return swept_tracks(band, shaft, orders, mains_hz=mains_hz).assign_attrs(standing_out=list(standing_out))
     if settings.track_method in ("frames", "auto") or not settings.track_orders:
         return xr.Dataset(attrs={"recording": band.attrs["recording"], "track_method": "frames", "swept": 0})
     if settings.track_method == "least_squares":

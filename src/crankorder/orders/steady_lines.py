@@ -6,6 +6,7 @@ bump of the order itself, however small they are beside what it is elsewhere.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,37 +14,27 @@ import xarray as xr
 from scipy.fft import fft, ifft, next_fast_len
 
 from crankorder.quantities import Bools, Complexes, Floats, QualityFlag
+from crankorder.settings import MethodNumbers
 from crankorder.shaft.angle import SpeedCourse
 
-MAINS_HZ, MAINS_SHARE, MOST_MULTIPLES = (50.0, 60.0), 0.005, 10
-"""Frequencies of supplies, the share by which they stray, and multiples that are looked for: beyond, they are small."""
 
-MOST_PEAKS = 12
-"""Highest peaks of the whole spectrum that are looked at beside the multiples of the mains."""
+class _Numbers(MethodNumbers, file="3-orders-lines.toml", table="steady_lines"):
+    mains_share: float
+    most_multiples: int
+    most_peaks: int
+    peak_bins: int
+    peak_ratio: float
+    looked_hz: float
+    clear_of: float
+    least_clear_hz: float
+    chance: float
+    least_moved: float
+    pieces: int
+    fewest_pieces: int
+    steady_share: float
 
-PEAK_BINS, PEAK_RATIO = 64, 8.0
-"""Bins whose median is the level beside a peak, and the multiple of it above which it is one."""
 
-LOOKED_HZ = 8.0
-"""Band about a line in which it is told from noise."""
-
-CLEAR_OF = 3.0
-"""Distance in root rates (Hz) from which an order that passes a line leaves nothing at its frequency."""
-
-LEAST_CLEAR_HZ = 1.5
-"""Least of these distances."""
-
-CHANCE = 1e-6
-"""With which noise alone makes a line."""
-
-LEAST_MOVED = 12.0
-"""Reciprocal lengths of the recording by which an order of a line's frequency must have moved: else it may be one."""
-
-PIECES, FEWEST_PIECES = 12, 4
-"""Pieces of a recording in each of which a line must stand alike, and those of them that must be clear of orders."""
-
-STEADY_SHARE = 0.3
-"""Of its amplitude, by which a steady line may change from piece to piece beside noise; what rings changes by all."""
+NUMBERS = _Numbers.load()
 
 PADDED = 8
 """Points of the spectrum of a line between its bins."""
@@ -58,13 +49,13 @@ class SteadyLine:
 
 
 def without_steady_lines(
-    band: xr.Dataset, course: SpeedCourse, orders: Floats
+    band: xr.Dataset, course: SpeedCourse, orders: Floats, *, mains_hz: Sequence[float] = ()
 ) -> tuple[xr.Dataset, tuple[SteadyLine, ...]]:
     """``band`` (BandRecording by time) less its steady lines, and these.
 
     ``course`` is the speed of its shaft; the stretches in which one of ``orders`` (orders,) passes a line tell nothing
     of it. A line has one amplitude and one phase through all others; what a mode rings, or an order that hardly moves,
-    does not.
+    does not. Lines are looked for about multiples of ``mains_hz`` and at the highest peaks.
     """
     signals, rate = band["signal"].values, float(band.attrs["rate_hz"])
     time = float(band.attrs.get("start_s", 0.0)) + np.arange(signals.shape[1]) / rate
@@ -77,7 +68,7 @@ def without_steady_lines(
     speed = np.interp(time[:: seen.every], course.time_s, course.speed_rpm)
     turns = np.interp(time[:: seen.every], course.time_s, course.rate_rpm_per_s)
     found: list[SteadyLine] = []
-    for low, high in seen.candidates():
+    for low, high in seen.candidates(mains_hz):
         line = seen.line(low, high, speed, turns, orders)
         if line is not None and all(abs(line.frequency_hz - one.frequency_hz) > 2.0 / seen.length_s for one in found):
             found.append(line)
@@ -116,28 +107,31 @@ class _Seen:
     def of(cls, signals: Floats, usable: Bools, rate_hz: float, band_hz: float) -> _Seen:
         """The transform of ``signals`` (channels, samples), 0 where not ``usable``, of ``band_hz`` at ``rate_hz``."""
         n = signals.shape[1]
-        every = max(1, int(rate_hz / (2.0 * LOOKED_HZ)))
+        every = max(1, int(rate_hz / (2.0 * NUMBERS.looked_hz)))
         # a whole number of samples to each point of the narrow band, and room for what wraps around
         points = next_fast_len(-(-n // every) + 8)
         return cls(fft(signals, points * every, axis=1), usable[::every], rate_hz, band_hz, n / rate_hz, every, points)
 
-    def candidates(self) -> list[tuple[float, float]]:
-        """Ranges of frequency [Hz] in which a line may be: about multiples of mains, and about high peaks."""
+    def candidates(self, mains_hz: Sequence[float]) -> list[tuple[float, float]]:
+        """Ranges of frequency [Hz] in which a line may be: about multiples of ``mains_hz``, and about high peaks."""
         step = self.rate_hz / self.spectrum.shape[1]
-        top = min(0.45 * self.rate_hz, self.band_hz) - LOOKED_HZ
-        mains = [hz * k for hz in MAINS_HZ for k in range(1, MOST_MULTIPLES + 1)]
+        top = min(0.45 * self.rate_hz, self.band_hz) - NUMBERS.looked_hz
+        mains = [hz * k for hz in mains_hz for k in range(1, NUMBERS.most_multiples + 1)]
         power = np.sum(np.abs(_hann(self.spectrum[:, : int(top / step) if top > 0.0 else 0])) ** 2, axis=0)
-        whole = power[: len(power) // PEAK_BINS * PEAK_BINS].reshape(-1, PEAK_BINS)
-        level = np.repeat(np.median(whole, axis=1), PEAK_BINS)
+        whole = power[: len(power) // NUMBERS.peak_bins * NUMBERS.peak_bins].reshape(-1, NUMBERS.peak_bins)
+        level = np.repeat(np.median(whole, axis=1), NUMBERS.peak_bins)
         ratio = power[: len(level)] / np.maximum(level, np.finfo(float).tiny)
-        high = np.flatnonzero((ratio > PEAK_RATIO**2) & (np.arange(len(ratio)) * step > LOOKED_HZ))
-        best = high[np.argsort(-ratio[high], kind="stable")][: 4 * MOST_PEAKS]
+        high = np.flatnonzero((ratio > NUMBERS.peak_ratio**2) & (np.arange(len(ratio)) * step > NUMBERS.looked_hz))
+        best = high[np.argsort(-ratio[high], kind="stable")][: 4 * NUMBERS.most_peaks]
         peaks: list[float] = []
         for place in best.tolist():
-            if len(peaks) < MOST_PEAKS and all(abs(place * step - other) > 4.0 * step for other in peaks):
+            if len(peaks) < NUMBERS.most_peaks and all(abs(place * step - other) > 4.0 * step for other in peaks):
                 peaks.append(place * step)
         ranges = [(hz - 2.0 / self.length_s, hz + 2.0 / self.length_s) for hz in peaks]
-        return [*ranges, *((hz * (1.0 - MAINS_SHARE), hz * (1.0 + MAINS_SHARE)) for hz in mains if hz < top)]
+        return [
+            *ranges,
+            *((hz * (1.0 - NUMBERS.mains_share), hz * (1.0 + NUMBERS.mains_share)) for hz in mains if hz < top),
+        ]
 
     def line(
         self, low_hz: float, high_hz: float, speed_rpm: Floats, rates: Floats, orders: Floats
@@ -148,13 +142,13 @@ class _Seen:
         """
         middle = 0.5 * (low_hz + high_hz)
         turning = speed_rpm[speed_rpm > 0.01 * speed_rpm.max()]
-        if middle * (1.0 - float(turning.min() / turning.max())) * self.length_s < LEAST_MOVED:
+        if middle * (1.0 - float(turning.min() / turning.max())) * self.length_s < NUMBERS.least_moved:
             return None
         clear = _clear(middle, high_hz - low_hz, speed_rpm, rates, orders) * self.usable
         narrow = self._narrow(middle)[:, : len(clear)]
         dt = self.every / self.rate_hz
         window = clear * np.sin(np.pi * (np.arange(len(clear)) + 0.5) / len(clear)) ** 2
-        if window.sum() < FEWEST_PIECES / PIECES * 0.5 * len(clear):
+        if window.sum() < NUMBERS.fewest_pieces / NUMBERS.pieces * 0.5 * len(clear):
             return None
         size = next_fast_len(PADDED * len(clear))
         seen = np.abs(fft(narrow * window, size, axis=1)) ** 2
@@ -166,7 +160,7 @@ class _Seen:
         best = int(np.argmax(np.where(allowed, total, -1.0)))
         from scipy.special import chdtri
 
-        if 2.0 * total[best] < chdtri(2.0 * len(seen), CHANCE / max(1, int(allowed.sum()))):
+        if 2.0 * total[best] < chdtri(2.0 * len(seen), NUMBERS.chance / max(1, int(allowed.sum()))):
             return None
         return _told(
             narrow, window, clear, middle, float(_finer(total, best) * (offset[1] - offset[0])), dt, offset[best]
@@ -198,7 +192,7 @@ def _clear(middle_hz: float, width_hz: float, speed_rpm: Floats, rates: Floats, 
     weight = np.ones(len(speed_rpm))
     for order in orders.tolist():
         apart = np.abs(order * speed_rpm / 60.0 - middle_hz) - 0.5 * width_hz
-        reach = np.maximum(CLEAR_OF * np.sqrt(order * rates / 60.0), LEAST_CLEAR_HZ)
+        reach = np.maximum(NUMBERS.clear_of * np.sqrt(order * rates / 60.0), NUMBERS.least_clear_hz)
         weight *= np.sin(0.5 * np.pi * np.clip(apart / reach - 1.0, 0.0, 1.0)) ** 2
     return weight
 
@@ -210,10 +204,10 @@ def _told(
     off = float(offset_hz) + finer_hz
     turned = narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt)
     amplitude = (turned @ window) / window.sum()
-    pieces = np.array_split(np.arange(len(clear)), PIECES)
+    pieces = np.array_split(np.arange(len(clear)), NUMBERS.pieces)
     weights = np.array([clear[piece].sum() for piece in pieces])
     kept = weights > 0.5 * len(pieces[0])
-    if np.count_nonzero(kept) < FEWEST_PIECES:
+    if np.count_nonzero(kept) < NUMBERS.fewest_pieces:
         return None
     means = np.array([turned[:, piece] @ clear[piece] for piece in pieces]).T[:, kept] / weights[kept]
     # within pieces, and in most of them: what rings in one would else hide that it does not in the others
@@ -222,6 +216,6 @@ def _told(
     scatter = np.mean(np.abs(means - amplitude[:, None]) ** 2, axis=1)
     size = np.abs(amplitude) ** 2
     best = int(np.argmax(size / np.maximum(noise, np.finfo(float).tiny)))
-    if scatter[best] > STEADY_SHARE**2 * size[best] + 2.0 * noise[best]:
+    if scatter[best] > NUMBERS.steady_share**2 * size[best] + 2.0 * noise[best]:
         return None
     return SteadyLine(middle_hz + off, amplitude)

@@ -11,10 +11,17 @@ import xarray as xr
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.averages import POLES
+from crankorder.orders.intervals import NORMAL
 from crankorder.orders.least_squares import beyond_remark, not_tracked_flags, put_track_values
 from crankorder.orders.steady_lines import steady_flag, without_steady_lines
 from crankorder.orders.true_angle import AngleErrors, errors_along
-from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, impulse_response, level_dof, student_factor
+from crankorder.orders.vold_kalman.bandwidth import (
+    FRAME_BANDWIDTHS,
+    impulse_response,
+    level_dof,
+    student_factor,
+    taken_in_truth,
+)
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_speed, speed_course, time_at
@@ -43,6 +50,18 @@ SPEED_SHARE = 1e-3
 
 MEMORY = 4.0
 """Reciprocal bandwidths after which the filter has all but forgotten."""
+
+LIGHTEST_DAMPING = 0.002
+"""Damping ratio of the lightest mode that is reckoned with: welded steel has so much and more."""
+
+REACH = 2.0
+"""Half reciprocal bandwidths beside a row within which a peak stands for it."""
+
+SURE_SIGMAS = 1.0
+"""Standard errors of a row from which what the filter takes of it is no noise."""
+
+SMOOTHING = ("smoothing", "smoothing_more", "smoothing_error")
+"""Variables that say what the filter took."""
 
 MARGIN = 6.0
 """Reciprocal bandwidths that a piece overlaps into the next: the filter's memory."""
@@ -75,19 +94,21 @@ class _Plan:
         return np.array([np.interp(time_s, self.course.time_s, one) for one in self.bandwidth_hz])
 
 
-def swept_tracks(band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float]) -> xr.Dataset:
+def swept_tracks(
+    band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float], *, mains_hz: Sequence[float] = ()
+) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) of ``orders`` in one recording whose speed sweeps, with intervals.
 
     ``band`` is the BandRecording by time, ``shaft`` its ShaftAngle, ``orders`` cycles per crank revolution, above 0.
     All are followed jointly by a Vold–Kalman filter of two poles; the bandwidth (order, frame) widens with the rate of
     the sweep over the speed, so that a mode of 1 % damping keeps 99 % of its peak, up to half the distance of the
     nearest order. Rows are half a reciprocal bandwidth apart; ``speed`` is the slope of the angle over one. Where the
-    shaft stands there are no rows; orders beyond half the sample rate, channels and rows with too few usable samples
-    are NaN.
+    shaft stands there are no rows; lines of one frequency, multiples of ``mains_hz`` among them, are taken out first;
+    orders beyond half the sample rate, channels and rows with too few usable samples are NaN.
     """
     named = np.asarray(sorted(orders), dtype=np.float64)
     course = speed_course(shaft)
-    band, lines = without_steady_lines(band, course, named)
+    band, lines = without_steady_lines(band, course, named, mains_hz=mains_hz)
     width = bandwidths_hz(named, course)
     first, last = _covered(band, shaft)
     made: list[tuple[_Plan, Complexes, Floats]] = []
@@ -114,6 +135,12 @@ def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
     most = np.minimum(MOST_ORDER, OF_DISTANCE * apart.min(axis=1, initial=np.inf))
     # a soft minimum: a kink of the bandwidth would be one of the filter
     return np.asarray((wanted**-4.0 + (most[:, None] * speed_hz) ** -4.0) ** -0.25)
+
+
+def followed_error(tracks: xr.Dataset, place: int) -> Floats:
+    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back."""
+    taken = np.abs(tracks["smoothing"].values[:, place]) + tracks["smoothing_error"].values[:, place]
+    return np.asarray(np.hypot(tracks["standard_error"].values[:, place], taken))
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
@@ -194,6 +221,38 @@ def _smoothing(amplitude: Complexes, plan: _Plan) -> Complexes:
         return np.asarray(amplitude - total / weight)
 
 
+def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Plan) -> tuple[Floats, Floats]:
+    """What the filter of ``plan`` may have taken of ``amplitude`` beyond ``taken``, and let in of others.
+
+    Both (channels, orders, rows), as standard errors. What is taken of a peak by much more than the filter's width
+    cannot be told from what it would take once more. It reaches the rows beside the peak, and orders so near that its
+    spectrum lies in their bands. ``error`` is that of the amplitude.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    if not amplitude.shape[2]:
+        return np.zeros(amplitude.shape), np.zeros(amplitude.shape)
+    width = plan.widths(plan.rows_s)
+    speed, rate = (
+        np.interp(plan.rows_s, plan.course.time_s, one) for one in (plan.course.speed_rpm, plan.course.rate_rpm_per_s)
+    )
+    # over so many hertz the spectrum of what the lightest mode leaves falls by e
+    widest = 2.0 * rate / (2.0 * np.pi * LIGHTEST_DAMPING * speed) / width
+    sure = np.abs(taken) > SURE_SIGMAS * np.nan_to_num(error, nan=np.inf)
+    lost, size = np.where(sure, np.abs(taken), 0.0), np.abs(np.nan_to_num(amplitude))
+    made = np.empty(lost.shape)
+    # rows that half a reciprocal bandwidth of an order takes
+    for place, rows in enumerate(np.median(width.max(axis=0) / width, axis=1).tolist()):
+        near = 2 * int(np.ceil(REACH * rows)) + 1
+        largest, most = (maximum_filter1d(one[:, place], near, axis=1) for one in (size, lost))
+        times = taken_in_truth(most / np.maximum(largest, 1e-300), widest[place], POLES)
+        made[:, place] = np.maximum((times - 1.0) / NORMAL * most - np.abs(np.nan_to_num(taken[:, place])), 0.0)
+    apart = np.abs(plan.orders[:, None] - plan.orders)[:, :, None] * speed / 60.0
+    shared = np.maximum(1.0 - apart / np.maximum(widest * width, 1e-300)[None], 0.0)
+    shared[np.arange(len(shared)), np.arange(len(shared))] = 0.0
+    return made, np.sqrt(np.einsum("ijr,cjr->cir", np.square(shared), np.square(made)))
+
+
 def _piece(
     band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: Ints
 ) -> tuple[VoldKalmanTracks, Ints] | None:
@@ -266,9 +325,17 @@ def _dataset(
         "degrees_of_freedom": np.where(np.isfinite(error), freedom, 0.0),
     }
     put_track_values(found, values)
-    taken = np.concatenate([_smoothing(one, plan) for plan, one, _ in made] or [np.empty(shape, dtype=complex)], axis=2)
+    parts = [(one, _smoothing(one, plan), one_error, plan) for plan, one, one_error in made]
+    taken = np.concatenate([part[1] for part in parts] or [np.empty(shape, dtype=complex)], axis=2)
+    beyond = [_left_taken(*part) for part in parts]
     words = {"units": "see unit", "long_name": "what the filter takes of amplitude once more: nearly its bias"}
     found["smoothing"] = (("channel", "order", "frame"), taken, words)
+    for number, (name, said) in enumerate(
+        (("smoothing_more", "took beyond that"), ("smoothing_error", "of other orders may have left here"))
+    ):
+        errors = np.concatenate([both[number] for both in beyond] or [np.empty(shape)], axis=2)
+        words = {"units": "see unit", "long_name": f"standard error of what the filter {said}"}
+        found[name] = (("channel", "order", "frame"), errors, words)
     found.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
     found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}

@@ -7,7 +7,7 @@ its own, as the order was followed through it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property
 
 import numpy as np
@@ -18,8 +18,19 @@ from crankorder.findings import Findings
 from crankorder.orders.averages import beside_bins, noise_beside
 from crankorder.orders.between_recordings import LOCATED
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
+from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
+from crankorder.orders.fixed_lines import (
+    FixedLine,
+    MetRow,
+    MetStretch,
+    beside_fixed,
+    met_row,
+    met_stretches,
+)
+from crankorder.orders.intervals import NORMAL, amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import common_frames
+from crankorder.orders.order_rows import OrderRows
+from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
@@ -73,38 +84,6 @@ _VARIABLES = (
 )
 
 
-@dataclass(frozen=True)
-class OrderRows:
-    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
-
-    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
-    """
-
-    amplitude: Floats
-    phase: Floats
-    standard_error: Floats
-    degrees_of_freedom: Floats
-    amplitude_low: Floats
-    amplitude_high: Floats
-    phase_ci95: Floats
-
-    @classmethod
-    def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
-        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
-        given = [np.full((n_channels, n_rows), np.nan) for _ in fields(cls)]
-        given[3] = np.zeros((n_channels, n_rows))
-        return cls(*given)
-
-    def of(self, which: Ints | Bools) -> OrderRows:
-        """Those of the rows that ``which`` picks."""
-        return OrderRows(*(getattr(self, item.name)[:, which] for item in fields(self)))
-
-    def beside(self, other: OrderRows) -> OrderRows:
-        """These rows, then those of ``other``."""
-        names = [item.name for item in fields(self)]
-        return OrderRows(*(np.concatenate([getattr(self, name), getattr(other, name)], axis=1) for name in names))
-
-
 class TrackReader:
     """Reads any order of a test, row by row.
 
@@ -112,23 +91,29 @@ class TrackReader:
     """
 
     def __init__(
-        self, order_map: xr.Dataset, *, frames: Sequence[xr.Dataset] = (), followed: Sequence[xr.Dataset] = ()
+        self,
+        order_map: xr.Dataset,
+        *,
+        frames: Sequence[xr.Dataset] = (),
+        followed: Sequence[xr.Dataset] = (),
+        fixed: Sequence[FixedLine] = (),
     ) -> None:
         """The rows of a test.
 
         ``order_map`` the OrderMap, ``frames`` the OrderFrames of its recordings (without them lines between bins are
-        read off the energy of the map), ``followed`` their RecordingTracks (those of sweeps count).
+        read off the energy of the map), ``followed`` their RecordingTracks (those of sweeps count), ``fixed`` lines of
+        one frequency, from which orders that meet them are told apart.
         """
         self.order_map = order_map
         self.items = [item for item in followed if item.attrs.get("swept", 0) and item.sizes.get("frame", 0)]
-        self._frames = list(frames)
+        self._frames, self._fixed = list(frames), tuple(fixed)
         self.map_rpm: Floats = order_map["speed"].values
         self.speed_rpm: Floats = np.concatenate([self.map_rpm, *(item["speed"].values for item in self.items)])
 
     def rows(self, order: float, others: Sequence[float] = ()) -> OrderRows:
         """OrderRows of ``order`` (cycles per crank revolution, exact), told from ``others`` that are close to it."""
         places = [_place_in(item, order) for item in self.items]
-        made = self._of_map(order, others)
+        made = beside_fixed(self._of_map(order, others), self.map_rpm, self.met(order, others))
         hidden = self._rows_of_sweeps([item for item, place in zip(self.items, places, strict=True) if place >= 0])
         if hidden.any():
             nothing = OrderRows.nothing(len(made.amplitude), len(hidden))
@@ -137,6 +122,43 @@ class TrackReader:
             )
         for item, place in zip(self.items, places, strict=True):
             made = made.beside(_followed_rows(item, place, order))
+        return made
+
+    def met(self, order: float, others: Sequence[float] = ()) -> list[MetRow]:
+        """Rows of the map in which ``order``, told from ``others`` close to it, meets lines of one frequency."""
+        if not self._fixed or not self._frames:
+            return []
+        found: dict[int, list[MetStretch]] = {}
+        for one in self._met_stretches(order, others):
+            found.setdefault(one.row, []).append(one)
+        is_coherent = bool(np.abs(self.order_map["order"].values - order).min() < ON_BIN)
+        return [met_row(parts, unit=self._unit[:, 0], is_coherent=is_coherent) for parts in found.values()]
+
+    def _met_stretches(self, order: float, others: Sequence[float]) -> list[MetStretch]:
+        """Frames of held recordings about an ``order``, told from ``others``, that meets lines of one frequency."""
+        axis = self.order_map["order"].values
+        step = float(axis[1] - axis[0])
+        centre = order / step
+        if not 0 <= round(centre) < len(axis):
+            return []
+        close = [other / step for other in others if LEAST_APART_BINS < abs(other / step - centre) < TOGETHER_BINS]
+        used, solve, share = self._lobe_fit(centre, close)
+        if not close and abs(axis[round(centre)] - order) < ON_BIN:  # as the map reads it: its bin alone
+            used, solve, share = np.array([round(centre)]), np.ones(1), 1.0
+        power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
+        noise = np.nan_to_num(share * noise_beside(power, self._beside[0][round(centre)][None])[..., 0])
+        made = []
+        for item, rows in zip(self._used, self._row_of_frames, strict=True):
+            speed = item["speed"].values
+            if item.attrs.get("swept", 0) or not np.isfinite(speed).all():
+                continue
+            places: Floats = np.array([60.0 * line.frequency_hz / (speed * step) for line in self._fixed])
+            near = np.flatnonzero((np.abs(places - centre) < FIXED_LINES.reach_bins).any(axis=1))
+            if len(near):
+                lines = [self._fixed[k] for k in near.tolist()]
+                shares = (solve @ hann_lobe(used[:, None] - places[near].reshape(1, -1))).reshape(len(lines), -1)
+                phasors = self._phasors(item, used, solve)
+                made += met_stretches(item, rows, order, phasors, shares, lines, noise, self._unit[:, 0])
         return made
 
     def follows(self, order: float) -> bool:
@@ -370,10 +392,12 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
         return OrderRows.nothing(item.sizes["channel"], item.sizes["frame"])
     taken = item["smoothing"].values[:, place]
     value = item["amplitude"].values[:, place] + taken
-    error = np.hypot(item["standard_error"].values[:, place], np.abs(taken))
+    error = followed_error(item, place)
     dof = item["degrees_of_freedom"].values[:, place]
     magnitude, power = np.abs(value), 2.0 * error**2
     low, high = amplitude_interval(magnitude, power, dof)
+    more = item["smoothing_more"].values[:, place]  # a filter lowers a peak: what it may have taken is no doubt below
+    high, power = high + NORMAL * more, power + 2.0 * more**2
     angle = AngleErrors(item["angle_scatter"].values, item["angle_error"].values)
     turned = value * np.exp(
         2j * np.pi * ((float(item["order"].values[place]) - order) * item["crank_angle"].values % 1.0)
@@ -395,17 +419,19 @@ def order_tracks(
     settings: OrderSettings,
     frames: Sequence[xr.Dataset] = (),
     followed: Sequence[xr.Dataset] = (),
+    fixed: Sequence[FixedLine] = (),
 ) -> xr.Dataset:
     """OrderTracks of ``orders`` (cycles per crank revolution) from the OrderMap ``order_map``, each where it is.
 
     On a bin of the map, amplitude, phase and 95 % intervals are those of the coherent average; between bins the
     amplitude is that of the ``frames`` (OrderFrames, or of the map's energy without them) at the exact order, apart
     from lines close by, and the phase is NaN. An order that was ``followed`` through a sweep (RecordingTracks) has the
-    rows of that, at speeds of their own. ``band_rms`` is the RMS of everything within ``settings.band_width_orders``
+    rows of that, at speeds of their own. Where one meets ``fixed`` lines of the test it is told apart from
+    them, as far as that can be. ``band_rms`` is the RMS of everything within ``settings.band_width_orders``
     around the order, NaN where the map holds less than half of that. Orders above the map give NaN. The flags are
     those of the map and of what was followed. Speeds rise.
     """
-    reader = TrackReader(order_map, frames=frames, followed=followed)
+    reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed)
     axis, asked = order_map["order"].values, np.asarray(orders, dtype=float)
     resolution = float(axis[1] - axis[0])
     outside = asked > axis[-1] + 0.5 * resolution

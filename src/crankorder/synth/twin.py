@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import median_filter
+from scipy.ndimage import binary_dilation, label, median_filter
 
 from crankorder.errors import RequestError
 from crankorder.quantities import Floats
@@ -19,6 +19,8 @@ from crankorder.synth.noise import shaped_noise
 
 LINE_RATIO, MEDIAN_BINS = 4.0, 41
 """What stands so many times over the running median of so many bins is a line, and no part of the floor."""
+LINE_BINS = 2.0
+"""Of the spectrum that an order's line takes on either side, and beyond what stands over the floor beside it."""
 
 PROBES = 8
 """Orders that the test did not have, put in at known amplitudes to see which are found."""
@@ -125,14 +127,24 @@ def _orders_of(twin: Twin, speed: Floats, turns: Floats, rng: np.random.Generato
 
 
 def _floor(twin: Twin, speed_rpm: float, n_samples: int, rng: np.random.Generator) -> Floats:
-    """Noise of every channel with the density of the test's row nearest to ``speed_rpm``, its lines cut off."""
+    """Noise of every channel with the density of the test's row nearest to ``speed_rpm``, its lines cut off.
+
+    Under the orders of the test it is that beside them: what a cut line leaves would be noise on the order alone.
+    """
     rows = twin.campbell["speed"].values
     row = int(np.nanargmin(np.abs(rows - speed_rpm)))
     frequency = twin.campbell["frequency"].values
+    hertz = np.append(twin.tracks["order"].values, np.nan) * float(rows[row]) / 60.0
+    width = LINE_BINS * float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
+    near = (np.abs(frequency[:, None] - hertz) <= width).any(axis=1)
     made = []
     for density in np.nan_to_num(twin.campbell["psd"].values[:, row].astype(float)):
         smooth = median_filter(density, size=min(MEDIAN_BINS, len(density)), mode="nearest")
         floor = np.minimum(density, LINE_RATIO * smooth)
+        pieces, _ = label(near | (density > LINE_RATIO * smooth))
+        clear = ~binary_dilation(np.isin(pieces, np.unique(pieces[near])) & (pieces > 0), iterations=round(LINE_BINS))
+        if clear.any():
+            floor = np.interp(frequency, frequency[clear], floor[clear])
         n_even = n_samples + n_samples % 2
         bins = np.fft.rfftfreq(n_even, 1.0 / twin.rate_hz)
         shape = np.sqrt(np.interp(bins, frequency, floor))

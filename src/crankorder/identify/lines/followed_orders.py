@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, half_widths, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
 from crankorder.identify.said import UNRESOLVED
-from crankorder.orders.track_rows import OrderRows, TrackReader, all_tracked, track_order
+from crankorder.orders.fixed_lines import FixedLine, MetRow
+from crankorder.orders.order_rows import OrderRows
+from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.settings import MethodNumbers, OrderSettings
 
 
@@ -24,6 +27,7 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orde
     same_order: float
     clear_sigmas: float
     clear_rows: int
+    told_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -116,6 +120,9 @@ def _lines_along(
     return tuple(lines_of(stand_ins, [track], speed_rpm=speeds, order=number, order_error=error))
 
 
+FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
+"""Lines that stay where they are, in a sentence; what may be an order is none."""
+
 Floats = NDArray[np.float64]
 
 
@@ -134,11 +141,22 @@ def with_track_rows(
     names = reader.order_map["channel"].values.tolist()
     made = []
     for agreed, number in zip(orders, numbers, strict=True):
-        rows = reader.rows(number, [other for other in tracked if other != number])
+        others = [other for other in tracked if other != number]
+        rows, met = reader.rows(number, others), reader.met(number, others)
         n_independent = reader.worth(number)
-        lines = tuple(_read(line, rows, names.index(line.channel), n_independent, reader) for line in agreed.lines)
+        read = partial(_read, rows=rows, met=met, n_independent=n_independent, reader=reader)
+        lines = tuple(read(line, channel=names.index(line.channel)) for line in agreed.lines)
         made.append(replace(agreed, lines=lines, tracked=number))
     return tuple(made)
+
+
+def fixed_lines(tones: Sequence[Tone]) -> tuple[FixedLine, ...]:
+    """Those of ``tones`` that stay where they are, as orders meet them."""
+    return tuple(
+        FixedLine(one.frequency_hz, one.frequency_error_hz, FIXED_WORDS[one.kind], dict(one.amplitude))
+        for one in tones
+        if one.kind in FIXED_WORDS
+    )
 
 
 def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
@@ -150,8 +168,19 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
     return track_order(agreed.order, ends, agreed.lock, revs_per_cycle=revs_per_cycle)
 
 
-def _read(line: OrderLine, rows: OrderRows, channel: int, n_independent: Floats, reader: TrackReader) -> OrderLine:
-    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none."""
+def _read(
+    line: OrderLine,
+    *,
+    channel: int,
+    rows: OrderRows,
+    met: Sequence[MetRow],
+    n_independent: Floats,
+    reader: TrackReader,
+) -> OrderLine:
+    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none.
+
+    Rows that ``met`` lines of one frequency are no longer what the frames showed there.
+    """
     if line.reservation == UNRESOLVED:
         return line
     amplitude, error = rows.amplitude[channel], rows.standard_error[channel]
@@ -175,7 +204,27 @@ def _read(line: OrderLine, rows: OrderRows, channel: int, n_independent: Floats,
         phase_ci95_deg=rows.phase_ci95[channel, at],
         n_independent=n_independent[at],
     )
-    return _as_wide(made, line, at < held)
+    apart = [one for one in met if one.touched[channel]]
+    is_as_shown = (at < held) & ~np.isin(at, [one.row for one in apart])
+    made = _as_wide(made, line, is_as_shown)
+    remark = line.remark if is_as_shown[int(np.argmax(made.amplitude))] else ""
+    return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
+
+
+def _met_words(met: Sequence[MetRow], line: OrderLine, at: NDArray[np.int64], channel: int) -> list[str]:
+    """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
+    said = []
+    for one in met:
+        place = np.flatnonzero(at == one.row)
+        if not len(place) or line.ends is None or not one.matters[channel]:
+            continue
+        rpm, (low, high) = float(line.speed_rpm[place[0]]), line.ends[place[0]]
+        what = " and ".join(item.text for item in one.lines)
+        if one.is_parted[channel]:
+            said.append(f"told apart from {what}")
+        elif high - low > NUMBERS.told_share * line.amplitude[place[0]]:
+            said.append(f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}")
+    return said
 
 
 def _as_wide(made: OrderLine, line: OrderLine, is_held: NDArray[np.bool_]) -> OrderLine:

@@ -31,6 +31,9 @@ BETWEEN_ROWS = 4
 ALONG_SWEEP = 160
 """Speeds that are asked about along a sweep."""
 
+SAME_ORDER = 1e-3
+"""Share of an order within which another number stands for it."""
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
@@ -43,6 +46,7 @@ def least_seen(
     least_damping: float,
     confidence: float,
     floors: Sequence[FloorBound] = (),
+    sweeps: Sequence[Hiding] = (),
 ) -> tuple[UnseenBound, ...]:
     """For each of ``blocks``, how much a mode beside the ``poles`` could amplify its order without being seen.
 
@@ -54,7 +58,8 @@ def least_seen(
 
     A mode is the structure's: other orders pass it at their own speeds, and what excites the floor does too. It is
     reckoned with that it amplifies one order ``selective_ratio`` times as much as another, or as the ``floors``,
-    and no more: what one of them excludes by far is excluded for all.
+    and no more: what one of them excludes by far is excluded for all. What the signals of ``sweeps`` leave open counts
+    where it is less, and of orders that they alone show.
     """
     from scipy.special import chdtri
 
@@ -64,7 +69,11 @@ def least_seen(
         size = np.sqrt(block.size) if block.power else block.size
         for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
             largest[unit[name]] = max(NUMBERS.matters_share * most, largest.get(unit[name], 0.0))
-    alone = [_bound(block, poles, least_damping, reach, unit, largest) for block in blocks]
+    along = [(item.order, FloorBound(item.frequency_hz, item.amplification(unit, largest))) for item in sweeps]
+    alone = [_less(_bound(block, poles, least_damping, reach, unit, largest), along) for block in blocks]
+    have = {block.order for block in blocks}
+    more = {order for order, _ in along if all(abs(order - one) >= SAME_ORDER * one for one in have)}
+    alone += [_less(UnseenBound(order, np.empty(0), np.empty(0)), along) for order in sorted(more)]
     known = [FloorBound(item.order * item.speed_rpm / 60.0, item.amplification) for item in alone]
     made = []
     for number, item in enumerate(alone):
@@ -77,6 +86,37 @@ def least_seen(
 
 
 @dataclass(frozen=True, eq=False)
+class Hiding:
+    """What a mode that nobody saw could add to ``order`` in its ``channels``, at ``frequency_hz`` (G,), rising.
+
+    ``base`` (C, G) is the amplitude there without it, ``added`` (C, G) the most that it adds unseen, ``noise`` (C, G)
+    what is too small to be seen.
+    """
+
+    order: float
+    frequency_hz: Array
+    channels: tuple[str, ...]
+    base: Array
+    added: Array
+    noise: Array
+
+    def amplification(self, unit: Mapping[str, str], matters: Mapping[str, float]) -> Array:
+        """Largest amplification (G,), in the channel that has most of each ``unit``.
+
+        ``matters``: amplitude, by unit, below which none counts.
+        """
+        most = np.zeros(self.base.shape[1])
+        for name in dict.fromkeys(unit[channel] for channel in self.channels):
+            own = np.array([unit[channel] == name for channel in self.channels])
+            least = np.maximum(self.noise[own].max(axis=0), matters[name])
+            without = np.maximum(self.base[own].max(axis=0), least)
+            most = np.maximum(
+                most, np.maximum((self.base + self.added)[own].max(axis=0), least) / np.maximum(without, 1e-300)
+            )
+        return most
+
+
+@dataclass(frozen=True, eq=False)
 class FloorBound:
     """Largest ``amplification`` (F,) that a mode at ``frequency_hz`` (F,), rising, could have without being seen."""
 
@@ -86,6 +126,14 @@ class FloorBound:
     def at(self, hz: Array) -> Array:
         """That at ``hz`` (G,); infinite where nothing is known."""
         return np.asarray(np.interp(hz, self.frequency_hz, self.amplification, left=np.inf, right=np.inf))
+
+    def worst_about(self, hz: Array) -> Array:
+        """The largest nearer to each of ``hz`` (G,), rising, than to its neighbours."""
+        worst = self.at(hz)
+        inside = (self.frequency_hz >= hz[0]) & (self.frequency_hz <= hz[-1])
+        nearest = np.searchsorted(0.5 * (hz[1:] + hz[:-1]), self.frequency_hz[inside])
+        np.maximum.at(worst, nearest, self.amplification[inside])
+        return worst
 
 
 def floor_bound(
@@ -115,6 +163,22 @@ def floor_bound(
     return FloorBound(problem.frequency_hz, np.sqrt(1.0 + best / filled))
 
 
+def _less(item: UnseenBound, along: Sequence[tuple[float, FloorBound]]) -> UnseenBound:
+    """``item``, or what sweeps leave open of its order where that is less: ``along`` holds (order, bound) of each.
+
+    Sweeps tell of speeds too that no row of the order reaches.
+    """
+    own = [bound for order, bound in along if abs(order - item.order) < SAME_ORDER * item.order]
+    speed = item.speed_rpm
+    more = np.unique(np.concatenate([60.0 / item.order * bound.frequency_hz for bound in own] or [np.empty(0)]))
+    below, above = (more[more < speed[0]], more[more > speed[-1]]) if len(speed) else (more, more[:0])
+    speed = np.concatenate([below, speed, above])
+    least = np.pad(item.amplification, (len(below), len(above)), constant_values=np.inf)
+    for bound in own:
+        least = np.minimum(least, bound.worst_about(item.order * speed / 60.0))
+    return replace(item, speed_rpm=speed, amplification=least)
+
+
 def _bound(
     block: Block,
     poles: Poles,
@@ -137,13 +201,8 @@ def _bound(
     base = _fitted(block, part, poles, speed)
     if block.power:
         base, added, noise = np.sqrt(np.maximum(base, 0.0)), np.sqrt(added), np.sqrt(noise)
-    most = np.zeros(len(speed))
-    for name in dict.fromkeys(unit[channel] for channel in block.channels):
-        own = np.array([unit[channel] == name for channel in block.channels])
-        least = np.maximum(noise[own].max(axis=0), matters[name])
-        without = np.maximum(base[own].max(axis=0), least)
-        most = np.maximum(most, np.maximum((base + added)[own].max(axis=0), least) / np.maximum(without, 1e-300))
-    return UnseenBound(block.order, speed, most)
+    hiding = Hiding(block.order, block.order * speed / 60.0, block.channels, base, added, noise)
+    return UnseenBound(block.order, speed, hiding.amplification(unit, matters))
 
 
 def _asked(block: Block) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
 from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air, said_wide
-from crankorder.identify.modal.exclusion import FloorBound, floor_bound, least_seen
+from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
@@ -42,7 +42,7 @@ from crankorder.identify.modal.search import (
 )
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
 from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
-from crankorder.identify.modal.sweep_poles import SweepPole
+from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modal.whirl import whirls_of, with_whirls
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -159,15 +159,15 @@ def modal_fit(
     *,
     settings: IdentifySettings,
     followed: Sequence[xr.Dataset] = (),
-    swept: Sequence[SweepPole] = (),
+    swept: SweepFits = NO_FITS,
 ) -> ModalFit:
     """Natural frequencies, damping ratios and tones of a test, with their covariance.
 
     ``campbell`` (CampbellMap) and ``order_map`` (OrderMap) are the maps of the test, ``orders`` what was found in the
-    latter, ``followed`` (RecordingTracks) how they ran along sweeps, ``swept`` the poles that the signals of these
-    tell; ``settings`` state the false-alarm level and what counts as a mode. The floor that the order lines leave, in
-    all channels, and amplitude and phase of the orders over the speeds are fitted by one set of poles, band by band
-    where the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells them.
+    latter, ``followed`` (RecordingTracks) how they ran along sweeps, ``swept`` what the signals of these tell;
+    ``settings`` state the false-alarm level and what counts as a mode. The floor that the order lines leave, in all
+    channels, and amplitude and phase of the orders over the speeds are fitted by one set of poles, band by band where
+    the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells them.
     """
     blocks = blocks_of(order_map, orders, followed)
     floor = _floor(campbell, order_map, orders)
@@ -180,19 +180,19 @@ def modal_fit(
             problem, fit = search(band.floor, chance=settings.false_alarm_probability)
             fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
     cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
-    fixed, spread = poles_of(swept)
-    known, covariance = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept)
+    fixed, spread = poles_of(swept.poles)
+    known, covariance = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept.poles)
     blocks, extra = poles_of_orders(
         blocks,
         known.joined(fixed),
         side_by_side([covariance, spread]),
         chance=settings.false_alarm_probability,
         most_damping=settings.max_damping_ratio,
-        most_poles=0 if swept else None,
+        most_poles=0 if swept.poles else None,
     )
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(item, fitted, blocks, fixed.joined(_of_orders(extra))) for item in fitted]
-    known, _ = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept)
+    known, _ = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept.poles)
     told = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
     blocks = told.blocks
     found = ModalFit((), (), np.zeros((0, 0)))
@@ -200,12 +200,14 @@ def modal_fit(
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=False))
         found, kept = _found(fitted, floor, proof, settings)
-    found, kept = with_sweep_modes(*modes_unlike(found, kept, swept), swept, settings)
+    found, kept = with_sweep_modes(*modes_unlike(found, kept, swept.poles), swept.poles, settings)
     floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    made = _with_order_modes(found, kept, blocks, told.found, told.covariance, floors, unit, settings)
-    hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least)
-    made = replace(made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings)
+    made = _with_order_modes(found, kept, blocks, told.found, told.covariance, (floors, swept.hiding), unit, settings)
+    hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least, looked_hz=swept.looked_hz)
+    made = replace(
+        made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings, shown_orders=swept.shown_orders
+    )
     return with_whirls(made, whirls, campbell["speed"].values)
 
 
@@ -291,11 +293,14 @@ def _with_order_modes(
     blocks: tuple[Block, ...],
     extra: tuple[OrderPole, ...],
     covariance: Array,
-    floors: Sequence[FloorBound],
+    excluded: tuple[Sequence[FloorBound], Sequence[Hiding]],
     unit: Mapping[str, str],
     settings: IdentifySettings,
 ) -> ModalFit:
-    """``fit``, whose modes are the poles ``kept``, with those that only orders show, lowest first."""
+    """``fit``, whose modes are the poles ``kept``, with those that only orders show, lowest first.
+
+    ``excluded``: what floors and sweeps leave open.
+    """
     parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(extra))]
     every = kept
     for pole in extra:
@@ -329,7 +334,8 @@ def _with_order_modes(
             unit=unit,
             least_damping=settings.least_damping_ratio,
             confidence=settings.free_confidence,
-            floors=floors,
+            floors=excluded[0],
+            sweeps=excluded[1],
         ),
     )
 

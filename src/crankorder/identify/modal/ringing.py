@@ -153,12 +153,18 @@ def _rings(block: Block, later: float, natural_hz: float, damping: float, share:
 
 
 def hidden_speeds(
-    blocks: Sequence[Block], modes: Sequence[Mode], *, revs_per_cycle: int, least_damping: float
+    blocks: Sequence[Block],
+    modes: Sequence[Mode],
+    *,
+    revs_per_cycle: int,
+    least_damping: float,
+    looked_hz: Sequence[tuple[float, float]] = (),
 ) -> tuple[HiddenSpeeds, ...]:
     """Speeds at which orders that nobody found could meet ``modes`` that still ring from the orders of ``blocks``.
 
     Every multiple of the cycle's frequency (``revs_per_cycle`` 1 or 2) may be such an order, if it is none of
-    ``blocks``. No mode is taken to be damped by less than ``least_damping``.
+    ``blocks``. No mode is taken to be damped by less than ``least_damping``. At ``looked_hz``, from … to, all of them
+    were looked for beside what rings.
     """
     swept = [block for block in blocks if block.passage is not None]
     if not swept:
@@ -169,6 +175,8 @@ def hidden_speeds(
     found: list[HiddenSpeeds] = []
     for mode in modes:
         f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
+        if any(low <= f <= high for low, high in looked_hz):
+            continue
         reach = mode.frequency_half_hz + NUMBERS.near_share * f
         for number in unknown.tolist():
             rung = [block for block in swept if _rings(block, number, f, zeta, NUMBERS.hides_share)]

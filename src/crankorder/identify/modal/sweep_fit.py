@@ -31,6 +31,9 @@ SETTLED = 0.1
 NOISE_ROUNDS = 4
 """Rounds in which the shape of the noise settles."""
 
+LEAST_REACHED = 1e-6
+"""Share of a column's square beyond all others from which one pole more is told by it."""
+
 LAGS = 3
 """Bins beside one another whose errors may go together."""
 
@@ -182,6 +185,59 @@ class LocalFit:
     def share(self, number: int) -> float:
         """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""
         return max((float(part.max()) for one in self.solved if (part := shares_of(one, number)).size), default=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OnePoleMore:
+    """One pole more at each of S places: ``residues`` (S, orders, C), their ``variance``, what it ``saves`` (S,).
+
+    The residues have the unit of the window's amplitudes; a variance is a complex number's whole one, infinite where
+    the order does not reach the place. What is saved is of twice the negative log likelihood.
+    """
+
+    residues: Complex
+    variance: Array
+    saves: Array
+
+    @classmethod
+    def of(cls, one: Solved, natural_hz: Array, damping: Array) -> OnePoleMore:
+        """In ``one`` window at ``natural_hz``, ``damping`` (S,), with amplitudes of its own in each channel."""
+        window = one.window
+        answers = resonance(window.frequency_hz, natural_hz, damping)
+        power = np.square(np.abs(answers))
+        # what rings is, but for a smooth factor, a response to a force that falls with the square of the frequency
+        rung = np.full(len(window.frequency_hz), 1.0 + 0j) / np.square(window.frequency_hz / window.frequency_hz.mean())
+        forces = [window.force(order)[0] / window.shape for order in window.orders] + [rung / window.shape]
+        matrix = _shared(one, forces, answers, power)
+        side = np.stack([(one.left.T * force.conj()) @ answers.conj() for force in forces])  # (orders, C, S)
+        own = np.einsum("sii->si", matrix).real
+        whole = np.stack([np.square(np.abs(force)) @ power for force in forces], axis=1)
+        reached = own > LEAST_REACHED * whole
+        scale = np.where(reached, 1.0 / np.sqrt(np.maximum(own, 1e-300)), 0.0)
+        matrix = matrix * scale[:, :, None] * scale[:, None, :] + LEAST_REACHED * np.eye(len(forces))
+        inverse = np.linalg.inv(matrix)
+        wanted = np.moveaxis(side, 2, 0) * scale[:, :, None]
+        residues = inverse @ wanted
+        saves = 2.0 * np.sum(wanted.conj() * residues, axis=(1, 2)).real
+        spread = np.einsum("sii->si", inverse).real * np.square(scale)
+        variance = np.where(reached, spread, np.inf)[:, :-1, None] * np.square(window.level)
+        return cls((residues * scale[:, :, None])[:, :-1] * window.level, np.asarray(variance), np.asarray(saves))
+
+
+def _shared(one: Solved, forces: list[Complex], answers: Complex, power: Array) -> Complex:
+    """Gram matrices (S, orders, orders) of ``forces`` (each (B,)) times ``answers`` (B, S), beyond ``one``'s columns.
+
+    ``power`` (B, S): squares of the answers.
+    """
+    count = len(forces)
+    basis = (one.columns @ one.inverse).conj().T
+    within = np.stack([basis @ (force[:, None] * answers) for force in forces])
+    matrix = np.empty((answers.shape[1], count, count), dtype=np.complex128)
+    for i in range(count):
+        for j in range(i, count):
+            shared = (forces[i].conj() * forces[j]) @ power - np.sum(within[i].conj() * within[j], axis=0)
+            matrix[:, i, j], matrix[:, j, i] = shared, shared.conj()
+    return matrix
 
 
 def _noise_power(power: Array, frequency_hz: Array, natural_hz: Array, damping: Array) -> Array:

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, shares_of
+from crankorder.identify.modal.exclusion import SAME_ORDER, Hiding
+from crankorder.identify.modal.sweep_exclusion import HiddenInSweep, hidden_in
+from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, shares_of
 from crankorder.identify.modal.sweep_window import Solved, SweepSpectrum, Window
-from crankorder.identify.resonance import resonance
-from crankorder.settings import MethodNumbers
+from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles"):
@@ -35,6 +36,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     known_share: float
     alone_frequency_share: float
     alone_damping_share: float
+    witness_share: float
     lowest_hz: float
     highest_hz: float
     most_tiles: int
@@ -104,34 +106,9 @@ class Starts:
         damping = np.repeat(TRIED_DAMPING, counts)
         saves, unknowns = np.zeros(len(natural)), 2
         for one in fit.solved:
-            saves += _saved(one, natural, damping)
+            saves += OnePoleMore.of(one, natural, damping).saves
             unknowns += 2 * (len(one.window.orders) + 1) * one.left.shape[1]
         return cls(natural, damping, saves, unknowns)
-
-
-def _saved(one: Solved, natural_hz: Array, damping: Array) -> Array:
-    """What one pole more at ``natural_hz``, ``damping`` (S,) would save, with amplitudes of its own in each channel."""
-    window = one.window
-    answers = resonance(window.frequency_hz, natural_hz, damping)
-    power = np.square(np.abs(answers))
-    # what rings is, but for a smooth factor, a response to a force that falls with the square of the frequency
-    rung = np.full(len(window.frequency_hz), 1.0 + 0j) / np.square(window.frequency_hz / window.frequency_hz.mean())
-    forces = [window.force(order)[0] / window.shape for order in window.orders] + [rung / window.shape]
-    count = len(forces)
-    basis = (one.columns @ one.inverse).conj().T
-    within = np.stack([basis @ (force[:, None] * answers) for force in forces])
-    matrix = np.empty((len(natural_hz), count, count), dtype=np.complex128)
-    for i in range(count):
-        for j in range(i, count):
-            shared = (forces[i].conj() * forces[j]) @ power - np.sum(within[i].conj() * within[j], axis=0)
-            matrix[:, i, j], matrix[:, j, i] = shared, shared.conj()
-    side = np.stack([(one.left.T * force.conj()) @ answers.conj() for force in forces])  # (orders, C, S)
-    own = np.einsum("sii->si", matrix).real
-    whole = np.stack([np.square(np.abs(force)) @ power for force in forces], axis=1)
-    scale = np.where(own > 1e-6 * whole, 1.0 / np.sqrt(np.maximum(own, 1e-300)), 0.0)
-    matrix = matrix * scale[:, :, None] * scale[:, None, :] + 1e-6 * np.eye(count)
-    wanted = np.moveaxis(side, 2, 0) * scale[:, :, None]
-    return np.asarray(2.0 * np.sum(wanted.conj() * np.linalg.solve(matrix, wanted), axis=(1, 2)).real)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +126,16 @@ class GroupFit:
 
 @dataclass(frozen=True, eq=False)
 class SweepFits:
-    """What the signals of all sweeps of a test tell of its modes, place by place of frequency."""
+    """What the signals of all sweeps of a test tell of its modes, place by place of frequency.
+
+    ``hiding`` is what a mode that they do not show could add to each order; ``looked_hz`` are places, from … to, at
+    which every multiple of the cycle was looked for beside what rings, and ``shown_orders`` are those that were found.
+    """
 
     groups: tuple[GroupFit, ...] = ()
+    hiding: tuple[Hiding, ...] = ()
+    looked_hz: tuple[tuple[float, float], ...] = ()
+    shown_orders: tuple[float, ...] = ()
 
     @property
     def poles(self) -> tuple[SweepPole, ...]:
@@ -165,13 +149,11 @@ NO_FITS = SweepFits()
 
 def sweep_fits(
     spectra: Sequence[SweepSpectrum],
-    orders: Sequence[float],
     *,
     others: Sequence[float] = (),
-    chance: float,
-    most_damping: float,
+    settings: IdentifySettings,
 ) -> SweepFits:
-    """Poles that the signals ``spectra`` of sweeps show of modes which ``orders`` pass, lowest first.
+    """Poles that the signals ``spectra`` of sweeps show of modes which their orders pass, lowest first.
 
     Tile by tile of frequency one pole after the other is taken where it saves most, as long as noise alone would save
     so much no more often than ``chance``, and moved with all others near by. Then each is fitted once more in a window
@@ -180,28 +162,33 @@ def sweep_fits(
     Parameters
     ----------
     spectra : those of the recordings that sweep
-    orders : orders (cycles per crank revolution) that were followed through them
-    others : further orders that there may be: those that a tile shows take part from there on, for what they leave
-        would be taken for modes
-    chance : false-alarm probability
-    most_damping : largest damping ratio of a mode
+    others : further orders (cycles per crank revolution) that there may be: those that a tile shows take part from
+        there on, for what they leave would be taken for modes
+    settings : false-alarm probability, the dampings of modes, and the confidence with which one is excluded
     """
-    if not spectra or not len(orders):
-        return SweepFits()
+    orders = {order for one in spectra for order in one.orders}
     found: list[tuple[float, float]] = []
-    every = set(orders)
-    for low, high in _tiles(spectra, orders):
-        more = [order for order in others if all(abs(order - one) > NUMBERS.apart_share * one for one in every)]
-        search = _Search(tuple(spectra), tuple(sorted(every)), tuple(more), chance, most_damping)
-        found, shown = search.in_tile(found, low, high)
+    hidden: list[HiddenInSweep] = []
+    looked: list[tuple[float, float]] = []
+    every = set[float]()
+    for low, high in _tiles(spectra) if orders else ():
+        known = orders | every
+        more = [order for order in others if all(abs(order - one) > NUMBERS.apart_share * one for one in known)]
+        search = _Search(tuple(spectra), tuple(sorted(every)), tuple(more), settings)
+        found, shown, beside = search.in_tile(found, low, high)
         every |= shown
+        hidden += beside
+        looked += [(low, high)] if beside else []
     groups = _groups(spectra, sorted(every), found)
-    made = [_refined(spectra, sorted(every), group, found, most_damping=most_damping) for group in groups]
-    return SweepFits(tuple(one for one in made if one is not None and one.poles))
+    refined = [_refined(spectra, sorted(every), group, found, settings.max_damping_ratio) for group in groups]
+    made = tuple(one for one in refined if one is not None and one.poles)
+    proven = [pole.frequency_hz for one in made for pole in one.poles]
+    return SweepFits(made, tuple(item.beside(proven) for item in hidden), tuple(looked), tuple(sorted(every)))
 
 
-def _tiles(spectra: Sequence[SweepSpectrum], orders: Sequence[float]) -> list[tuple[float, float]]:
+def _tiles(spectra: Sequence[SweepSpectrum]) -> list[tuple[float, float]]:
     """Tiles of frequency that any order passes."""
+    orders = [order for one in spectra for order in one.orders]
     top = min(NUMBERS.highest_hz, min(one.top_hz for one in spectra))
     turning = [one.speed_rpm[one.speed_rpm > 0.01 * one.speed_rpm.max()] for one in spectra]
     low = max(NUMBERS.lowest_hz, min(orders) * min(float(speed.min()) for speed in turning) / 60.0)
@@ -213,11 +200,14 @@ def _tiles(spectra: Sequence[SweepSpectrum], orders: Sequence[float]) -> list[tu
     return list(itertools.pairwise(edges))
 
 
-def _blur_hz(spectra: Sequence[SweepSpectrum], orders: Sequence[float], low_hz: float, high_hz: float) -> float:
-    """Width over which the fastest passage from ``low_hz`` to ``high_hz`` spreads a resonance; 0 where none passes."""
+def _blur_hz(spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: float, high_hz: float) -> float:
+    """Width over which the fastest passage from ``low_hz`` to ``high_hz`` spreads a resonance; 0 where none passes.
+
+    ``more``: orders beside those of the recordings.
+    """
     fastest = 0.0
     for one in spectra:
-        for order in orders:
+        for order in (*one.orders, *more):
             inside = one.passing(order, low_hz, high_hz)
             if inside.any():
                 fastest = max(fastest, order / 60.0 * float(one.rate_rpm_per_s[inside].max()))
@@ -225,11 +215,11 @@ def _blur_hz(spectra: Sequence[SweepSpectrum], orders: Sequence[float], low_hz: 
 
 
 def _windows(
-    spectra: Sequence[SweepSpectrum], orders: Sequence[float], low_hz: float, high_hz: float, degree: int
+    spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: float, high_hz: float, degree: int
 ) -> tuple[Window, ...]:
-    """Windows of all recordings in which any order passes, cut at the ends of their bands."""
+    """Windows of all recordings in which any order, ``more`` among them, passes, cut at the ends of their bands."""
     made = [
-        Window.of(one, orders, max(low_hz, 0.3 * NUMBERS.lowest_hz), min(high_hz, one.top_hz), degree=degree)
+        Window.of(one, more, max(low_hz, 0.3 * NUMBERS.lowest_hz), min(high_hz, one.top_hz), degree=degree)
         for one in spectra
     ]
     return tuple(window for window in made if window is not None)
@@ -237,26 +227,30 @@ def _windows(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search of poles in ``spectra`` behind ``orders``, and ``more`` that there may be, tile by tile."""
+    """Search of poles in ``spectra`` behind their orders, ``shown`` ones and ``more`` that may be, tile by tile."""
 
     spectra: tuple[SweepSpectrum, ...]
-    orders: tuple[float, ...]
+    shown: tuple[float, ...]
     more: tuple[float, ...]
-    chance: float
-    most_damping: float
+    settings: IdentifySettings
+
+    @property
+    def chance(self) -> float:
+        """False-alarm probability."""
+        return self.settings.false_alarm_probability
 
     def in_tile(
         self, found: list[tuple[float, float]], low: float, high: float
-    ) -> tuple[list[tuple[float, float]], set[float]]:
-        """``found`` poles with those of the tile ``low`` to ``high`` Hz, and further orders that it shows."""
-        wide = NUMBERS.blurs * _blur_hz(self.spectra, self.orders, low, high)
+    ) -> tuple[list[tuple[float, float]], set[float], tuple[HiddenInSweep, ...]]:
+        """``found`` poles with those of the tile ``low`` to ``high`` Hz, more orders that it shows, what they hide."""
+        wide = NUMBERS.blurs * _blur_hz(self.spectra, self.shown, low, high)
         ends = (
             min(low * (1.0 - NUMBERS.beside_share), low - wide),
             max(high * (1.0 + NUMBERS.beside_share), high + wide),
         )
-        windows = _windows(self.spectra, self.orders, *ends, NUMBERS.search_degree) if wide else ()
+        windows = _windows(self.spectra, self.shown, *ends, NUMBERS.search_degree) if wide else ()
         if not windows:
-            return found, set()
+            return found, set(), ()
         near = [pole for pole in found if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
         fit, shown = self._with_orders(LocalFit(windows, natural, damping).settled(**ROUGHLY))
@@ -267,7 +261,14 @@ class _Search:
             fit, again = self._with_orders(trial)
             shown |= again
         others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
-        return others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True)), shown
+        hidden = hidden_in(
+            fit,
+            low,
+            high,
+            least_damping=self.settings.least_damping_ratio,
+            confidence=self.settings.free_confidence,
+        )
+        return others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True)), shown, hidden
 
     def _with_pole(self, fit: LocalFit, low: float, high: float) -> LocalFit | None:
         """``fit`` with the pole more that saves most in the tile; None where none saves enough, or is felt."""
@@ -281,7 +282,7 @@ class _Search:
         trial = fit.with_pole(float(starts.natural_hz[best]), float(starts.damping[best])).settled(**ROUGHLY)
         last = len(trial.natural_hz) - 1
         inside = low / (1.0 + NUMBERS.beside_share) <= trial.natural_hz[last] <= high * (1.0 + NUMBERS.beside_share)
-        if not inside or trial.damping[last] > 2.0 * self.most_damping or trial.gain(last) < limit:
+        if not inside or trial.damping[last] > 2.0 * self.settings.max_damping_ratio or trial.gain(last) < limit:
             return None
         felt = trial.share(last) >= NUMBERS.felt_share or trial.damping[last] <= 2.0 * LIGHTEST
         return trial if felt else None
@@ -308,24 +309,24 @@ class _Search:
         return fit, shown
 
 
-def _half_width(spectra: Sequence[SweepSpectrum], orders: Sequence[float], pole: tuple[float, float]) -> float:
-    """Half width, Hz, of the window in which a pole is told."""
+def _half_width(spectra: Sequence[SweepSpectrum], more: Sequence[float], pole: tuple[float, float]) -> float:
+    """Half width, Hz, of the window in which a pole is told; ``more``: orders beside those of the recordings."""
     f, zeta = pole
     reach = max(zeta, 0.02)
-    blur = _blur_hz(spectra, orders, f * (1.0 - reach), f * (1.0 + reach))
+    blur = _blur_hz(spectra, more, f * (1.0 - reach), f * (1.0 + reach))
     shortest = min(one.length_s for one in spectra)
     wide = min(NUMBERS.widths * zeta, NUMBERS.widest_share) * f
     return float(max(wide, NUMBERS.blurs * blur, NUMBERS.fewest_bins / shortest))
 
 
 def _groups(
-    spectra: Sequence[SweepSpectrum], orders: Sequence[float], found: Sequence[tuple[float, float]]
+    spectra: Sequence[SweepSpectrum], more: Sequence[float], found: Sequence[tuple[float, float]]
 ) -> list[list[tuple[float, float]]]:
     """``found`` poles by those that are told together: whose windows reach to one another."""
     made: list[list[tuple[float, float]]] = []
     reached = -np.inf
     for pole in sorted(found):
-        half = _half_width(spectra, orders, pole)
+        half = _half_width(spectra, more, pole)
         if made and pole[0] - 0.5 * half < reached:
             made[-1].append(pole)
         else:
@@ -344,36 +345,36 @@ def _parted(group: list[tuple[float, float]]) -> list[list[tuple[float, float]]]
 
 def _refined(
     spectra: Sequence[SweepSpectrum],
-    orders: Sequence[float],
+    shown: Sequence[float],
     group: Sequence[tuple[float, float]],
     found: Sequence[tuple[float, float]],
-    *,
     most_damping: float,
 ) -> GroupFit | None:
     """The poles of a ``group`` fitted in a window of their own, with what the degree of the smooth part moves.
 
-    Others of those ``found`` that lie in the window take part, but are told in a group of their own.
+    Others of those ``found`` that lie in the window take part, but are told in a group of their own. ``shown``:
+    orders beside those of the recordings; ``most_damping``: the largest damping ratio of a mode.
     """
-    halves = [_half_width(spectra, orders, pole) for pole in group]
+    halves = [_half_width(spectra, shown, pole) for pole in group]
     low = min(pole[0] - half for pole, half in zip(group, halves, strict=True))
     high = max(pole[0] + half for pole, half in zip(group, halves, strict=True))
-    held = [one for one in spectra if _windows([one], orders, low, high, max(NUMBERS.degrees))]
+    held = [one for one in spectra if _windows([one], shown, low, high, max(NUMBERS.degrees))]
     fits: list[LocalFit] = []
     beside = [pole for pole in found if low < pole[0] < high and pole not in group]
     natural, damping = np.array([*group, *beside]).T
     for degree in NUMBERS.degrees:
-        windows = _windows(held, orders, low, high, degree)
+        windows = _windows(held, shown, low, high, degree)
         if not windows:
             return None
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
     covariance = _covariance(less, more)
-    shown = [
+    told = [
         _pole(more, number, covariance[2 * number : 2 * number + 2, 2 * number : 2 * number + 2])
         for number in range(len(group))
     ]
-    return GroupFit(more, less, covariance, tuple(pole for pole in shown if _is_sure(pole, most_damping)))
+    return GroupFit(more, less, covariance, tuple(pole for pole in told if _is_sure(pole, most_damping)))
 
 
 def _covariance(less: LocalFit, more: LocalFit) -> Array:
@@ -391,7 +392,13 @@ def _is_sure(pole: SweepPole, most_damping: float) -> bool:
     if not pole.orders or by_f > pole.damping or pole.damping < 2.0 * LIGHTEST or vague:
         return False
     known = by_f < NUMBERS.alone_frequency_share and by_zeta < NUMBERS.alone_damping_share
-    return bool((len(pole.orders) > 1 or known) and pole.damping <= most_damping)
+    return bool((_witnesses(pole.orders) > 1 or known) and pole.damping <= most_damping)
+
+
+def _witnesses(orders: Sequence[float]) -> int:
+    """How many of ``orders``, rising, tell a mode each for itself: what a strong one leaves is taken for one beside."""
+    apart = [high > (1.0 + NUMBERS.witness_share) * low for low, high in itertools.pairwise(orders)]
+    return sum(apart) + bool(orders)
 
 
 def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
@@ -407,7 +414,8 @@ def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
         shown = (fdtrc(2.0, dof, ratio) <= NUMBERS.proof_chance) & (shares >= NUMBERS.felt_share)
         for row, order in enumerate(one.window.orders):
             if shown[row].any():
-                orders.add(order)
+                if all(abs(order - other) > SAME_ORDER * order for other in orders):  # told by each recording
+                    orders.add(order)
                 hz = order * one.window.sweep.speed_rpm / 60.0
                 ends += [float(hz[hz > 0.0].min()), float(hz.max())]
                 channels |= {name: None for name, yes in zip(one.window.sweep.channels, shown[row], strict=True) if yes}

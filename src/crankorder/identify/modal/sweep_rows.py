@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.modal.sweep_poles import GroupFit, SweepFits, sweep_fits
 from crankorder.identify.modal.sweep_window import Solved, spectra_of
+from crankorder.orders.swept_tracks import SMOOTHING, followed_error
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -38,21 +39,17 @@ Complex = NDArray[np.complexfloating]
 def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings) -> SweepFits:
     """Poles that the signals in ``followed`` (RecordingTracks) of sweeps tell, behind the orders that were followed.
 
-    ``settings``: the false-alarm level and the largest damping ratio of a mode.
+    ``settings``: the false-alarm level, the dampings of modes, and the confidence with which one is excluded.
     """
     spectra = spectra_of([item for item in followed if _turns_surely(item)], fewest=NUMBERS.fewest_samples)
-    held = {one.recording for one in spectra}
-    own = [item for item in followed if str(item.attrs.get("recording")) in held]
-    numbers = sorted({float(number) for item in own for number in item["order"].values})
-    if not numbers:
+    highest = max((order for one in spectra for order in one.orders), default=0.0)
+    if not highest:
         return SweepFits()
-    cycle = int(own[0].attrs["revs_per_cycle"])
+    cycle = int(followed[0].attrs["revs_per_cycle"])
     return sweep_fits(
         spectra,
-        numbers,
-        others=(np.arange(1, cycle * max(numbers) + 1) / cycle).tolist(),
-        chance=settings.false_alarm_probability,
-        most_damping=settings.max_damping_ratio,
+        others=(np.arange(1, cycle * highest + 1) / cycle).tolist(),
+        settings=settings,
     )
 
 
@@ -106,10 +103,7 @@ def _with_order(
         return item
     value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
     if alone:
-        own = np.hypot(
-            item["standard_error"].values[:, place][:, near], np.abs(item["smoothing"].values[:, place][:, near])
-        )
-        better = _rung(item, place, near, one) | (error < own.T).all(axis=1)
+        better = _rung(item, place, near, one) | (error < followed_error(item, place)[:, near].T).all(axis=1)
         near[near], value, error = better, value[better], error[better]
         if not better.any():
             return item
@@ -125,7 +119,8 @@ def _with_order(
     rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
     for name, given in (("amplitude", value), ("standard_error", error)):
         item[name].values[rows] = given.T[usable][:, None]
-    item["smoothing"].values[rows] = 0.0
+    for name in SMOOTHING:
+        item[name].values[rows] = 0.0
     freedom = item["degrees_of_freedom"].values
     freedom[rows] = np.nanmax(freedom[:, place], initial=1.0)
     return item
@@ -142,7 +137,7 @@ def _with_witness(
     """
     taken = item["smoothing"].values[:, place][:, near].T
     seen = item["amplitude"].values[:, place][:, near].T + taken
-    own = np.hypot(item["standard_error"].values[:, place][:, near].T, np.abs(taken))
+    own = np.hypot(followed_error(item, place), item["smoothing_more"].values[:, place])[:, near].T
     apart = np.square(np.abs(value - seen))
     with np.errstate(invalid="ignore", divide="ignore"):
         knows = (own < NUMBERS.witness_share * np.abs(seen)) & (own > 0.0) & ~rung[:, None]
@@ -221,5 +216,6 @@ def _with_row(item: xr.Dataset, time_s: float, one: Solved) -> tuple[xr.Dataset,
         made.coords[name].values[at] = value
     for name, nothing in (("amplitude", np.nan), ("standard_error", np.nan), ("degrees_of_freedom", 0.0)):
         made[name].values[:, :, at] = nothing
-    made["smoothing"].values[:, :, at] = 0.0
+    for name in SMOOTHING:
+        made[name].values[:, :, at] = 0.0
     return made, at

@@ -59,12 +59,13 @@ Complex = NDArray[np.complexfloating]
 class SweepSpectrum:
     """Transform of one recording: ``spectrum`` (C, F) at ``frequency_hz`` (F,), ``angle_rev`` and ``speed_rpm`` (N,).
 
-    ``channels`` name its rows, ``rate_hz`` is that of its samples, the first at ``start_s``, ``top_hz`` the end of its
-    band.
+    ``channels`` name its rows, ``orders`` were followed through it, ``rate_hz`` is that of its samples, the first at
+    ``start_s``, ``top_hz`` the end of its band. Each recording tells the number of an order by itself.
     """
 
     recording: str
     channels: tuple[str, ...]
+    orders: tuple[float, ...]
     start_s: float
     rate_hz: float
     top_hz: float
@@ -110,6 +111,7 @@ def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpe
             SweepSpectrum(
                 str(item.attrs["recording"]),
                 names,
+                tuple(sorted(item["order"].values.tolist())),
                 float(item.attrs["waveform_start_s"]),
                 rate,
                 min(float(item.attrs["waveform_band_hz"]), 0.47 * rate),
@@ -154,13 +156,15 @@ class Window:
 
     @classmethod
     def of(
-        cls, sweep: SweepSpectrum, orders: Sequence[float], low_hz: float, high_hz: float, *, degree: int
+        cls, sweep: SweepSpectrum, more: Sequence[float], low_hz: float, high_hz: float, *, degree: int
     ) -> Window | None:
-        """Window of ``sweep`` with those of ``orders`` that pass it; None where none does, or it has few bins.
+        """Window of ``sweep`` with those of its orders, and of ``more``, that pass it; None where it has few bins.
 
         ``low_hz``, ``high_hz`` and ``degree`` are those of the window.
         """
-        passing = tuple(order for order in orders if sweep.passing(order, low_hz, high_hz).any())
+        passing = tuple(
+            order for order in sorted({*sweep.orders, *more}) if sweep.passing(order, low_hz, high_hz).any()
+        )
         at = (sweep.frequency_hz >= low_hz) & (sweep.frequency_hz <= high_hz)
         fewest = 4 * (len(passing) * (degree + 2) + 4)
         if not passing or np.count_nonzero(at) < fewest:
@@ -188,8 +192,21 @@ class Window:
     @cached_property
     def powers(self) -> Array:
         """Polynomials (B, degree + 1) of the frequency."""
-        place = (2.0 * self.frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
+        return self.powers_at(self.frequency_hz)
+
+    def powers_at(self, frequency_hz: Array) -> Array:
+        """Polynomials (G, degree + 1) of ``frequency_hz`` (G,)."""
+        place = (2.0 * frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
         return np.asarray(legendre.legvander(place, self.degree))
+
+    def force_at(self, order: float, frequency_hz: Array) -> Complex:
+        """Force (G,) of ``order`` where it stands at ``frequency_hz`` (G,), in the unit of :meth:`force`."""
+        logarithm = np.log(60.0 * frequency_hz / order) - self._middle_of(order)
+        return np.asarray(np.exp((FORCE_EXPONENT + self.bends.get(order, 0j)) * logarithm))
+
+    def _middle_of(self, order: float) -> float:
+        """Mean logarithm of the speed while ``order`` passes the window."""
+        return float(self.sweep.logarithm[self.sweep.passing(order, self.low_hz, self.high_hz)].mean())
 
     def force(self, order: float) -> tuple[Complex, Complex]:
         """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
@@ -214,12 +231,11 @@ class Window:
         """Logarithm of the speed over that at which ``order`` passes, and its carrier, (N / thinned,)."""
         if order not in self._carriers:
             sweep, part = self.sweep, slice(None, None, self.thinned)
-            inside = sweep.passing(order, self.low_hz, self.high_hz)
             speed, hz = sweep.speed_rpm[part], order * sweep.speed_rpm[part] / 60.0
             whole = np.clip((DROPPED_OVER - hz / self.high_hz) / (DROPPED_OVER - KEPT_OVER), 0.0, 1.0)
             whole[speed <= SLOWEST_SHARE * sweep.speed_rpm.max()] = 0.0
             carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
-            self._carriers[order] = sweep.logarithm[part] - float(sweep.logarithm[inside].mean()), carrier
+            self._carriers[order] = sweep.logarithm[part] - self._middle_of(order), carrier
         return self._carriers[order]
 
     def is_passed(self, order: float) -> bool:

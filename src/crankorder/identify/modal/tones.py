@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
-from crankorder.identify.mains import multiple_on, multiples_near, nearest_multiple
+from crankorder.identify.mains import multiple_on, multiples_near, nearest_multiple, supply_told
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import dispersion
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
@@ -224,7 +224,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
         also = f"; it is {alone[0]} x {alone[1]:g} Hz as well" if alone else ""
         return "order", known + also
     for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
-        return "mains", f"no damping, {multiple} times the mains frequency of {mains:g} Hz{_same_at(floor)}"
+        return "mains", f"no damping, {_times(multiple, mains)}{_same_at(floor)}"
     rows = _rows_that_show(frequency_hz, floor)
     if (
         rows.any()
@@ -280,19 +280,38 @@ def _on_half_orders(frequency_hz: float, rows: NDArray[np.bool_], floor: Floor) 
 def with_one_mains(tones: list[Tone], *, settings: IdentifySettings) -> tuple[Tone, ...]:
     """``tones`` with "mains" taken back where lines of two mains frequencies stand side by side: no place has both.
 
+    Where the first or second multiple of one of them alone is there, that is the supply.
     And with each multiple once: a second line on it is the first one's skirt within both errors, and a tone otherwise.
     ``settings`` name the mains frequencies.
     """
     tones = _each_multiple_once(tones, settings=settings)
-    seen: set[float] = set()
-    for tone in tones:
-        on = [m for m in settings.mains_hz if _is_multiple(tone.frequency_hz, m, settings)]
-        if tone.kind == "mains" and len(on) == 1:
-            seen.update(on)
-    if len(seen) < 2:
+    mains = [(tone.frequency_hz, 0.0) for tone in tones if tone.kind == "mains"]
+    mains = [place for place in mains if multiples_near(*place, settings=settings)]
+    supply = supply_told(mains, settings=settings)
+    if supply is not None:
+        return tuple(_of_supply(tone, supply, settings) for tone in tones)
+    if not any(len(multiples_near(*place, settings=settings)) == 1 for place in mains):
         return tuple(tones)
     words = "no damping; a multiple of a mains frequency, but so are others of another one"
     return tuple(replace(tone, kind="tone", evidence=words) if tone.kind == "mains" else tone for tone in tones)
+
+
+def _of_supply(tone: Tone, supply_hz: float, settings: IdentifySettings) -> Tone:
+    """``tone`` as a multiple of the supply of the test, if it is one; a tone where it is that of another alone."""
+    near = multiples_near(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
+    if tone.kind != "mains" or not near:
+        return tone
+    own = [multiple for multiple, mains in near if mains == supply_hz]
+    if not own:
+        words = f"no damping; a multiple of {near[0][1]:g} Hz, but the mains of this test are of {supply_hz:g} Hz"
+        return replace(tone, kind="tone", evidence=words)
+    if near[0][1] == supply_hz:
+        return tone
+    return replace(tone, evidence=tone.evidence.replace(_times(*near[0]), _times(own[0], supply_hz)))
+
+
+def _times(multiple: int, mains_hz: float) -> str:
+    return f"{multiple} times the mains frequency of {mains_hz:g} Hz"
 
 
 def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> list[Tone]:
@@ -315,14 +334,9 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
 
 
 def _may_be_multiple(tone: Tone, mains_hz: float, settings: IdentifySettings) -> bool:
-    """As :func:`_is_multiple`, within the error of the frequency too, as :func:`kind_of` has it."""
+    """Whether a ``tone`` may be a multiple of ``mains_hz``, within its error, as :func:`kind_of` has it."""
     multiple, reach = nearest_multiple(tone.frequency_hz, mains_hz, settings=settings)
     return bool(abs(tone.frequency_hz - multiple * mains_hz) <= reach + 2.0 * tone.frequency_error_hz)
-
-
-def _is_multiple(frequency_hz: float, mains_hz: float, settings: IdentifySettings) -> bool:
-    multiple, reach = nearest_multiple(frequency_hz, mains_hz, settings=settings)
-    return bool(abs(frequency_hz - multiple * mains_hz) <= reach)
 
 
 def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:

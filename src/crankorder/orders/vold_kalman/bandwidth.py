@@ -96,6 +96,31 @@ def impulse_response(lag_bandwidths: Floats, poles: int) -> Floats:
     return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table, right=0.0))
 
 
+def taken_in_truth(share: Floats, widest: Floats, poles: int) -> Floats:
+    """How many times what a second filter takes of the peak of a mode that a sweep passes the first one has taken.
+
+    ``share`` (any shape): what the second takes of what the first has left. The spectrum of the envelope that a mode
+    leaves falls exponentially from the order (Hok 1948), so that one share belongs to one width of it; of a spectrum
+    much wider than the band of the filter of ``poles`` the share tends to a bound, and what was taken to everything.
+    ``widest`` (as ``share``) is the largest width, over which the spectrum falls by e, in half bandwidths.
+    """
+    widths, shares, times = _taken_table(poles)
+    most = np.interp(widest, widths, shares)
+    return np.asarray(np.interp(np.minimum(share, most), shares, times))
+
+
+@functools.cache
+def _taken_table(poles: int) -> tuple[Floats, Floats, Floats]:
+    """Widths, rising, shares that a second filter takes, and what the first has taken of the peak over that."""
+    width = np.geomspace(0.1, 30.0, 61)
+    x = np.linspace(0.0, 600.0, 60001)
+    gain = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles))
+    spectrum = np.exp(-x / width[:, None])
+    once, twice = spectrum @ gain, spectrum @ gain**2
+    share = 1.0 - twice / once
+    return width, share, (spectrum.sum(axis=1) / once - 1.0) / share
+
+
 @functools.cache
 def _response_table(poles: int) -> tuple[Floats, Floats]:
     """Lags in reciprocal bandwidths, and the response there."""

@@ -1,0 +1,286 @@
+"""Rows of an order beside lines of one frequency, as mains are: what of a row is the order's, and what may be not.
+
+The size of such a line is known from the other speeds of the test, where no order is near. Where an order meets it the
+two are told apart by their beat over a recording, as far as that is long enough; what is left of the doubt is part of
+the interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import xarray as xr
+
+from crankorder.findings import Findings
+from crankorder.orders.averages import frame_correlation
+from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg
+from crankorder.orders.order_rows import OrderRows
+from crankorder.orders.true_angle import UNKNOWN_DEG
+from crankorder.quantities import Bools, Complexes, Floats, Ints
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="3-orders-lines.toml", table="fixed_lines"):
+    reach_bins: float
+    wander_hz: float
+    parted_share: float
+    least_share: float
+
+
+NUMBERS = _Numbers.load()
+
+NOISE_STEPS = np.geomspace(1e-3, 1e3, 61)
+"""Powers of noise that are tried, over that of the bins beside: a line in these makes it look larger than it is."""
+
+RIGHT_ANGLE_DEG = 90.0
+"""By which a line as large as the order may turn it; beyond, its phase is not known."""
+
+NOT_FIXED = "order"
+"""Word in the cause of a line at one speed that may as well go with the shaft."""
+
+
+@dataclass(frozen=True, eq=False)
+class FixedLine:
+    """A line of one frequency of a test, and its standard error, Hz: what it is called, and its amplitude by channel.
+
+    ``amplitude`` holds peak and standard error, over the speeds, where no order was near.
+    """
+
+    frequency_hz: float
+    error_hz: float
+    name: str
+    amplitude: dict[str, tuple[float, float]]
+
+    @property
+    def text(self) -> str:
+        """The line in a sentence."""
+        return f"{self.name} of {self.frequency_hz:.5g} Hz"
+
+
+@dataclass(frozen=True, eq=False)
+class MetStretch:
+    """Frames of one recording in a ``row`` about an order that meets ``lines``: ``phasor`` (channels, frames).
+
+    Phasors count from the middle of each frame, as ``wave`` (frames,), what the order of amplitude 1 is there.
+    ``begin_rev`` (frames,) and ``revs`` say how the frames overlap, ``time_s`` (frames,) when their middles were,
+    ``shares`` (lines, frames) how much of a line is seen; ``size`` and ``error`` (lines, channels) are its amplitude
+    and standard error elsewhere, ``noise`` (channels,) the power of noise in a phasor by the bins beside.
+    """
+
+    row: int
+    lines: tuple[FixedLine, ...]
+    phasor: Complexes
+    wave: Complexes
+    begin_rev: Floats
+    revs: float
+    time_s: Floats
+    shares: Floats
+    size: Floats
+    error: Floats
+    noise: Floats
+
+    @property
+    def most(self) -> Floats:
+        """The largest amplitude (channels,) that the lines may have in a phasor of the order."""
+        return np.asarray(np.abs(self.shares).max(axis=1) @ (self.size + NORMAL * self.error))
+
+
+@dataclass(frozen=True, eq=False)
+class MetRow:
+    """A row of an order that meets fixed ``lines``: (channels,) complex amplitude, noise power of its error, freedom.
+
+    ``doubt`` (channels,) is the largest that the lines may add to what is not parted from them; ``is_parted``
+    (channels,) where the recordings told the order apart from them, ``touched`` (channels,) where they add to it
+    at all, and ``matters`` (channels,) where that is more than noise hides.
+    """
+
+    row: int
+    lines: tuple[FixedLine, ...]
+    value: Complexes
+    power: Floats
+    freedom: Floats
+    doubt: Floats
+    is_parted: Bools
+    touched: Bools
+    matters: Bools
+
+
+def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
+    """The lines of one frequency that ``findings`` name, with their amplitudes in all channels."""
+    found: dict[float, FixedLine] = {}
+    for one in findings.lines:
+        ends, size = one.frequency_hz_ci95, one.amplitude_ci95
+        if one.frequency_hz is None or ends is None or size is None or one.amplitude is None:
+            continue
+        hertz, high = ends[1], size[1]
+        if NOT_FIXED in (one.explained_by or "") or hertz is None or high is None:
+            continue
+        error = (hertz - one.frequency_hz) / NORMAL
+        line = found.setdefault(one.frequency_hz, FixedLine(one.frequency_hz, error, str(one.explained_by), {}))
+        line.amplitude[one.channel] = one.amplitude, (high - one.amplitude) / NORMAL
+    return tuple(found.values())
+
+
+def met_stretches(
+    item: xr.Dataset,
+    rows: Ints,
+    order: float,
+    phasors: Complexes,
+    shares: Floats,
+    lines: Sequence[FixedLine],
+    noise: Floats,
+    unit: Floats,
+) -> list[MetStretch]:
+    """Stretches of one recording of an ``order`` that meets ``lines``, one for each row of the map.
+
+    ``item`` its OrderFrames, of the ``rows`` (frames,), ``phasors`` (channels, frames) of the order, ``shares`` (lines,
+    frames) of the lines in them, ``noise`` (channels, rows of the map) of a phasor, ``unit`` (channels,) of both.
+    """
+    names = item["channel"].values.tolist()
+    told = np.array([[line.amplitude.get(name, (0.0, 0.0)) for name in names] for line in lines], dtype=np.float64)
+    begin, revs = item["crank_angle"].values.astype(np.float64), float(item.attrs["revs_per_frame"])
+    pace = 60.0 / item["speed"].values
+    time = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(begin))])
+    wave = np.exp(2j * np.pi * (order * (begin + 0.5 * revs) % 1.0))
+    whole = np.isfinite(phasors).all(axis=0)
+    made = []
+    for row in np.unique(rows[whole]).tolist():
+        mine = whole & (rows == row)
+        of_frames = phasors[:, mine], wave[mine], begin[mine], revs, time[mine], shares[:, mine]
+        made.append(MetStretch(row, tuple(lines), *of_frames, told[..., 0] / unit, told[..., 1] / unit, noise[:, row]))
+    return made
+
+
+def met_row(stretches: Sequence[MetStretch], *, unit: Floats, is_coherent: bool) -> MetRow:
+    """What ``stretches`` of one row hold of the order apart from the lines that it meets.
+
+    ``unit`` (channels,) is that of the phasors; where the order is not known so well that its frames have one phase
+    (``is_coherent``) nothing is told apart.
+    """
+    parts = [_parted(one) for one in stretches]
+    value, power, freedom = (np.array([part[k] for part in parts]) for k in range(3))
+    weight = 1.0 / np.maximum(power, 1e-300)
+    share = weight / weight.sum(axis=0)
+    direction = (share * value).sum(axis=0)
+    size = (share * np.abs(value)).sum(axis=0)
+    told = size * direction / np.maximum(np.abs(direction), 1e-300)
+    scatter = (share * np.square(np.abs(value) - size)).sum(axis=0) / max(len(parts) - 1, 1)
+    joined = 1.0 / weight.sum(axis=0) + 2.0 * scatter
+    doubt = np.max([one.most for one in stretches], axis=0)
+    is_parted = (joined < NUMBERS.parted_share**2 * np.square(doubt)) & is_coherent
+    lines = tuple(dict.fromkeys(line for one in stretches for line in one.lines))
+    by_noise = np.sqrt(0.5 * np.min([one.noise / len(one.wave) for one in stretches], axis=0))
+    return MetRow(
+        row=stretches[0].row,
+        lines=lines,
+        value=np.asarray(unit * told) if is_coherent else np.full(told.shape, np.nan + 0j),
+        power=unit**2 * joined,
+        freedom=freedom.min(axis=0),
+        doubt=unit * doubt,
+        is_parted=is_parted,
+        touched=doubt > NUMBERS.least_share * by_noise,
+        matters=doubt > NORMAL * by_noise,
+    )
+
+
+def _parted(one: MetStretch) -> tuple[Complexes, Floats, Floats]:
+    """Amplitude of the order (channels,), power of its error and degrees of freedom, in one stretch.
+
+    Generalised least squares: the lines are of known power and unknown phase, their frequency known to an error, so
+    that their covariance over the frames is that of a wave whose phase wanders.
+    """
+    n = len(one.begin_rev)
+    owner = np.zeros(n, dtype=np.int64)
+    shared = frame_correlation(one.begin_rev, owner, revs_per_frame=one.revs, window="hann")
+    white = np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(n)))
+    wave, data = white @ one.wave, white @ one.phasor.T
+    lag = one.time_s[:, None] - one.time_s
+    found = []
+    for channel in range(len(one.noise)):
+        kernel = np.zeros((n, n), dtype=np.complex128)
+        for line, share, size, error in zip(one.lines, one.shares, one.size, one.error, strict=True):
+            spread = float(np.hypot(line.error_hz, NUMBERS.wander_hz))
+            turn = np.exp(2j * np.pi * line.frequency_hz * lag - 2.0 * np.square(np.pi * spread * lag))
+            kernel += (size[channel] ** 2 + error[channel] ** 2) * turn * share[:, None] * share
+        power, axes = np.linalg.eigh(white @ kernel @ white.conj().T)
+        turned = axes.conj().T
+        found.append(_told(turned @ data[:, channel], turned @ wave, np.maximum(power, 0.0), float(one.noise[channel])))
+    value, error_power, freedom = zip(*found, strict=True)
+    return np.array(value), np.array(error_power), np.array(freedom)
+
+
+def _told(data: Complexes, wave: Complexes, power: Floats, noise: float) -> tuple[complex, float, float]:
+    """Amplitude of ``wave`` (n,) in ``data`` (n,), the power of its error and the degrees of freedom.
+
+    Both stand along axes along which the lines have ``power`` (n,); the power of the noise on top is the likeliest
+    about ``noise``.
+    """
+    least = 1e-12 * float(np.square(np.abs(data)).mean()) + 1e-300
+    levels = np.maximum(max(noise, least) * NOISE_STEPS, least)[:, None]
+    total = levels + power
+    gain = (np.square(np.abs(wave)) / total).sum(axis=1)
+    value = (wave.conj() * data / total).sum(axis=1) / gain
+    left = (np.square(np.abs(data - wave * value[:, None])) / total).sum(axis=1)
+    best = int(np.argmin(left + np.log(total).sum(axis=1) + np.log(gain)))
+    free = float(np.count_nonzero(power < levels[best])) - 1.0
+    return complex(value[best]), float(1.0 / gain[best]), max(2.0 * free, 1.0)
+
+
+def beside_fixed(rows: OrderRows, speed_rpm: Floats, met: Sequence[MetRow]) -> OrderRows:
+    """``rows`` of an order at ``speed_rpm`` (rows,), those that ``met`` lines of one frequency apart from these.
+
+    Where the recordings tell them apart the row is what the order is by itself. Where they do not, the interval holds
+    whatever the lines may add or take; the amplitude is that of the speeds beside if the lines explain the difference,
+    and stays what it is where they are too small for that.
+    """
+    if not met:
+        return rows
+    values = {item.name: getattr(rows, item.name).copy() for item in fields(OrderRows)}
+    made = OrderRows(**values)
+    open_rows = np.zeros(made.amplitude.shape, dtype=bool)
+    for one in met:
+        _put(made, one, one.touched & np.isfinite(rows.amplitude[:, one.row]))
+        open_rows[:, one.row] = one.matters & ~one.is_parted
+    for channel, row in zip(*np.nonzero(open_rows), strict=True):
+        beside = _beside(speed_rpm, made.amplitude[channel], open_rows[channel], int(row))
+        if made.amplitude_low[channel, row] <= beside <= made.amplitude_high[channel, row]:
+            made.amplitude[channel, row] = beside
+    return made
+
+
+def _put(made: OrderRows, one: MetRow, touched: Bools) -> None:
+    """The row ``one`` into ``made``, in the channels that its lines ``touched``."""
+    row = one.row
+    low, high = np.maximum(made.amplitude_low[:, row] - one.doubt, 0.0), made.amplitude_high[:, row] + one.doubt
+    size, phase = made.amplitude[:, row], made.phase[:, row]
+    is_told = touched & one.is_parted
+    own_low, own_high = amplitude_interval(np.abs(one.value), one.power, one.freedom)
+    agree = is_told & (np.maximum(own_low, low) <= np.minimum(own_high, high))
+    low, high = np.where(agree, np.maximum(own_low, low), low), np.where(agree, np.minimum(own_high, high), high)
+    size = np.clip(np.where(agree, np.abs(one.value), size), low, high)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turned = np.degrees(np.arcsin(np.minimum(one.doubt / made.amplitude[:, row], 1.0)))
+    as_shown = np.where(turned < RIGHT_ANGLE_DEG, made.phase_ci95[:, row] + turned, UNKNOWN_DEG)
+    half = np.where(agree, phase_interval_deg(np.abs(one.value), one.power, one.freedom), as_shown)
+    error = np.where(agree, np.sqrt(0.5 * one.power), 0.5 * (high - low) / NORMAL)
+    told = {
+        "amplitude": size,
+        "amplitude_low": low,
+        "amplitude_high": high,
+        "standard_error": np.maximum(error, np.where(agree, 0.0, np.nan_to_num(made.standard_error[:, row]))),
+        "degrees_of_freedom": np.where(agree, one.freedom, LARGEST_DOF),
+        "phase": np.where(agree & np.isfinite(phase), np.degrees(np.angle(one.value)), phase),
+        "phase_ci95": np.where(np.isfinite(phase), np.minimum(half, UNKNOWN_DEG), made.phase_ci95[:, row]),
+    }
+    for name, value in told.items():
+        array: Floats = getattr(made, name)
+        array[touched, row] = value[touched]
+
+
+def _beside(speed_rpm: Floats, amplitude: Floats, is_open: Bools, row: int) -> float:
+    """Amplitude at ``row`` straight between the nearest rows on both sides that are not open; NaN where none is."""
+    clear = np.flatnonzero(np.isfinite(amplitude[: len(speed_rpm)]) & ~is_open[: len(speed_rpm)])
+    clear = clear[np.argsort(speed_rpm[clear], kind="stable")]
+    return float(np.interp(speed_rpm[row], speed_rpm[clear], amplitude[clear])) if len(clear) else np.nan

@@ -1,0 +1,114 @@
+"""Rows of orders that meet lines of one frequency: told apart by their beat, or left open by what the line is."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from crankorder import front_door
+from crankorder.front_door import Diagnosis
+from crankorder.orders.fixed_lines import MetRow, beside_fixed
+from crankorder.orders.order_rows import OrderRows
+from made.mains_met import MainsMet, drawn, recordings
+
+CLOSE_HZ = 2.5
+"""Distance of an order from a line within which one shows in the other."""
+
+
+OF_MODEL = 4e-4
+"""Share to which what is behind a mode is known: its force is straight between samples; rows far from mains show it."""
+
+
+def _rows(size: list[float]) -> OrderRows:
+    amplitude = np.array([size])
+    error = np.full(amplitude.shape, 0.001)
+    return OrderRows(
+        amplitude.copy(), np.full(amplitude.shape, np.nan), error, np.full(amplitude.shape, 20.0),
+        amplitude - 0.002, amplitude + 0.002, np.full(amplitude.shape, np.nan),
+    )  # fmt: skip
+
+
+def _met(row: int, doubt: float) -> MetRow:
+    no, yes = np.array([False]), np.array([True])
+    nothing = np.array([1.0])
+    return MetRow(row, (), nothing + 0j, nothing, nothing, np.array([doubt]), no, yes, yes)
+
+
+SPEEDS = np.array([1100.0, 1200.0, 1300.0])
+
+
+def test_a_row_that_a_line_explains_is_as_large_as_the_speeds_beside_and_its_interval_holds_both():
+    made = beside_fixed(_rows([0.4, 0.68, 0.42]), SPEEDS, [_met(1, 0.3)])
+    assert made.amplitude[0, 1] == pytest.approx(0.41)
+    assert made.amplitude_low[0, 1] == pytest.approx(0.378) and made.amplitude_high[0, 1] == pytest.approx(0.982)
+    np.testing.assert_array_equal(made.amplitude[0, [0, 2]], [0.4, 0.42])
+
+
+def test_a_row_that_a_line_is_too_small_to_explain_stays_and_its_interval_grows_by_the_line():
+    made = beside_fixed(_rows([1.0, 68.0, 2.0]), SPEEDS, [_met(1, 0.1)])
+    assert made.amplitude[0, 1] == 68.0
+    assert made.amplitude_low[0, 1] == pytest.approx(67.898) and made.amplitude_high[0, 1] == pytest.approx(68.102)
+
+
+def test_the_only_row_of_an_order_stays_where_it_is():
+    made = beside_fixed(_rows([0.68]), SPEEDS[:1], [_met(0, 0.3)])
+    assert made.amplitude[0, 0] == 0.68 and made.amplitude_low[0, 0] == pytest.approx(0.378)
+
+
+def _found(met: MainsMet, rng: np.random.Generator) -> tuple[list[bool], Diagnosis]:
+    """Whether the interval of each row where an order of ``met`` is close to mains holds it; and what is found."""
+    settings = front_door._settings("findings", "order_tracks", recipe=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        groups, told = front_door._analysed(recordings(met, rng), settings, tables={}, engine=None, test="made")
+    tracks, held = groups["order_tracks"].sel(channel="A"), []
+    for order in met.orders.tolist():
+        one = tracks.sel(order=order, method="nearest")
+        true = met.amplitude(order, one["speed"].values)
+        close = [abs(order * one["speed"].values / 60.0 - k * met.mains_hz) < CLOSE_HZ for k in met.mains]
+        slack = 1e-9 if not met.mode_hz else OF_MODEL
+        low, high = one["amplitude_low"].values * (1.0 - slack), one["amplitude_high"].values * (1.0 + slack)
+        inside = (low <= true) & (true <= high)
+        held += inside[np.any(close, axis=0) & np.isfinite(one["amplitude"].values)].tolist()
+    return held, told
+
+
+@pytest.mark.parametrize("with_mode", [False, True])
+def test_steps_past_mains_hold_what_the_orders_are(with_mode):
+    held: list[bool] = []
+    for seed in range(100, 103):
+        rng = np.random.default_rng(seed)
+        met = drawn(rng, "steps", with_mode=with_mode)
+        inside, told = _found(met, rng)
+        held += inside
+        near = [one for one in told.as_dict()["modes"] if abs(one["frequency_hz"] - met.multiple * met.mains_hz) < 0.05]
+        assert ("mains", "twice mains")[met.multiple - 1] in [one["explained_by"] for one in near]
+    assert np.mean(held) >= 0.92, held
+
+
+BESIDE = MainsMet(
+    kind="steps",
+    orders=np.array([1.0, 2.0, 3.0, 5.0]),
+    size=np.array([0.3, 0.2, 0.4, 0.15]),
+    meets=3.0,
+    mains_hz=60.02,
+    nominal_hz=60.0,
+    multiple=1,
+    mains={1: 0.3, 5: 0.1},
+    at_rpm=1200.4,
+    speeds_rpm=np.arange(1000.0, 1501.0, 50.0),
+    duration_s=12.0,
+    noise=0.02,
+)
+
+
+def test_an_order_is_not_told_with_the_mains_that_it_meets_and_multiples_are_of_the_supply_that_is_there():
+    held, told = _found(BESIDE, np.random.default_rng(1))
+    assert np.mean(held) >= 0.92
+    (third,) = [one for one in told.as_dict()["orders"] if round(one["order"]) == 3]
+    assert third["amplitude"] == pytest.approx(0.4, rel=0.01)
+    assert "mains of 60.02 Hz meets it at 1200 rpm, where its own share is" in third["evidence"]
+    assert [one["explained_by"] for one in told.as_dict()["modes"]] == ["mains", "5 x mains"]
+    assert "5 times the mains frequency of 60 Hz" in told.as_dict()["modes"][1]["evidence"]
