@@ -31,6 +31,7 @@ from crankorder.identify.modal.sweep_poles import SweepFits
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
+from crankorder.orders.clock_drift import with_clock_drift
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.fixed_lines import lines_of_findings
@@ -185,7 +186,7 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
 @stage
 def frames_as_shown(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FramesAsShown:
     """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
-    return FramesAsShown(order_frames(band, shaft, settings=settings.orders))
+    return FramesAsShown(with_clock_drift(order_frames(band, shaft, settings=settings.orders), recorded=band))
 
 
 @stage

@@ -9,6 +9,8 @@ import pytest
 import xarray as xr
 
 from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.identify.bearings.candidates import Ranking
+from crankorder.identify.bearings.envelope_lines import EnvelopeLine
 from crankorder.identify.bearings.places import bearing_places, made_by
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.bearings.verdicts import races_words
@@ -64,6 +66,14 @@ def test_slip_beyond_the_allowed_range_is_not_called_that_bearing():
     inside, outside = (records(envelope=struck(ORDERS["BPFO"], slip_percent=s, seed=3, size=8.0)) for s in (1.8, 6.0))
     assert [record["line"] for record in inside] == ["BPFO"]
     assert outside == []
+
+
+@pytest.mark.parametrize(("order", "is_cage"), [(0.4139, False), (0.4027, True), (0.39, True), (0.38, False)])
+def test_a_line_within_a_cell_of_a_cage_but_beyond_its_slip_is_no_cage(order, is_cage):
+    cage = next(place for place in bearing_places((NINE,), slip_percent=(-1.0, 2.0)) if place.line == "FTF")
+    seen, nothing = np.ones((1, 1), dtype=bool), Ranking(())
+    found = EnvelopeLine(cage, order, 5e-4, 400.0, 0, 0, 9.0, 1.0, 0.1, 1e-9, seen, 1, None, (0.0, 1.0), nothing)
+    assert found.may_slip_so(1.0 / 64.0) == is_cage
 
 
 def test_sidebands_of_a_stronger_line_are_no_second_damage():

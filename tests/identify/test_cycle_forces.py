@@ -92,3 +92,35 @@ def test_d16_several_half_orders_put_a_stated_two_stroke_cycle_in_doubt(
     flags = cycle_doubts([*found, *found], two_stroke=two_stroke)  # the same in a second channel
     assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
     assert all("0.5, 1.5" in one.detail and "four-stroke" in one.detail for one in flags)
+
+
+@pytest.mark.parametrize(
+    ("orders", "engine", "doubted"),
+    [
+        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, FIRING, True),
+        ({0.5: "locked", 1.0: "locked", 2.0: "locked", 3.0: "locked"}, FIRING, False),
+        ({5.5: "locked", 1.0: "locked", 2.0: "locked"}, FIRING, False),
+        ({1.0: "locked"}, FIRING, False),  # too little is seen for the lack to say anything
+        ({1.0: "undecided", 2.0: "locked", 3.0: "slips"}, FIRING, False),
+        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, load_engine("msu-optical-second"), False),  # without gas
+        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, None, False),
+    ],
+)
+def test_d16_no_half_order_puts_the_stated_cycle_of_a_fired_engine_in_doubt(
+    orders: dict[float, str], engine: Engine | None, doubted: bool
+) -> None:
+    found = [record_of(OrderFinding, {"order": order, "lock": lock}) for order, lock in orders.items()]
+    flags = cycle_doubts(found, two_stroke=False, engine=engine)
+    assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
+    assert all("0.5, 1.5" in one.detail and "two-stroke" in one.detail for one in flags)
+    assert cycle_doubts(found, two_stroke=False, engine=engine, max_order=1.0) == []
+
+
+def test_d16_four_even_cylinders_make_no_half_orders_to_miss() -> None:
+    firing = tuple(
+        Cylinder(crank_deg=crank, position_m=0.1 * number, firing_deg=fires)
+        for number, (crank, fires) in enumerate([(0.0, 0.0), (180.0, 180.0), (180.0, 540.0), (0.0, 360.0)])
+    )
+    four = FIRING.model_copy(update={"cylinders": firing})
+    found = [record_of(OrderFinding, {"order": order, "lock": "locked"}) for order in (2.0, 4.0)]
+    assert cycle_doubts(found, two_stroke=False, engine=four) == []

@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from crankorder.cli import main
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError
 from crankorder.ingest import child
 from crankorder.ingest.child import in_child
@@ -95,6 +97,22 @@ def test_a_workbook_that_claims_two_thousand_million_rows_is_refused(tmp_path, l
     workbook(tmp_path / "bomb.xlsx", cell.format(1) + cell.format(2_000_000_000))
     assert (tmp_path / "bomb.xlsx").stat().st_size < 10_000
     _refused(tmp_path / "bomb.xlsx", limits)
+
+
+@pytest.mark.parametrize("command", ["init", "check", "run"])
+def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_every_command(tmp_path, command):
+    (tmp_path / "in").mkdir()
+    cell = '<row r="{0}"><c r="A{0}"><v>1</v></c><c r="B{0}"><v>2</v></c></row>'
+    workbook(tmp_path / "in" / "bomb.xlsx", cell.format(1) + cell.format(2_000_000_000))
+    if command != "init":
+        table = '[sampling]\nrate_hz = 1000\n[[channels]]\nname = "a"\nsource = 0\nunit = "1"\n'
+        head = 'schema_version = 1\n[test]\nname = "b"\ncycle = "none"\n[recordings]\nfiles = ["*.xlsx"]\n'
+        (tmp_path / "in" / "run.toml").write_text(head + table, encoding="utf-8")
+    more = ["--out", str(tmp_path / "out")] if command == "run" else []
+    begun = time.process_time()
+    made = CliRunner().invoke(main, [command, str(tmp_path / "in"), *more])
+    assert made.exit_code in (3, 4) and "claims a row beyond the last" in made.output
+    assert time.process_time() - begun < 10.0
 
 
 @pytest.mark.slow

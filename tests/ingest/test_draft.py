@@ -312,3 +312,20 @@ def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path: Path) -> None:
     text = draft_manifest(tmp_path)
     assert 'kind = "pulse_times"' in text
     assert "[[channels]]" not in text
+
+
+def test_recordings_in_a_folder_beside_others_are_asked_about(tmp_path: Path) -> None:
+    for name in ("x.csv", "b/x.csv", "notes/read.me", "done/y.csv", "done/run.toml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        rows = "\n".join(f"{0.001 * k:.3f},{np.sin(0.3 * k):.4f}" for k in range(64))
+        (tmp_path / name).write_text(f"time_s,acc_g\n{rows}\n", encoding="utf-8")
+    [line] = [line for line in draft_manifest(tmp_path).splitlines() if line.startswith("files")]
+    assert line.split("#")[0].strip() == 'files = ["*.csv"]'
+    assert '# ? there are more in b: "*/*.csv" beside it takes them too' in line
+
+
+def test_a_column_that_is_called_a_spectrum_is_asked_about(tmp_path: Path) -> None:
+    rows = "\n".join(f"{0.001 * k:.3f},{np.sin(0.3 * k):.4f},{np.cos(0.3 * k):.4f}" for k in range(64))
+    (tmp_path / "a.csv").write_text(f"time_s,Acceleration FFT,offtake\n{rows}\n", encoding="utf-8")
+    asked = [line for line in draft_manifest(tmp_path).splitlines() if "speaks of a spectrum" in line]
+    assert [line.split("#")[0].strip() for line in asked] == ['name = "Acceleration FFT"']

@@ -167,6 +167,27 @@ def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_
     assert not [one for one in findings_in(tmp_path / "alone-out")["quality"] if one["flag"] == "clocks_not_compared"]
 
 
+@pytest.mark.parametrize("ppm", [500.0, -100.0, 20.0, 0.0])
+def test_d13_a_drift_between_the_clocks_of_two_devices_is_told_by_the_orders(tmp_path: Path, ppm: float) -> None:
+    folder = joined(tmp_path / "joined")
+    rising, falling = (edges * (1.0 + 1e-6 * ppm) for edges in edges_of(3))
+    rows = sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])
+    lines = ["Time [s],crank"] + [f"{at:.9f},{level}" for at, level in rows]
+    (folder / "a.edges.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    time_s = np.arange(int(LENGTH_S * RATE_HZ)) / RATE_HZ
+    turns = angle_of(time_s)
+    signal = sum(np.cos(2.0 * np.pi * order * turns + order) for order in (1.0, 2.0, 3.0, 5.5))
+    with h5py.File(folder / "a.h5", "r+") as file:
+        file["a"][:] = signal + 0.05 * np.random.default_rng(9).standard_normal(time_s.size)
+    assert run(folder, tmp_path / "out")[0] == 0
+    told = {one["flag"]: one["detail"] for one in findings_in(tmp_path / "out")["quality"]}
+    flag = "clocks_differ" if ppm else "clocks_agree"
+    assert {"clocks_differ", "clocks_agree"} & set(told) == {flag}
+    found, half = (float(text.split()[0]) for text in told[flag].split(" by ", 1)[1].split(" ± "))
+    assert abs(found - ppm) < 2.0 * half < 10.0
+    assert not ppm or ("fast" if ppm > 0.0 else "slow") in told[flag]
+
+
 def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path: Path) -> None:
     code, said = run(joined(tmp_path / "joined", files="*"), tmp_path / "out")
     assert code == 0, said

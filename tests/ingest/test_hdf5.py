@@ -285,3 +285,25 @@ def test_a_user_block_before_the_signature_is_passed_over(tmp_path, limits):
         file["a"] = np.arange(50.0)
     assert struct.unpack("<8s", path.read_bytes()[512:520])[0] == b"\x89HDF\r\n\x1a\n"
     assert read_file(path, sources=["a"], settings=limits).columns["a"].sum() == 1225.0
+
+
+def test_a_rate_that_lies_beside_the_samples_as_a_number_of_its_own_is_read(tmp_path, limits):
+    """As MATLAB 7.3 and scripts write it; an attribute goes before it, and what must be followed is not read."""
+    path = tmp_path / "a.mat"
+    with h5py.File(path, "w") as file:
+        file["acc"] = np.arange(100.0)[None]
+        file["fs"] = np.array([[6000.0]])
+        file["rpm"] = np.array([[1500.0]])
+        file["run/b"] = np.arange(50.0)
+        file["run/Sample Rate"] = 500.0
+    stated = contents_of(path, settings=limits)
+    assert stated.rates_hz["acc"] == 6000.0 and stated.rates_hz["run/b"] == 500.0 and stated.speed_rpm == 1500.0
+    assert read_file(path, sources=["acc"], settings=limits).rate_hz == 6000.0
+    with h5py.File(path, "r+") as file:
+        file["acc"].attrs["fs"] = 8000.0
+    assert read_file(path, sources=["acc"], settings=limits).rate_hz == 8000.0
+    with h5py.File(path, "r+") as file:
+        del file["run/Sample Rate"]
+        del file["fs"]
+        file["run/fs"] = h5py.SoftLink("/acc")
+    assert "run/b" not in contents_of(path, settings=limits).rates_hz

@@ -34,6 +34,7 @@ from crankorder.batch.result_folder import (
     refuse_others,
     settle,
 )
+from crankorder.batch.short_recordings import short_recordings
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
@@ -114,6 +115,7 @@ def run_test(
             outcome.status = "kept"
             return outcome
         results = without_changed_gains(results, settings=plan.settings.ingest)
+        outcome.flags += short_recordings(results.values())
         clock.lap("recordings")
         outcome.faults += left_out_of(results, ("bad", "suspect") if options.strict else ("bad",))
         outcome.notes += channels_left_out(results)
@@ -213,7 +215,8 @@ def results_of_test(
     ]
     told = [flag for flag in quality_of(_flags_of(results)) if flag not in findings.quality]
     quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out], name_of)))
-    quality += tuple(cycle_doubts(findings.orders, two_stroke=sources.two_stroke))
+    highest, two_stroke = settings.orders.max_order, sources.two_stroke
+    quality += tuple(cycle_doubts(findings.orders, two_stroke=two_stroke, engine=sources.engine, max_order=highest))
     most_deg = settings.orders.largest_eccentricity_deg
     findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
     findings = replace(findings, quality=(*quality, *contradiction_flags(findings)))

@@ -10,11 +10,12 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -27,6 +28,9 @@ STORE = ".crankorder-frames"
 
 LEAST_FREE_BYTES = 1 << 30
 """Space that is left on the disk for the results themselves."""
+
+AXES = 256
+"""Axes that are kept for the next recording that has the same."""
 
 _MAGIC = b"crankorder frames 2\n"
 _DIGEST_BYTES = 32
@@ -250,12 +254,22 @@ class _Arrays:
 
 
 def _dataset(described: dict[str, Any], arrays: _Arrays) -> xr.Dataset:
-    variables = {}
+    variables: dict[str, xr.Variable] = {}
     for name, dims, array, attrs in described["variables"]:
-        values = arrays.take(*array)
-        variables[name] = xr.Variable(dims, values, _attrs_of(attrs, arrays))
+        values, about = arrays.take(*array), _attrs_of(attrs, arrays)
+        if dims == [name] and values.dtype.kind in "fiu":
+            axis = _axis(values.dtype.str, values.tobytes())
+            variables[name] = xr.IndexVariable(dims, axis, about)  # type: ignore[no-untyped-call]
+        else:
+            variables[name] = xr.Variable(dims, values, about)
     made = xr.Dataset(variables, attrs=_attrs_of(described["attrs"], arrays))
     return made.set_coords(described["coords"])
+
+
+@lru_cache(maxsize=AXES)
+def _axis(kind: str, values: bytes) -> pd.Index:
+    """Index of the ``values`` of an axis, one for all recordings that share it: each of its own would be a copy."""
+    return pd.Index(np.frombuffer(values, dtype=np.dtype(kind)))
 
 
 def _attrs_of(described: list[Any], arrays: _Arrays) -> dict[str, Any]:

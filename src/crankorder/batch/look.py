@@ -143,7 +143,7 @@ def _speed(speeds: list[tuple[float, float]]) -> str:
     if not speeds:
         return ""
     low, high = min(low for low, _ in speeds), max(high for _, high in speeds)
-    return f"{low:.4g} rpm" if high - low < 2e-3 * high else f"{low:.4g} to {high:.4g} rpm"
+    return f"{0.5 * (low + high):.4g} rpm" if high - low < 2e-3 * high else f"{low:.4g} to {high:.4g} rpm"
 
 
 def _pulses(part: xr.Dataset, shaft: xr.Dataset) -> list[str]:

@@ -41,7 +41,8 @@ def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
     ``frames``: FrequencyFrames of the recordings of a test; those of what does not turn are left as they are, for a
     struck structure shows nothing else.
     """
-    made = [np.zeros(item.sizes["frequency"], dtype=np.int64) for item in frames]
+    none = {n_bins: np.zeros(n_bins, dtype=np.int64) for n_bins in {item.sizes["frequency"] for item in frames}}
+    made = [none[item.sizes["frequency"]] for item in frames]
     alike: dict[tuple[int, int], list[int]] = {}
     for number, item in enumerate(frames):
         later = _apart(item) + NUMBERS.fewest_later
@@ -49,7 +50,11 @@ def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
             finest = round(NUMBERS.same_bins_parts * math.log(float(item.attrs["resolution_hz"])))
             alike.setdefault((item.sizes["frequency"], finest), []).append(number)
     for numbers in alike.values():
-        _count_leading([frames[number] for number in numbers], [made[number] for number in numbers])
+        count = _count_leading([frames[number] for number in numbers])
+        most = [frames[number].sizes["frame"] - _apart(frames[number]) - NUMBERS.fewest_later + 1 for number in numbers]
+        shared = {at_most: np.minimum(count, at_most) for at_most in set(most)}
+        for number, at_most in zip(numbers, most, strict=True):
+            made[number] = shared[at_most]
     return made if any(count.any() for count in made) else None
 
 
@@ -58,9 +63,10 @@ def _apart(item: xr.Dataset) -> int:
     return max(1, math.ceil(0.5 / max(1.0 - float(item.attrs["overlap"]), 1e-3) - 0.01))
 
 
-def _count_leading(items: list[xr.Dataset], leading: list[Ints]) -> None:
-    """Write into ``leading``, of recordings with like bins, how many frames take no part."""
-    on = np.ones(items[0].sizes["frequency"], dtype=bool)
+def _count_leading(items: list[xr.Dataset]) -> Ints:
+    """How many frames (bins,) of recordings with like bins take no part, where a recording has so many."""
+    leading = np.zeros(items[0].sizes["frequency"], dtype=np.int64)
+    on = np.ones(len(leading), dtype=bool)
     for frame in range(max(item.sizes["frame"] for item in items)):
         chance = _chance(items, frame)
         if chance is None:
@@ -70,10 +76,9 @@ def _count_leading(items: list[xr.Dataset], leading: list[Ints]) -> None:
             seen = np.convolve(seen, np.ones(2 * NUMBERS.beside_bins + 1), mode="same") > 0.5
         if not seen.any():
             break
-        for item, count in zip(items, leading, strict=True):
-            if item.sizes["frame"] >= frame + _apart(item) + NUMBERS.fewest_later:
-                count[seen] = frame + 1
+        leading[seen] = frame + 1
         on = seen
+    return leading
 
 
 def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
@@ -337,8 +342,8 @@ def _density_on_grid(item: xr.Dataset, power: Floats, frequency: Floats) -> Floa
 
 def _on_grid(item: xr.Dataset, density: Floats, frequency: Floats) -> Floats:
     """``density`` (channel, group, bin) at each of ``frequency``, linear between the bins."""
-    bins_hz = item["frequency"].values
-    at = np.minimum(frequency / float(item.attrs["resolution_hz"]), len(bins_hz) - 1.0)
-    low = np.minimum(np.floor(at + 1e-9).astype(np.int64), max(0, len(bins_hz) - 2))
+    n_bins = item.sizes["frequency"]
+    at = np.minimum(frequency / float(item.attrs["resolution_hz"]), n_bins - 1.0)
+    low = np.minimum(np.floor(at + 1e-9).astype(np.int64), max(0, n_bins - 2))
     share = at - low
-    return np.asarray(density[..., low] * (1.0 - share) + density[..., np.minimum(low + 1, len(bins_hz) - 1)] * share)
+    return np.asarray(density[..., low] * (1.0 - share) + density[..., np.minimum(low + 1, n_bins - 1)] * share)

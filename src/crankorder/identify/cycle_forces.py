@@ -101,17 +101,51 @@ def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:
     )
 
 
-def cycle_doubts(orders: Iterable[OrderFinding], *, two_stroke: bool) -> list[Quality]:
+def cycle_doubts(
+    orders: Iterable[OrderFinding], *, two_stroke: bool, engine: Engine | None = None, max_order: float = np.inf
+) -> list[Quality]:
     """A flag where the ``orders`` found do not fit the stated cycle: several half orders of a ``two_stroke`` engine.
 
-    They must be locked to the shaft. Fewer half orders than a four-stroke engine could make say nothing.
+    They must be locked to the shaft. Fewer half orders than a four-stroke engine could make say nothing, and neither
+    does their lack, unless the ``engine`` has gas that makes half orders up to ``max_order`` as large as whole ones.
     """
     locked = sorted({one.order for one in orders if one.lock == "locked"})
-    half = gas_half_orders(locked) if two_stroke else ()
-    if len(half) < 2:
+    if two_stroke:
+        half = gas_half_orders(locked)
+        if len(half) < 2:
+            return []
+        detail = (
+            f"half orders ({', '.join(half)}) are locked to the shaft, and a two-stroke engine's gas makes none: "
+            'if it is a four-stroke engine, state cycle = "four-stroke"; else something rubs or is loose'
+        )
+        return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)]
+    missing = _missing_half_orders(engine, locked, max_order)
+    if not missing:
         return []
     detail = (
-        f"half orders ({', '.join(half)}) are locked to the shaft, and a two-stroke engine's gas makes none: "
-        'if it is a four-stroke engine, state cycle = "four-stroke"; else something rubs or is loose'
+        f"the model's gas makes half orders ({', '.join(missing)}) as large as whole ones, and none is seen: if it is "
+        'a two-stroke engine, state cycle = "two-stroke"; if it was motored, its gas makes no orders here'
     )
     return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)]
+
+
+def _missing_half_orders(engine: Engine | None, locked: Sequence[float], max_order: float) -> tuple[str, ...]:
+    """Half orders that the gas of a four-stroke ``engine`` makes as large as it makes those that are ``locked``.
+
+    None where one half order of any size is locked, or fewer than two whole ones that the gas makes.
+    """
+    if engine is None or engine.gas is None or engine.revs_per_cycle != 2:
+        return ()
+    reach = NUMBERS.gas_reach_orders
+    if any(abs(order % 1.0 - 0.5) < reach for order in locked):
+        return ()
+    highest = int(np.ceil(min(max_order, max(GAS_ORDERS) + 0.5)))
+    try:
+        gas = np.abs(gas_torque_by_order(engine, highest)[1])
+    except RequestError:
+        return ()
+    seen = [gas[2 * round(order)] for order in locked if abs(order - round(order)) < reach and 1 <= order <= highest]
+    if len(seen) < 2:
+        return ()
+    expected = [order for order in GAS_ORDERS if order <= max_order and gas[round(2 * order)] >= min(seen)]
+    return tuple(f"{order:g}" for order in expected) if len(expected) > 1 else ()

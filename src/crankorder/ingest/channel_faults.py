@@ -60,6 +60,9 @@ _LEFT = 0.1
 
 _MOST_EVENTS = 5
 
+_NORMAL = 1.4826
+"""Standard deviation of normal values over the median of their size."""
+
 
 @dataclass(frozen=True, slots=True)
 class Runs:
@@ -458,12 +461,31 @@ def _overload(
     if told < settings.decay_share or constant < 1.5:
         return None
     last = min(end, begin + math.ceil(_ends_after(height, constant, vibration)) + 1)
+    level = _level_outside(apart, free, (jump - 1, last), size, vibration)
+    if abs(size) < settings.overload_ratio * level:
+        return None
     span = runs_of(((jump - 1) * step, n_samples if last >= len(means) else last * step))
     detail = (
-        f"overload of the sensor's supply: a jump of {size:.4g} ({abs(size) / max(vibration, 1e-300):.3g} times the "
+        f"overload of the sensor's supply: a jump of {size:.4g} ({abs(size) / max(level, 1e-300):.3g} times the "
         "root mean square) that decays"
     )
     return SignalFault("iepe_overload", "bad", detail, span, is_lost=True)
+
+
+def _level_outside(apart: Floats, free: Bools, event: tuple[int, int], size: float, vibration: float) -> float:
+    """Root mean square of the vibration, whose lines slower than a piece swing the means ``apart`` themselves.
+
+    Told by those that are ``free`` and outside of the ``event``: by their median, for other overloads do not count;
+    and infinite where they swing by half of ``size`` more often than overloads come.
+    """
+    outside = free.copy()
+    outside[slice(*event)] = False
+    if not outside.any():
+        return vibration
+    beyond = outside & (np.abs(apart) > 0.5 * abs(size))
+    if np.count_nonzero(np.diff(beyond, prepend=False) & beyond) >= _MOST_EVENTS:
+        return math.inf
+    return math.hypot(vibration, _NORMAL * float(np.median(np.abs(apart[outside]))))
 
 
 def _settling(means: Floats, vibration: float, step: int, settings: IngestSettings) -> SignalFault | None:

@@ -34,6 +34,8 @@ MOTOR = (
 )
 """What a draft proposes that no file tells, as comments."""
 
+_SPECTRUM = re.compile(r"(^|[^a-z])(fft|spectrum|spectra|psd|frf)([^a-z]|$)", re.I)
+
 _MARK_COLUMN = 34
 _RECIPROCATING = re.compile(
     r"crank|cyl|engine|kurbel|tdc|ignition|knock|piston|firing|(^|[^a-z])(ice|diesel)([^a-z]|$)", re.I
@@ -159,7 +161,7 @@ def draft_manifest(folder: Path) -> str:
         '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
         "",
         "[recordings]",
-        f"files = [{_text(pattern)}]",
+        _files(folder, pattern),
         "",
         *_sampling(columns, contents),
         *_channels(columns),
@@ -172,6 +174,21 @@ def draft_manifest(folder: Path) -> str:
         shown = ", ".join(printable(name, 40) for name in scalars[:20]) + (", …" if len(scalars) > 20 else "")
         lines.append(f"# Single numbers in the file, such as a speed: {shown}")
     return "\n".join(lines) + "\n"
+
+
+def _files(folder: Path, pattern: str) -> str:
+    """The line that names the recordings; what folders inside of ``folder`` hold beside them is asked about."""
+    line = f"files = [{_text(pattern)}]"
+    inside = [
+        path.name
+        for path in sorted(folder.iterdir(), key=natural_key)
+        if path.is_dir() and not is_leftover(path.name) and not (path / MANIFEST_NAME).exists()
+        if any(not is_leftover(file.name) and file.is_file() for file in path.glob(pattern))
+    ]
+    if not inside:
+        return line
+    names = ", ".join(printable(name, 40) for name in inside[:3]) + (", …" if len(inside) > 3 else "")
+    return _asked(line, f"there are more in {names}: {_text(f'*/{pattern}')} beside it takes them too")
 
 
 def save_drafts(folder: Path) -> list[Path]:
@@ -317,7 +334,9 @@ def _channels(columns: Columns) -> list[str]:
     labels = [column.label for column in columns.channels()]
     for number, column in enumerate(columns.channels()):
         name = column.label if labels.count(column.label) == 1 else column.name
-        lines += ["[[channels]]", f"name = {_text(name)}"]
+        named = f"name = {_text(name)}"
+        spectrum = "its name speaks of a spectrum: signals by time are read, no spectra"
+        lines += ["[[channels]]", _asked(named, spectrum) if _SPECTRUM.search(f"{name} {column.name}") else named]
         if column.source != name:
             lines.append(f"source = {_shown(column.source)}")
         lines += _unit(column, first=number == 0)
@@ -369,6 +388,7 @@ def _encoder(
         return ["[encoder]", 'kind = "constant"'], True
     return [
         "# [encoder]                       # ? no column looks like an encoder: one of",
+        '# kind = "analogue"               #   with source, the column of a pickup, and pulses_per_rev or pattern',
         '# kind = "constant"               #   with speed_rpm = 1500.0',
         '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
     ], False
@@ -427,7 +447,12 @@ def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str
         told = _pulses_per_rev(guess.pulses_hz, speeds.get(path.name))
         if told is not None:
             return [*lines, _asked(f"pulses_per_rev = {told}", f"{guess.pulses_hz:.4g} pulses/s at the stated speed")]
-        return [*lines, _asked("# pulses_per_rev = 60", "pulses per revolution; they are even, or too few to tell")]
+        wheels = ", ".join(known_names())
+        return [
+            *lines,
+            _asked("# pulses_per_rev = 60", "pulses per revolution; they are even, or too few to tell"),
+            _asked('# pattern = "60-2"', f"or a wheel with a gap, or one of the trade: {wheels}"),
+        ]
     even, angles = guess.found.pattern.even, guess.found.pattern.angles_deg
     told_by = guess.found.told
     if even is not None:

@@ -95,6 +95,12 @@ class Encoder(Table):
         description="Dataset or column of a mark once per cycle of a four-stroke engine: which dead centre fires.",
         examples=["cam"],
     )
+    second_track: Source | None = Field(
+        default=None,
+        description="Dataset or column of a second track a quarter of a pulse behind the first (B of A and B): it "
+        "tells whether the shaft turns backwards.",
+        examples=["encoder_b"],
+    )
     edge: Literal["rising", "falling"] = Field(
         default="rising", description="Edge of the trace that counts.", examples=["falling"]
     )
@@ -184,6 +190,9 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
             )
     if encoder.expected_rpm is not None and encoder.kind != "vibration":
         faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))
+    if encoder.second_track is not None and encoder.kind not in TRACE_KINDS:
+        allowed = f"beside kind = {' or '.join(TRACE_KINDS)}"
+        faults.append(RequestError("a second track is a sampled trace", place="encoder.second_track", allowed=allowed))
     if cycle == "none" and (encoder.kind != "none" or domain == "crank_angle"):
         faults.append(
             RequestError(

@@ -64,6 +64,7 @@ _ASKED = frozenset(
     for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, _START_NAMES, _PACKING_NAMES)
     for name in names
 )
+_ALONE = frozenset(_plain(name) for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES) for name in names)
 # an exception of h5py on a damaged file may be any of these
 _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
 
@@ -488,4 +489,28 @@ def _readable(item: Any) -> dict[str, Any]:
     for name in names:
         with suppress(*_H5PY_ERRORS):
             found[_plain(name)] = item.attrs[name]
+    return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
+
+
+def _is_plain(dataset: h5py.Dataset) -> bool:
+    """Whether the values lie in the file as they are: nothing is loaded or followed to read them."""
+    create = dataset.id.get_create_plist()
+    return not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual)
+
+
+def _numbers_beside(group: h5py.Group) -> dict[str, float]:
+    """Single numbers of such names that lie in ``group`` as datasets of their own, as MATLAB and scripts write them."""
+    found: dict[str, float] = {}
+    with suppress(*_H5PY_ERRORS):
+        for name in [name for name in group if _plain(name) in _ALONE]:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue
+            dataset = group[name]
+            if (
+                isinstance(dataset, h5py.Dataset)
+                and dataset.size == 1
+                and dataset.dtype.kind in "iuf"
+                and _is_plain(dataset)
+            ):
+                found[_plain(name)] = float(np.asarray(dataset[()]).reshape(-1)[0])
     return found

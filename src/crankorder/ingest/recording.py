@@ -13,6 +13,7 @@ import xarray as xr
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
+from crankorder.ingest.direction import direction_flags
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
@@ -185,7 +186,7 @@ def _of_encoder(manifest: Manifest) -> list[Source]:
     encoder = manifest.encoder
     sources: list[Source | None] = []
     if encoder.kind not in SOURCELESS_KINDS:
-        sources += [encoder.source, encoder.index, encoder.cam]
+        sources += [encoder.source, encoder.second_track, encoder.index, encoder.cam]
     elif encoder.kind == "constant":
         sources.append(encoder.source)
     if encoder.file is not None:
@@ -270,10 +271,9 @@ def _check_lengths(raw: RawFile, manifest: Manifest, path: Path) -> None:
     sampled: dict[str, Source] = {channel.name: channel.file_source for channel in manifest.channels}
     if encoder.kind in (*TRACE_KINDS, "speed") and encoder.source is not None:
         sampled["the encoder"] = encoder.source
-    if encoder.kind in TRACE_KINDS and encoder.index is not None:
-        sampled["the index"] = encoder.index
-    if encoder.kind in TRACE_KINDS and encoder.cam is not None:
-        sampled["the cam mark"] = encoder.cam
+    tracks = {"the second track": encoder.second_track, "the index": encoder.index, "the cam mark": encoder.cam}
+    if encoder.kind in TRACE_KINDS:
+        sampled |= {name: source for name, source in tracks.items() if source is not None}
     lengths = {name: raw.columns[source].size for name, source in sampled.items()}
     if not lengths:
         return
@@ -338,6 +338,9 @@ def _add_encoder(
         encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
+    if encoder.second_track is not None:
+        levels = raw.columns[encoder.second_track]
+        flags += direction_flags(levels, (pulse_s - start_s) * rate_hz, path, falling=encoder.edge == "falling")
     if encoder.file is not None and manifest.channels and pulse_s.size > 1:
         flags.append(flag(path, "clocks_not_compared", "info", _of_two_clocks(float(pulse_s[-1] - pulse_s[0]))))
     marks = (("index", encoder.index, "revolution", "no_index"), ("cam mark", encoder.cam, "cycle", "no_cam"))
@@ -355,8 +358,9 @@ def _add_encoder(
 
 def _of_two_clocks(length_s: float) -> str:
     return (
-        "times of pulses come from a file of their own, and nothing compares its clock with that of the samples: "
-        f"each 10 ppm between them move the angle by what the shaft turns in {1e-2 * length_s:.2g} ms, by the end"
+        "times of pulses come from a file of their own, and no signal that both recorded compares its clock with that "
+        f"of the samples: each 10 ppm between them move the angle by what the shaft turns in {1e-2 * length_s:.2g} ms, "
+        "by the end"
     )
 
 

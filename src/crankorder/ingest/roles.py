@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from crankorder.errors import CrankorderError
+from crankorder.errors import CrankorderError, UnsafeInputError
 from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.rawfile import Contents, Source, looks_counted
@@ -146,8 +145,12 @@ def _values(path: Path, names: Sequence[str], contents: Contents, settings: Inge
     alike = [name for name in names if contents.samples.get(name, longest) == longest]
     raw = None
     for some in (names, alike):  # columns of several rates cannot be read together
-        with contextlib.suppress(CrankorderError, OSError, ValueError):
+        try:
             raw = raw or read_file(path, sources=list(some), settings=settings)
+        except UnsafeInputError:  # a bomb is no recording to draft from
+            raise
+        except (CrankorderError, OSError, ValueError):
+            continue
     if raw is None:
         return {}
     made = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}

@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.errors import CrankorderError, EnvironmentFailure, InputError
+from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, UnsafeInputError
 from crankorder.ingest.child import in_child
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, named
 from crankorder.ingest.text import names_and_units
 from crankorder.settings import IngestSettings
 
 _BANNER_ROWS = 50
+_MOST_ROWS = 1_048_576
+"""Rows of a sheet, by the standard of the format (ECMA-376)."""
 _UNPACKED = 10  # bytes of numbers for each byte of a workbook, as a rule at most
 
 
@@ -55,16 +57,18 @@ def _parser(path: Path) -> Any:
 
 def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     with _first_sheet(openpyxl, path, settings) as sheet:
-        rows = sheet.iter_rows(values_only=True)
+        rows = _rows(sheet, path)
         names, units, first, n_above = _header(rows, path)
         positions = [names.index(named(source, names, path)) for source in sources]
         below = chain([] if first is None else [first], rows)
-        cells = [tuple(row[position] if position < len(row) else None for position in positions) for row in below]
+        cells: list[tuple[Any, ...]] = [
+            tuple(row[position] if position < len(row) else None for position in positions) for row in below
+        ]
     while cells and all(cell is None for cell in cells[-1]):
         cells.pop()  # formatted but empty rows below the data
     block = np.empty((len(positions), len(cells)))
-    for number, row in enumerate(cells):
-        for index, cell in enumerate(row):
+    for number, values in enumerate(cells):
+        for index, cell in enumerate(values):
             if isinstance(cell, bool) or not isinstance(cell, (int, float)):
                 raise InputError(
                     "an empty cell" if cell is None else "not a number",
@@ -73,7 +77,7 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
                     found="" if cell is None else repr(cell),
                     remedy="Mend the cell, or leave the recording out",
                 )
-        block[:, number] = row
+        block[:, number] = values
     stated = {source: units.get(names[position], "") for source, position in zip(sources, positions, strict=True)}
     return RawFile(
         columns=dict(zip(sources, block, strict=True)), units={source: unit for source, unit in stated.items() if unit}
@@ -82,8 +86,18 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
 
 def _contents(openpyxl: Any, path: Path, settings: IngestSettings) -> Contents:
     with _first_sheet(openpyxl, path, settings) as sheet:
-        names, units, _, _ = _header(sheet.iter_rows(values_only=True), path)
+        names, units, _, _ = _header(_rows(sheet, path), path)
     return Contents(format="XLSX", names=names, units=units)
+
+
+def _rows(sheet: Any, path: Path) -> Iterator[tuple[object, ...]]:
+    """Values of the rows of ``sheet``; refused where it claims more than a sheet can have: they would be filled."""
+    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        if number > _MOST_ROWS:
+            raise UnsafeInputError(
+                "claims a row beyond the last that a sheet can have", file=path, allowed=f"{_MOST_ROWS} rows"
+            )
+        yield row
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from scipy.special import fdtrc
 
 from crankorder.identify.bearings.candidates import Ranking, ranking
 from crankorder.identify.bearings.places import Place, made_by
+from crankorder.identify.intervals import half_width
 from crankorder.orders.envelope_combs import (
     TRIALS_PER_BIN,
     Comb,
@@ -143,6 +144,15 @@ class EnvelopeLine:
     ranking: Ranking
     also: list[str] = field(default_factory=list)
 
+    def may_slip_so(self, cell: float) -> bool:
+        """Whether its order lies in its place, within its own interval and a ``cell`` of the spectrum, in orders.
+
+        A peak just beyond the allowed slip is another line's, however little a cell is at the orders of a race: at that
+        of a cage it is 4 %, and no cage runs so much faster than in pure rolling.
+        """
+        reach = min(cell, half_width(self.freedom) * self.order_error)
+        return self.place.low - reach <= self.order <= self.place.high + reach
+
     @property
     def level_db(self) -> float:
         """Mean level of the lines that damage there makes; that of the line where it is no part's."""
@@ -197,7 +207,7 @@ def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probabi
         line for place in inside if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None
     ]
     cell = float(spectra.cell.max())
-    found = [line for line in found if line.place.low - cell <= line.order <= line.place.high + cell]
+    found = [line for line in found if line.may_slip_so(cell)]
     found.sort(key=lambda line: (-line.level_db, -line.ratio))
     kept: list[EnvelopeLine] = []
     within = 1.5 * cell

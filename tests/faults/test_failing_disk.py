@@ -1,0 +1,115 @@
+"""A disk that fails at the n-th call of a whole run: exit status 5, and what stands there is whole, old or new."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from crankorder.batch.frame_store import STORE
+from crankorder.batch.run_log import LOGS
+from crankorder.cli import main
+
+CALLS = ("fsync", "rename", "replace", "mkdir", "fdopen", "open")
+MOST_CALLS = 80
+QUICK = (("rename", errno.EIO), ("replace", errno.ENOSPC))
+"""Those that few calls are made of; the others are slow."""
+
+DONE, ENVIRONMENT = 0, 5
+
+
+def crankorder(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def run(folder: Path, out: Path, max_order: int) -> Result:
+    recipe = folder.with_name("recipe.toml")
+    results = '[report]\nresults = ["order_map"]\npictures = false\n'
+    recipe.write_text(f'title = "a map"\n[orders]\nmax_order = {max_order}\n{results}', encoding="utf-8")
+    return crankorder("run", folder, "--out", out, "--recipe", recipe, "--jobs", "1", "-q")
+
+
+def results_in(out: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(out).as_posix(): path.read_bytes()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.name != "timings.json" and not {STORE, LOGS} & set(path.parts)
+        if path.suffix != ".lock"
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place: Path = tmp_path_factory.mktemp("scene") / "test"
+    assert crankorder("synth", "hard-two-revolutions", "--out", place, "--quick", "-q").exit_code == DONE
+    return place
+
+
+@pytest.fixture(scope="module")
+def both(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes], dict[str, bytes]]:
+    """A folder of old results beside which frames of new ones are kept, the old results, the new ones."""
+    old, new = (tmp_path_factory.mktemp("results") / name for name in ("old", "new"))
+    assert run(folder, old, 12).exit_code == DONE
+    shutil.copytree(old, new)
+    made = run(folder, new, 8)
+    assert made.exit_code == DONE, made.output
+    return old, results_in(old), results_in(new)
+
+
+@pytest.mark.parametrize(
+    ("call", "fault"),
+    [
+        pytest.param(call, fault, marks=() if (call, fault) in QUICK else pytest.mark.slow)
+        for call in CALLS
+        for fault in (errno.ENOSPC, errno.EIO)
+    ],
+)
+def test_f3_i4_whichever_call_of_a_whole_run_fails_the_old_results_are_whole_or_the_new_ones(
+    folder: Path,
+    both: tuple[Path, dict[str, bytes], dict[str, bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    call: str,
+    fault: int,
+) -> None:
+    """Each time one more call goes well, until all do; only calls that change the disk are counted."""
+    place, old, new = both
+    assert old != new
+    seen, real = set(), getattr(os, call)
+    for number in range(MOST_CALLS):
+        out = tmp_path / str(number)
+        shutil.copytree(place, out)
+        left = [number]
+
+        def fails(*given, left=left, **named):  # type: ignore[no-untyped-def]
+            writes = call != "open" or (len(given) > 1 and given[1] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+            left[0] -= bool(writes)
+            if writes and left[0] == -1:
+                raise OSError(fault, os.strerror(fault), str(given[0]))
+            return real(*given, **named)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(os, call, fails)
+            made = run(folder, out, 8)
+        seen.add(made.exit_code)
+        assert made.exit_code in (DONE, ENVIRONMENT), made.output
+        assert "Traceback" not in made.output
+        assert made.exit_code == DONE or os.strerror(fault) in made.output
+        found = results_in(out)
+        of_test = [{name: data for name, data in one.items() if "/" in name} for one in (found, old, new)]
+        assert of_test[0] in of_test[1:], sorted(found)
+        if found["batch.json"] not in (old["batch.json"], new["batch.json"]):  # then it says that this run failed
+            [told] = json.loads(found["batch.json"])["tests"]
+            assert told["status"] == "failed" and made.exit_code == ENVIRONMENT
+        assert run(folder, out, 8).exit_code == DONE
+        assert results_in(out) == new
+        shutil.rmtree(out)
+        if left[0] >= 0:
+            print(f"{call}: {number} calls, exit status {sorted(seen)}")
+            return
+    raise AssertionError("more calls than were tried")
