@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crankorder.findings import nothing_sought
 from crankorder.orders.frames import order_frames
@@ -123,3 +124,22 @@ def test_the_flags_of_the_map_are_those_of_its_tracks():
 def test_an_order_asked_for_twice_is_one_track():
     settings = SETTINGS.model_copy(update={"track_orders": (5.5, 5.5 + 1e-13, 2.0)})
     assert followed_orders(nothing_sought("", reason=""), settings) == [2.0, 5.5]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_line_beside_a_resonance_of_the_noise_is_not_read_as_that(seed):
+    """A small order between bins, while noise through a mode of 61 Hz passes under it from speed to speed."""
+    draw = np.random.default_rng([seed, 300])
+    order, amplitude, rate = 1.3125 + float(draw.uniform(-0.01, 0.01)), 0.1, 2048.0
+    pole = 2.0 * np.pi * 61.0 * (-0.01 + 1j) / rate
+    frames = []
+    for number, speed in enumerate(np.linspace(1500.0, 3100.0, 9)):
+        band, shaft = steady([line(order, amplitude, 1.0)], speed_rpm=float(speed), duration_s=12.0, rate_hz=rate)
+        shaken = draw.normal(size=band["signal"].shape)
+        rung = lfilter([1.0], [1.0, -2.0 * np.exp(pole).real, np.exp(2.0 * pole.real)], shaken, axis=-1)
+        band["signal"].values[:] += 0.01 * shaken + 0.3 * rung / rung.std()
+        band.attrs["recording"] = f"step {number}"
+        frames.append(order_frames(band, shaft, settings=SETTINGS))
+    tracks = order_tracks(order_map(frames, settings=SETTINGS), [order], settings=SETTINGS, frames=frames)
+    low, high = tracks["amplitude_low"].values[0, 0], tracks["amplitude_high"].values[0, 0]
+    assert np.mean((low <= amplitude) & (amplitude <= high)) >= 0.85

@@ -35,6 +35,15 @@ NEAREST_BINS = 4
 SLOPE_RATIO = 3.0
 """Where one side holds so many times the noise of the other the noise slopes, and that of the larger side is taken."""
 
+CHANCE_SIGMAS = 3.0
+"""Standard errors of a logarithm by which the noise on either side of a line must differ to be no chance."""
+
+CURVED_SHARE = 0.25
+"""Share of half the step of the noise's logarithm across a line by which that under it is not known."""
+
+LEAST_WIDTH = 0.5
+"""Square of the half width, in bins, that a resonance has at least in a Hann window's spectrum."""
+
 NOISE_RATIO = 8.0
 """A bin that holds so many times the median of those beside is a line's, not noise: one in 250 of noise does."""
 
@@ -173,6 +182,35 @@ def noise_beside(energy: Floats, bins: Ints) -> Floats:
     """Noise power (…, orders) of a frame from ``energy`` (…, orders) in ``bins`` (orders, several), lines left out."""
     beside, noise = _noise_bins(energy, bins)
     return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
+
+
+def noise_under(level: Floats, energy: Floats, bins: Ints, at: float, independent: Floats) -> tuple[Floats, Floats]:
+    """Noise power (…,) under a line ``at`` a bin, and by how much (a standard error) its shape leaves that open.
+
+    ``energy`` (…, orders), without what the line leaks, is the mean of ``independent`` (…,) frames, ``bins``
+    (several,), rising, hold noise, ``level`` (…,) is the mean of that. Where the bins beside rise towards the line, or
+    across it, by more than chance, the noise is that of the nearest ones, carried on as a parabola of its logarithm:
+    the mean of all would take the noise of a resonance for the line's.
+    """
+    below, above = bins[bins < at], bins[bins > at]
+    if min(len(below), len(above)) < 2:
+        return level, np.zeros(level.shape)
+    four = np.array([below[-2], below[-1], above[0], above[1]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lowest, lower, upper, uppermost = np.moveaxis(np.log(energy[..., four]), -1, 0)
+        near, far = 0.5 * (lower + upper), 0.5 * (lowest + uppermost)
+        risen, step = near - far, 0.5 * np.abs(lower + lowest - upper - uppermost)
+        chance = CHANCE_SIGMAS / np.sqrt(np.maximum(independent, 1.0))
+        peaked, sloped = risen > chance, step > chance
+        distances = np.square(0.5 * np.array([above[0] - below[-1], above[1] - below[-2]], dtype=np.float64))
+        carried = np.where(peaked, risen, 0.0) * distances[0] / (distances[1] - distances[0])
+        local = np.exp(near + carried + 0.5 / np.maximum(independent, 1.0))  # a mean logarithm of few is low
+        squared = np.maximum((distances[1] - np.exp(risen) * distances[0]) / np.expm1(risen), LEAST_WIDTH)
+        top = np.exp(near) * (distances[0] + squared) / squared  # of a resonance with these flanks
+        spread = np.where(peaked, np.maximum(top - local, local * np.expm1(risen)), 0.0)
+        spread += 0.5 * CURVED_SHARE * np.abs(upper - lower) * local
+    used = (peaked | sloped) & np.isfinite(local) & np.isfinite(spread)
+    return np.where(used, local, level), np.where(used, spread, 0.0)
 
 
 def steepest_noise_beside(energy: Floats, bins: Ints) -> Floats:

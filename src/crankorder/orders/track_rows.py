@@ -15,7 +15,7 @@ import xarray as xr
 
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
-from crankorder.orders.averages import beside_bins, noise_beside
+from crankorder.orders.averages import beside_bins, noise_beside, noise_under
 from crankorder.orders.between_recordings import LOCATED
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
@@ -56,6 +56,9 @@ HANN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)
 
 OF_BANDWIDTH = 0.2
 """A followed order this near, in bandwidths, is the order itself: the filter lets it pass with a phase that turns."""
+
+LEAK_LEFT = 0.01
+"""Share of what a line leaks into the bins beside that cannot be taken off."""
 
 
 _ON_BIN_NAMES = (
@@ -291,11 +294,16 @@ class TrackReader:
         close = [other for other in others if LEAST_APART_BINS < abs(other - place) < TOGETHER_BINS]
         power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
         bins, worth = self._beside
-        noise = noise_beside(power, bins[nearest][None])[..., 0]
-        energy, share = self._energy(place, close)
         independent = self.order_map["n_independent"].values
+        energy, share = self._energy(place, close)
+        leaked = np.nan_to_num(energy)[..., None] * np.square(
+            hann_lobe(np.arange(power.shape[-1], dtype=np.float64) - place)
+        )
+        alone = np.maximum(power - leaked, LEAK_LEFT * leaked)
+        noise = noise_beside(power, bins[nearest][None])[..., 0]
+        noise, unknown = noise_under(noise, alone, np.sort(bins[nearest]), place, independent)
         bias, beat = share * noise, share * noise / independent
-        scatter = (share * noise) ** 2 / independent
+        scatter = (share * noise) ** 2 / independent + (share * unknown) ** 2
         dof = np.where(np.isnan(energy), 0.0, np.round(2.0 * worth[nearest] * independent))
         low, high = energy_interval(energy, noise=beat, bias=bias, noise_variance=scatter, dof=dof)
         line = np.sqrt(np.maximum(energy - bias, 0.0))
