@@ -53,12 +53,11 @@ def trace_variables(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> dict
     ``trace_time`` [s], ``speed_trace``, ``speed_trace_low`` and ``speed_trace_high`` [rpm]; ``shafts`` are ShaftAngles
     in the order of the recordings.
     """
-    traces = np.array([speed_trace(item["time"].values, item["speed"].values, knots=knots) for item in shafts])
-    traces = traces.reshape(len(shafts), len(_UNITS), knots)
+    traces = np.empty((len(_UNITS), len(shafts), knots), dtype=np.float32)  # of thousands of recordings: held once
+    for number, item in enumerate(shafts):
+        traces[:, number] = speed_trace(item["time"].values, item["speed"].values, knots=knots)
     return {
-        name: xr.Variable(
-            ("recording", "knot"), traces[:, number].astype(np.float32), {"units": unit, "long_name": text}
-        )
+        name: xr.Variable(("recording", "knot"), traces[number], {"units": unit, "long_name": text})
         for number, (name, (unit, text)) in enumerate(_UNITS.items())
     }
 
