@@ -16,7 +16,7 @@ from crankorder.ingest.check import check_folder
 from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.ingest.recording import read_parts
-from crankorder.quantities import flags_of
+from crankorder.quantities import Floats, flags_of
 from crankorder.settings import Settings, load_settings
 from crankorder.shaft.angle import speed_course
 from crankorder.shaft.decode import ShaftKnowledge
@@ -98,7 +98,7 @@ def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Loo
     """
     parts, share = read_parts(path, manifest, settings=settings.ingest, shaft=settings.shaft, most_bytes=LOOK_BYTES)
     told: dict[str, None] = {}
-    speeds: list[tuple[float, float]] = []
+    speeds: list[Floats] = []
     pulses: list[str] = []
     refused: list[CrankorderError] = []
     for part in parts:
@@ -115,8 +115,7 @@ def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Loo
             f"{flag['severity']}: {flag['flag']}: {flag['detail']}" for flag in flags if flag["severity"] != "info"
         )
         if shaft.attrs.get("has_shaft", 1) and part.attrs["domain"] == "time":
-            speed = speed_course(shaft).speed_rpm
-            speeds.append((float(speed.min()), float(speed.max())))
+            speeds.append(speed_course(shaft).speed_rpm)
         pulses = pulses or _pulses(part, shaft)
     # what one part of a long recording lacks, such as a shaft that turns yet, the whole of it may have
     if len(refused) == len(parts):
@@ -139,11 +138,13 @@ def _extent(parts: list[xr.Dataset], share: float) -> str:
     return f"{n_samples / attrs['rate_hz']:.4g} s at {attrs['rate_hz']:.6g} Hz"
 
 
-def _speed(speeds: list[tuple[float, float]]) -> str:
+def _speed(speeds: list[Floats]) -> str:
+    """The middle speed where that hardly changes, else from … to."""
     if not speeds:
         return ""
-    low, high = min(low for low, _ in speeds), max(high for _, high in speeds)
-    return f"{0.5 * (low + high):.4g} rpm" if high - low < 2e-3 * high else f"{low:.4g} to {high:.4g} rpm"
+    every = np.concatenate(speeds)
+    low, high = float(every.min()), float(every.max())
+    return f"{float(np.median(every)):.4g} rpm" if high - low < 2e-3 * high else f"{low:.4g} to {high:.4g} rpm"
 
 
 def _pulses(part: xr.Dataset, shaft: xr.Dataset) -> list[str]:
