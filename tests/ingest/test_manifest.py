@@ -109,6 +109,23 @@ def test_a_rate_that_is_no_positive_number_is_refused(tmp_path, value):
     assert "run.toml:12: sampling.rate_hz" in fault
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("pulses_per_rev", "99999999999999999999999999"),
+        ("pulses_per_rev", "1000000000"),
+        ("ratio", "1e300"),
+        ("ratio", "1e-300"),
+        ("index_to_tdc_deg", "1e308"),
+        ("missing_teeth", "5000000000"),
+    ],
+)
+def test_numbers_that_no_encoder_has_are_refused_before_anything_is_read(tmp_path, key, value):
+    text = GOOD.replace("pulses_per_rev = 360\n", "") if key == "pulses_per_rev" else GOOD
+    faults = faults_of(tmp_path, text.replace("[encoder]\n", f"[encoder]\n{key} = {value}\n"))
+    assert any(f"encoder.{key}: must be" in fault for fault in faults)
+
+
 def test_an_unknown_unit_lists_the_accepted_ones(tmp_path):
     (fault,) = faults_of(tmp_path, GOOD.replace("m/s²", "9**9**9"))
     assert "run.toml:17: channels.0.unit: unknown unit; found '9**9**9'; allowed: m/s2, mm/s2, g" in fault

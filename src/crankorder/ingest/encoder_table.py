@@ -25,6 +25,15 @@ Positive = Annotated[float, Field(gt=0)]
 
 Count = Annotated[int, Field(gt=0)]
 
+Teeth = Annotated[int, Field(gt=0, le=1_000_000)]
+"""More than any wheel or line encoder has."""
+
+Ratio = Annotated[float, Field(ge=1e-4, le=1e4)]
+"""More than any train of gears makes."""
+
+Turn = Annotated[float, Field(ge=-7200.0, le=7200.0)]
+"""Some turns of the crank, in degrees."""
+
 Name = Annotated[str, StringConstraints(min_length=1, max_length=1000)]
 
 
@@ -71,12 +80,12 @@ class Encoder(Table):
         description="Added to the times of that file: what its clock lags behind the recording's.",
         examples=[0.25],
     )
-    pulses_per_rev: Count | None = Field(
+    pulses_per_rev: Teeth | None = Field(
         default=None,
         description="Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel.",
         examples=[60],
     )
-    missing_teeth: Annotated[int, Field(ge=0)] = Field(
+    missing_teeth: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
         default=0, description="Teeth that the wheel lacks in its one gap: 2 of a 60-2 wheel.", examples=[2]
     )
     pattern: Name | None = Field(
@@ -104,14 +113,14 @@ class Encoder(Table):
     edge: Literal["rising", "falling"] = Field(
         default="rising", description="Edge of the trace that counts.", examples=["falling"]
     )
-    ratio: Positive = Field(default=1.0, description="Revolutions of the encoder per crank revolution.", examples=[0.5])
-    index_to_tdc_deg: float = Field(
+    ratio: Ratio = Field(default=1.0, description="Revolutions of the encoder per crank revolution.", examples=[0.5])
+    index_to_tdc_deg: Turn = Field(
         default=0.0,
         description="Crank angle from the index mark, or without one from the first tooth behind the gap, to top dead "
         "centre, from which phases count.",
         examples=[84.0],
     )
-    cam_to_tdc_deg: float | None = Field(
+    cam_to_tdc_deg: Turn | None = Field(
         default=None, description="Crank angle from the cam mark to the firing top dead centre.", examples=[120.0]
     )
     speed_rpm: Positive | None = Field(

@@ -29,8 +29,10 @@ from crankorder.ingest.encoder_table import (
     Encoder,
     Name,
     Positive,
+    Ratio,
     Source,
     Table,
+    Teeth,
     encoder_faults,
 )
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
@@ -254,8 +256,8 @@ class Gear(Table):
     """``[[gears]]``: a wheel whose teeth mesh, or a rotor whose blades pass, ``ratio`` turns per crank revolution."""
 
     name: Name = Field(description="What results call it.", examples=["input stage"])
-    teeth: Count = Field(description="Teeth of the wheel, or blades of the rotor.", examples=[23])
-    ratio: Positive = Field(default=1.0, description="Turns of the wheel per crank revolution.", examples=[0.5])
+    teeth: Teeth = Field(description="Teeth of the wheel, or blades of the rotor.", examples=[23])
+    ratio: Ratio = Field(default=1.0, description="Turns of the wheel per crank revolution.", examples=[0.5])
 
     @property
     def mesh_order(self) -> float:
