@@ -68,7 +68,7 @@ def at(hidden: tuple[Hiding, ...], order: float, frequency_hz: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_where_no_mode_is_a_sweep_excludes_nearly_everything(seed: int) -> None:
+def test_where_no_mode_is_a_sweep_excludes_most(seed: int) -> None:
     machine = drawn(seed, hidden=0.0)
     hidden = told(machine).hiding
     for order in ORDERS:

@@ -184,6 +184,12 @@ def noise_beside(energy: Floats, bins: Ints) -> Floats:
     return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
 
 
+def median_beside(power: Floats, half: int) -> Floats:
+    """Median of ``power`` (bins,) over ``half`` bins on each side of each bin."""
+    beside = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
+    return np.asarray(np.median(beside, axis=-1))
+
+
 def noise_under(level: Floats, energy: Floats, bins: Ints, at: float, independent: Floats) -> tuple[Floats, Floats]:
     """Noise power (…,) under a line ``at`` a bin, and by how much (a standard error) its shape leaves that open.
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from crankorder.orders.averages import median_beside
+from crankorder.orders.intervals import NORMAL
 from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 
@@ -60,7 +62,7 @@ def with_clock_drift(frames: xr.Dataset, *, recorded: xr.Dataset) -> xr.Dataset:
 
 
 def _flag(recording: str, drift: Drift) -> QualityFlag:
-    half = 1.959964 * drift.error_ppm
+    half = NORMAL * drift.error_ppm
     said = f"{drift.lines} lines of the vibration drift by {drift.ppm:.3g} ± {half:.2g} ppm of their order"
     sure = abs(drift.ppm) > max(NUMBERS.least_sigmas * drift.error_ppm, NUMBERS.least_ppm)
     if not sure:
@@ -115,8 +117,7 @@ def _lines(frames: xr.Dataset) -> tuple[Floats, Complexes]:
         if not np.isfinite(channel.real).all():
             continue
         power = np.square(np.abs(channel)).mean(axis=0)
-        beside = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
-        chosen = at[power[at] > NUMBERS.stands_out * np.median(beside, axis=-1)[at]]
+        chosen = at[power[at] > NUMBERS.stands_out * median_beside(power, half)[at]]
         found.append(order[chosen])
         rows.append(channel[:, chosen].T)
     return np.concatenate(found), np.concatenate(rows)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
+from crankorder.orders.averages import median_beside
 from crankorder.quantities import WHICH_IS_RIGHT, Floats, QualityFlag
 from crankorder.settings import STANDARD_GRAVITY_M_S2
 
@@ -115,8 +116,7 @@ def line_sizes(frames: xr.Dataset | None, names: list[str]) -> dict[str, Floats]
         power = np.abs(spectrum) ** 2
         known = np.isfinite(power)
         mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
-        beside = np.lib.stride_tricks.sliding_window_view(np.pad(mean, _HALF, mode="reflect"), 2 * _HALF + 1)
-        stands = mean[at] > _STANDS * np.median(beside, axis=-1)[at]
+        stands = mean[at] > _STANDS * median_beside(mean, _HALF)[at]
         made[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
     return {name: made[name] for name in names if name in made}
 

@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 import xarray as xr
 
+from crankorder.orders.averages import median_beside
 from crankorder.orders.between_recordings import LOCATED, WHOLE
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
 from crankorder.settings import MethodNumbers
@@ -86,8 +87,7 @@ def _stands_out(channel: Complexes, at: Ints) -> Bools:
     half = NUMBERS.beside_bins
     known = np.isfinite(channel.real)
     power = np.where(known, np.square(np.abs(channel)), 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    beside = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
-    return np.asarray(power[at] > NUMBERS.stands_out * np.median(beside, axis=-1)[at])
+    return np.asarray(power[at] > NUMBERS.stands_out * median_beside(power, half)[at])
 
 
 def turned_channels(recordings: Sequence[RecordedPhases]) -> list[QualityFlag]:

@@ -100,8 +100,9 @@ def taken_in_truth(share: Floats, widest: Floats, poles: int) -> Floats:
     """How many times what a second filter takes of the peak of a mode that a sweep passes the first one has taken.
 
     ``share`` (any shape): what the second takes of what the first has left. The spectrum of the envelope that a mode
-    leaves falls exponentially from the order (Hok 1948), so that one share belongs to one width of it; of a spectrum
-    much wider than the band of the filter of ``poles`` the share tends to a bound, and what was taken to everything.
+    leaves falls exponentially from the order, as the transform of 1 / (1 + i t / τ) does, so that one share belongs to
+    one width of it; of a spectrum much wider than the band of the filter of ``poles`` the share tends to a bound, and
+    what was taken to everything.
     ``widest`` (as ``share``) is the largest width, over which the spectrum falls by e, in half bandwidths.
     """
     widths, shares, times = _taken_table(poles)
